@@ -1,0 +1,45 @@
+# Every target sets up what it needs: a fresh clone needs only make and Python 3.11 or newer.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test lint types layers doctest examples check bench clean help
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plant]' --group test --group check
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
+	@touch $@
+
+demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopback
+	$(BIN)/mavdiag demo
+
+test: $(STAMP)  ## the whole test suite
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
+
+lint: $(STAMP)  ## ruff: rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## mypy --strict
+	$(BIN)/mypy
+
+layers: $(STAMP)  ## the import contracts
+	$(BIN)/lint-imports
+
+doctest: $(STAMP)  ## every example in a docstring
+	$(BIN)/python -m pytest --doctest-modules mavdiag sitl_plant detector -p no:cacheprovider
+
+examples: $(STAMP)  ## run the examples as they stand
+	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
+
+check: lint types layers doctest test examples  ## everything that CI runs
+
+clean:  ## remove the environment and caches
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

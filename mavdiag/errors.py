@@ -1,0 +1,45 @@
+"""The error tree, split by who is at fault.
+
+    MavdiagError                 base; never raised itself
+    ├── UsageError               you: an argument, an address, a configuration value
+    ├── InputError               the file or the data: damaged, empty, of another kind, a needed signal missing
+    │   └── BaselineError        the baseline artefact: wrong schema, digest, identity; names the field
+    ├── LinkError                the link: a port that is busy or gone, a peer that cannot be reached
+    └── IdentificationError      the data cannot carry the model asked for: too short, not excited, unstable
+
+Every message is one line that says what to do. Anything else that escapes is a bug. The wire never raises:
+malformed bytes are counted and dropped.
+"""
+
+__all__ = [
+    "BaselineError",
+    "IdentificationError",
+    "InputError",
+    "LinkError",
+    "MavdiagError",
+    "UsageError",
+]
+
+
+class MavdiagError(Exception):
+    """Base of all errors that this project raises on purpose."""
+
+
+class UsageError(MavdiagError):
+    """The caller asked for something that cannot be: a bad argument, address or configuration value."""
+
+
+class InputError(MavdiagError):
+    """A file or a data set cannot be used as it is."""
+
+
+class BaselineError(InputError):
+    """A baseline cannot be loaded or does not fit this vehicle or link; the message names the field."""
+
+
+class LinkError(MavdiagError):
+    """A port or a peer cannot be reached, or went away."""
+
+
+class IdentificationError(MavdiagError):
+    """The data cannot carry the model that was asked for."""
