@@ -1,0 +1,80 @@
+"""Least-squares ARX, the thesis's estimator (T 4.1.2). Biased when the noise sits on the output: see `sriv`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify.data import Segment, lag_matrix
+from mavdiag.identify.model import Order
+from mavdiag.quantities import FloatArray
+
+__all__ = ["Estimate", "least_squares", "polynomials", "regressors", "solve"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Raw outcome of an estimator. theta, standard_errors: (na + nb,); loss: mean square of its own residual.
+
+    rows: number of those residuals. iterations, converged: of the estimator's own loop, 1 and True without one.
+    """
+
+    theta: FloatArray
+    standard_errors: FloatArray
+    loss: float
+    rows: int
+    iterations: int = 0
+    converged: bool = True
+
+
+def regressors(segment: Segment, order: Order) -> tuple[FloatArray, FloatArray]:
+    """Regressor matrix Phi (rows, na + nb) and target (rows,) of one segment, first row t = max(na, nb + nk - 1)."""
+    na, nb, nk = order
+    first = max(na, nb + nk - 1)
+    # (rows,) = (rows, na + nb) @ (na + nb,)
+    #
+    # [ y(t)   ]   [ -y(t-1) ... -y(t-na)     u(t-nk)   ... u(t-nk-nb+1) ]   [ a_1 .. a_na,          ]
+    # [ y(t+1) ] = [ -y(t)   ... -y(t-na+1)   u(t-nk+1) ... u(t-nk-nb+2) ] @ [ b_nk .. b_{nk+nb-1}   ]'
+    # [ ...    ]   [ ...                                                 ]
+    past_y = lag_matrix(segment.y, 1, na, first)
+    past_u = lag_matrix(segment.u, nk, nb, first)
+    return np.column_stack((-past_y, past_u)), segment.y[first:]
+
+
+def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray]:
+    """Split theta into a (na + 1,) with a[0] = 1 and b (nk + nb,) with nk leading zeros."""
+    na, _, nk = order
+    return np.concatenate(([1.0], theta[:na])), np.concatenate((np.zeros(nk), theta[na:]))
+
+
+def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Solve Z' Phi theta = Z' target; return theta and the diagonal of (Z' Z)^-1, both (d,).
+
+    Z = Phi is least squares. By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at
+    1 kHz are nearly collinear. Raises IdentificationError if the columns do not have full rank.
+    """
+    scale = np.linalg.norm(Z, axis=0)
+    if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
+        raise IdentificationError("a regressor column is zero or overflows; check the input's scale")
+    Q, R = np.linalg.qr(Z / scale)
+    tolerance = max(Z.shape) * np.finfo(float).eps
+    if np.linalg.matrix_rank(R, rtol=tolerance) < len(scale):
+        raise IdentificationError("the regressors are linearly dependent; lower the order or fly a richer input")
+    theta: FloatArray = np.linalg.lstsq(Q.T @ (Phi / scale), Q.T @ target, rcond=None)[0] / scale
+    inverse = np.linalg.inv(R) / scale[:, None]
+    return theta, np.sum(inverse**2, axis=1)
+
+
+def least_squares(segments: tuple[Segment, ...], order: Order) -> Estimate:
+    """Least-squares estimate over the stacked rows of all segments; no row reaches over a boundary.
+
+    standard_errors = sqrt(diag (Phi' Phi)^-1 e'e/(n - d)); loss V = e'e/n.
+    Raises IdentificationError if the regressors are linearly dependent.
+    """
+    blocks = [regressors(segment, order) for segment in segments]
+    Phi = np.concatenate([phi for phi, _ in blocks])
+    target = np.concatenate([y for _, y in blocks])
+    theta, spread = solve(Phi, Phi, target)
+    n, d = Phi.shape
+    squares = float(np.sum((target - Phi @ theta) ** 2))
+    return Estimate(theta, np.sqrt(spread * squares / (n - d)), squares / n, n)

@@ -1,0 +1,86 @@
+"""`fit`: from flights to a model, with its quality stated and an unusable result refused."""
+
+import math
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify.arx import Estimate, least_squares, polynomials
+from mavdiag.identify.data import Records, Segment, check_excitation, to_segments
+from mavdiag.identify.model import ArxModel, Method, Order, check_order
+from mavdiag.identify.sriv import sriv
+from mavdiag.identify.validate import nrmse_percent, r_squared
+from mavdiag.quantities import FloatArray
+
+__all__ = ["fit"]
+
+
+def fit(u: Records, y: Records, order: Order = (2, 2, 1), *, dt: float, method: Method | str = Method.SRIV) -> ArxModel:
+    """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
+
+    u, y: (n,) each, or sequences of such arrays, one per flight: their rows are stacked and none reaches from one
+    flight into the next. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (default; unbiased with noise on
+    the output) or "ls" (the thesis's least squares). Offsets are not removed.
+
+    >>> rng = np.random.default_rng(1)
+    >>> u = rng.standard_normal(500)
+    >>> true = ArxModel(np.array([1, -1.2, 0.52]), np.array([0, 0.5, 0.25]), 0.01, (2, 2, 1), Method.PUBLISHED)
+    >>> model = fit(u, true.simulate(u), dt=0.01)
+    >>> model.a.round(6).tolist(), model.b.round(6).tolist(), round(model.dc_gain, 3)
+    ([1.0, -1.2, 0.52], [0.0, 0.5, 0.25], 2.344)
+
+    Raises IdentificationError, saying what to do, if an argument is impossible, the data are too short, constant, hold
+    NaN or do not excite the model, or the model found is unstable.
+    """
+    order = check_order(order)
+    if method not in (Method.LS, Method.SRIV):
+        raise IdentificationError(f"method {str(method)!r} is not known; use 'sriv' or 'ls'")
+    if not (math.isfinite(dt) and dt > 0):
+        raise IdentificationError(f"the sample time must be positive, not {dt} s")
+    segments = to_segments(u, y, order)
+    check_excitation(segments, order)
+    estimate = sriv(segments, order) if method == Method.SRIV else least_squares(segments, order)
+    return _graded(estimate, segments, order, dt, Method(method))
+
+
+def _graded(estimate: Estimate, segments: tuple[Segment, ...], order: Order, dt: float, method: Method) -> ArxModel:
+    """The estimate as a model with its fit figures; refuses an unstable one."""
+    a, b = polynomials(estimate.theta, order)
+    bare = ArxModel(a, b, dt, order, method)
+    if not bare.stable:
+        raise IdentificationError(
+            f"the identified model is unstable (pole radius {np.abs(bare.poles[0]):.4f}); lower the order, use sriv, "
+            "or record more excited flight"
+        )
+    y = np.concatenate([segment.y for segment in segments])
+    y_sim = np.concatenate([bare.simulate(segment.u) for segment in segments])
+    d, n, loss = len(estimate.theta), estimate.rows, estimate.loss
+    return ArxModel(
+        a,
+        b,
+        dt,
+        order,
+        method,
+        standard_errors=estimate.standard_errors,
+        r2t=r_squared(y, y_sim),
+        nrmse_fit=nrmse_percent(y, y_sim),
+        mse=float(np.mean((y - y_sim) ** 2)),
+        yic=_young_criterion(estimate, float(np.var(y - y_sim) / np.var(y))),
+        aic=_log(loss) + 2 * d / n,
+        fpe=loss * (1 + d / n) / (1 - d / n),
+        samples=len(y),
+        iterations=estimate.iterations,
+        converged=estimate.converged,
+    )
+
+
+def _young_criterion(estimate: Estimate, error_share: float) -> float:
+    """YIC = ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)): fit against how well the parameters are known (Young)."""
+    if np.any(estimate.theta == 0.0):
+        return math.inf
+    relative: FloatArray = estimate.standard_errors / estimate.theta
+    return _log(error_share) + _log(float(np.mean(relative**2)))
+
+
+def _log(value: float) -> float:
+    return math.log(value) if value > 0.0 else -math.inf

@@ -1,0 +1,164 @@
+"""The identified model: A(z^-1) y = B(z^-1) u + e, with what is known about its quality (T 4.1.2)."""
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError
+from mavdiag.quantities import FloatArray
+
+if TYPE_CHECKING:
+    import control
+    from numpy.typing import NDArray
+
+__all__ = ["ArxModel", "Method", "Order", "check_order", "read_only"]
+
+Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
+
+
+class Method(StrEnum):
+    """Where a model's coefficients come from."""
+
+    LS = "ls"  # least squares, the thesis's way
+    SRIV = "sriv"  # simplified refined instrumental variable
+    RLS = "rls"  # recursive least squares, a snapshot of a tracked model
+    PUBLISHED = "published"  # printed in the thesis
+
+
+def read_only(values: FloatArray) -> FloatArray:
+    """A float copy of `values` that cannot be written."""
+    copy = np.array(values, dtype=np.float64)
+    copy.setflags(write=False)
+    return copy
+
+
+def check_order(order: Order) -> Order:
+    """The order as three plain integers. Raises IdentificationError unless na >= 1, nb >= 1 and nk >= 0."""
+    whole = len(order) == 3 and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in order)
+    if not whole or order[0] < 1 or order[1] < 1 or order[2] < 0:
+        raise IdentificationError(f"order {order} must be three whole numbers (na >= 1, nb >= 1, nk >= 0)")
+    return int(order[0]), int(order[1]), int(order[2])
+
+
+def _unknown() -> FloatArray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArxModel:
+    """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5.
+
+    a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
+    order: (na, nb, nk). standard_errors: (na + nb,) of a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown; they hold for
+    white noise (in the equation for LS, on the output for SRIV) and are too small for filtered, coloured noise.
+
+    Fit on the training data, nan where unknown. With e_sim = y - simulate(u), pooled over all segments:
+    r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent].
+    mse: mean e_sim^2. yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)).
+    aic: ln V + 2d/n and fpe: V (1 + d/n)/(1 - d/n) for d = na + nb parameters and n residuals, where V is the mean
+    square of the method's own residual: the one-step error for LS, e_sim for SRIV. So compare orders with them, not
+    methods. samples: rows of training data. iterations and converged: of SRIV; 0 and True where nothing iterates.
+
+    The arrays are copied and made read-only. Raises IdentificationError if the coefficients do not fit the order, are
+    not finite, or dt is not positive. A model with a pole on or outside the unit circle may be built, since published
+    ones exist, but `fit` never returns one.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    dt: float
+    order: Order
+    method: Method
+    standard_errors: FloatArray = field(default_factory=_unknown)
+    r2t: float = math.nan
+    nrmse_fit: float = math.nan
+    mse: float = math.nan
+    yic: float = math.nan
+    aic: float = math.nan
+    fpe: float = math.nan
+    samples: int = 0
+    iterations: int = 0
+    converged: bool = True
+
+    def __post_init__(self) -> None:
+        na, nb, nk = check_order(self.order)
+        unknown = np.full(na + nb, np.nan)
+        errors = self.standard_errors if len(self.standard_errors) else unknown
+        object.__setattr__(self, "a", read_only(self.a))
+        object.__setattr__(self, "b", read_only(self.b))
+        object.__setattr__(self, "standard_errors", read_only(errors))
+        if self.a.shape != (na + 1,) or self.b.shape != (nb + nk,) or self.standard_errors.shape != (na + nb,):
+            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {na + nb} standard errors")
+        if not (np.isfinite(self.a).all() and np.isfinite(self.b).all()):
+            raise IdentificationError("the coefficients of a model must be finite numbers")
+        if self.a[0] != 1.0 or np.any(self.b[:nk] != 0.0):
+            raise IdentificationError("a model needs a[0] = 1 and nk leading zeros in b")
+        if not (math.isfinite(self.dt) and self.dt > 0):
+            raise IdentificationError(f"the sample time must be positive, not {self.dt} s")
+
+    @property
+    def lag(self) -> int:
+        """Rows of past that the difference equation reaches back: max(na, nb + nk - 1)."""
+        return max(len(self.a), len(self.b)) - 1
+
+    @property
+    def theta(self) -> FloatArray:
+        """The estimated parameters, (na + nb,): a1..a_na, then b_nk..b_{nk+nb-1}."""
+        return np.concatenate((self.a[1:], self.b[self.order[2] :]))
+
+    @property
+    def poles(self) -> "NDArray[np.complex128]":
+        """Roots of z^na A(z^-1), (na,), largest modulus first."""
+        roots = np.roots(self.a)
+        found = np.zeros(len(self.a) - 1, dtype=np.complex128)
+        found[: len(roots)] = roots  # np.roots drops poles at zero
+        return found[np.argsort(-np.abs(found), kind="stable")]
+
+    @property
+    def stable(self) -> bool:
+        """True if every pole is inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1.0))
+
+    @property
+    def dc_gain(self) -> float:
+        """B(1)/A(1): steady output per unit of constant input; infinite with a pole at 1."""
+        denominator = float(np.sum(self.a))
+        return float(np.sum(self.b)) / denominator if denominator != 0.0 else math.inf
+
+    def simulate(self, u: FloatArray, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FloatArray:
+        """Free-run output for the inputs u, (n,) -> (n,): no measured output enters (T 5.5).
+
+        Without a past the model starts from rest. past_u, past_y: inputs and outputs before u[0], oldest first; as
+        many of the last rows as the model reaches back are used, missing ones count as zero. A stream is simulated
+        with `mavdiag.identify.freerun`.
+        """
+        from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
+
+        newest_y = np.empty(0) if past_y is None else past_y[::-1][: len(self.a) - 1]
+        newest_u = np.empty(0) if past_u is None else past_u[::-1][: len(self.b) - 1]
+        initial = lfiltic(self.b, self.a, newest_y, newest_u)
+        return np.asarray(lfilter(self.b, self.a, u, zi=initial)[0], dtype=np.float64)
+
+    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """One-step prediction from the measured past, (n,), (n,) -> (n - lag,): row i predicts y[i + lag].
+
+        yhat(t) = b_nk u(t - nk) + .. - a1 y(t - 1) - ..; the first `lag` rows have no complete past and are left out.
+        Raises IdentificationError if the lengths differ or n <= lag.
+        """
+        if u.shape != y.shape or u.ndim != 1 or len(y) <= self.lag:
+            raise IdentificationError(f"a prediction needs u and y of one length above {self.lag}")
+        n = len(y)
+        past_y = np.convolve(y, self.a)[self.lag : n] - y[self.lag :]
+        return np.convolve(u, self.b)[self.lag : n] - past_y
+
+    def to_control(self) -> "control.TransferFunction":
+        """The same model as a python-control transfer function in z with this sample time."""
+        import control  # seconds to import, and the detector must not carry it
+
+        size = self.lag + 1  # in powers of z both polynomials need one length
+        return control.TransferFunction(
+            np.pad(self.b, (0, size - len(self.b))), np.pad(self.a, (0, size - len(self.a))), self.dt
+        )
