@@ -1,0 +1,125 @@
+"""What every endpoint is: bytes in with the host's time, bytes out, honest counts, and one way to wait.
+
+Edge module: file descriptors and the host clock live here and in the `endpoint_*` modules beside it.
+"""
+
+import errno
+import select
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self, TypeAlias
+
+from mavdiag.errors import LinkError
+
+__all__ = ["RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
+
+Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
+Clock: TypeAlias = Callable[[], int]  # the host clock [ns]
+SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
+
+RETRY_S = 0.25  # how often an endpoint that lost its peer or device looks for it, while it is polled
+
+_ADVICE = {
+    errno.EADDRINUSE: "the port is busy: stop the program that holds it, or name another port",
+    errno.EADDRNOTAVAIL: "this machine has no such address: use 127.0.0.1, or 0.0.0.0 for every network",
+    errno.EACCES: "permission denied: use a port above 1023, or add yourself to the device's group (dialout)",
+    errno.EPERM: "permission denied: a firewall or a sandbox forbids it",
+    errno.ENOENT: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
+    errno.ENXIO: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
+    errno.ENODEV: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
+    errno.EBUSY: "the device is busy: stop the program that holds it",
+    errno.EAGAIN: "the device is busy: stop the program that holds it",
+    errno.ENETUNREACH: "no route to that network: check the host and this machine's network",
+    errno.EMFILE: "too many open files: close some, or raise `ulimit -n`",
+}
+
+
+def link_error(address: str, error: OSError) -> LinkError:
+    """The one-line error for an address that could not be opened: what happened and what to do."""
+    advice = _ADVICE.get(error.errno or 0, error.strerror or str(error).splitlines()[0])
+    return LinkError(f"{address}: {advice}")
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What an endpoint did since it was opened.
+
+    received: chunks handed to the caller (datagrams, or reads of a byte stream).
+    sent: messages handed to the system, one count per peer. dropped: messages that did not get that far, or that the
+    peer's host refused. overflowed: datagrams that the system threw away because nobody read them in time.
+    """
+
+    received: int = 0
+    sent: int = 0
+    dropped: int = 0
+    overflowed: int = 0
+
+
+class Endpoint(ABC):
+    """One end of a link. Once it is open, nothing that the peer or the wire does raises."""
+
+    def __init__(self, address: str, clock: Clock) -> None:
+        self._address = address
+        self._clock = clock
+        self._received = self._sent = self._dropped = self._overflowed = 0
+
+    @property
+    def address(self) -> str:
+        """The address in the notation of `open_endpoint`, with the port that was really bound."""
+        return self._address
+
+    @property
+    def traffic(self) -> Traffic:
+        """The counts so far."""
+        return Traffic(self._received, self._sent, self._dropped, self._overflowed)
+
+    @property
+    @abstractmethod
+    def connected(self) -> bool:
+        """Whether a message sent now has somebody to go to, as far as this side can know."""
+
+    @abstractmethod
+    def filenos(self) -> tuple[int, ...]:
+        """The descriptors that become readable when there is something to receive; none while disconnected."""
+
+    def receive(self, timeout_s: float) -> list[Chunk]:
+        """Wait up to `timeout_s` for the first chunk, then take what is there (bounded). Empty if nothing came."""
+        until = time.monotonic() + timeout_s
+        while not (chunks := self._drain()) and (left := until - time.monotonic()) > 0:
+            wait([self], min(left, RETRY_S))
+        self._received += len(chunks)
+        return chunks
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send one message to every peer, now or never: what cannot go at once is dropped and counted."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the port or device. Closing twice is harmless; a closed endpoint receives and sends nothing."""
+
+    @abstractmethod
+    def _drain(self) -> list[Chunk]:
+        """Take what is there without waiting; reconnect if it is time to."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def wait(endpoints: Iterable[Endpoint], timeout_s: float) -> list[Endpoint]:
+    """Wait until an endpoint has something to receive, at most `timeout_s`. Returns those that have (may be none).
+
+    A disconnected endpoint has nothing to wait for: receive from it now and then, so that it can reconnect.
+    """
+    poll = select.poll()
+    owner = {fileno: endpoint for endpoint in endpoints for fileno in endpoint.filenos()}
+    for fileno in owner:
+        poll.register(fileno, select.POLLIN)
+    ready = poll.poll(max(0.0, timeout_s) * 1e3)
+    return list({id(owner[fileno]): owner[fileno] for fileno, _ in ready}.values())

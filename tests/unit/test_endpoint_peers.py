@@ -1,0 +1,213 @@
+"""Peers that come, go, flood and vanish: who is answered, what is counted, and how a link comes back."""
+
+import os
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from mavdiag.link.endpoint import Endpoint, open_endpoint
+from mavdiag.link.endpoint_stream import CLIENTS_MAX, whole_frames
+from mavdiag.link.endpoint_udp import PEERS_MAX
+
+V1 = bytes([0xFE, 2, 0, 1, 1, 0, 7, 7, 0xAA, 0xBB])
+V2 = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB])
+SIGNED = bytes([0xFD, 1, 1, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB]) + bytes(13)
+
+
+def receive_all(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> bytes:
+    until, data = time.monotonic() + patience_s, b""
+    while len(data) < n_bytes and time.monotonic() < until:
+        data += b"".join(chunk for chunk, _ in endpoint.receive(0.1))
+    return data
+
+
+def test_udpin_answers_every_peer_it_heard_and_only_those() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace("udpin", "udpout")
+        clients = [stack.enter_context(open_endpoint(far)) for _ in range(3)]
+        server.send(V2)
+        assert server.traffic.dropped == 1
+        for client in clients[:2]:
+            client.send(V1)
+        assert receive_all(server, 2 * len(V1)) == 2 * V1
+        server.send(V2)
+        assert [receive_all(client, len(V2)) for client in clients[:2]] == [V2, V2]
+        assert clients[2].receive(0.01) == []
+        assert server.traffic.sent == 2
+
+
+def test_udpin_forgets_a_peer_that_fell_silent() -> None:
+    with (
+        open_endpoint("udpin:127.0.0.1:0", peer_fresh_s=0.05) as server,
+        open_endpoint(server.address.replace("udpin", "udpout")) as client,
+    ):
+        client.send(V1)
+        assert server.receive(5.0)
+        time.sleep(0.06)
+        assert not server.connected
+        server.send(V2)
+        assert client.receive(0.01) == []
+
+
+def test_udpin_keeps_its_peers_when_strangers_flood() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace("udpin", "udpout")
+        clients = [stack.enter_context(open_endpoint(far)) for _ in range(PEERS_MAX + 5)]
+        for client in clients:
+            client.send(V1)
+        assert len(receive_all(server, len(clients) * len(V1))) == len(clients) * len(V1)
+        server.send(V2)
+        assert server.traffic.sent == PEERS_MAX
+        assert clients[0].receive(5.0)
+
+
+def test_every_datagram_is_received_or_counted_as_overflowed() -> None:
+    n_sent = 40_000
+    with (
+        open_endpoint("udpin:127.0.0.1:0") as server,
+        open_endpoint(server.address.replace("udpin", "udpout")) as client,
+    ):
+        for _ in range(n_sent):
+            client.send(V2)
+        while server.receive(0.05):
+            pass
+        client.send(V2)  # the count is told with the next datagram
+        assert server.receive(5.0)
+        assert client.traffic.sent == n_sent + 1
+        assert server.traffic.received + server.traffic.overflowed == n_sent + 1
+        assert server.traffic.overflowed > 0
+
+
+def test_udpout_counts_what_the_host_refused_and_recovers() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as server:
+        address = server.address
+    with open_endpoint(address.replace("udpin", "udpout")) as client:
+        for _ in range(10):
+            client.send(V2)
+        client.receive(0.01)
+        assert client.traffic.sent + client.traffic.dropped == 10
+        assert client.traffic.dropped >= 9
+        assert not client.connected
+        with open_endpoint(address) as server:
+            client.send(V2)
+            assert receive_all(server, len(V2)) == V2
+            server.send(V1)
+            assert receive_all(client, len(V1)) == V1
+            assert client.connected
+
+
+def test_a_tcp_client_waits_for_its_server_and_finds_it_again() -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server:
+        address = server.address
+    with open_endpoint(address.replace("tcpin", "tcp")) as client:
+        assert client.receive(0.0) == []
+        assert not client.connected
+        client.send(V2)
+        assert client.traffic.dropped == 1
+        for _ in range(2):
+            with open_endpoint(address) as server:
+                until = time.monotonic() + 5.0
+                while not (client.connected and server.connected) and time.monotonic() < until:
+                    client.receive(0.05)
+                    server.receive(0.0)
+                server.send(V2)
+                assert receive_all(client, len(V2)) == V2
+            client.receive(0.05)
+            assert not client.connected
+
+
+def test_a_tcp_server_cuts_its_clients_between_frames() -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server:
+        far = server.address.replace("tcpin", "tcp")
+        with open_endpoint(far) as one, open_endpoint(far) as other:
+            while not (one.connected and other.connected):
+                time.sleep(0.001)
+            one.send(V1 + V2[:5])
+            assert receive_all(server, len(V1)) == V1
+            other.send(V1)
+            assert receive_all(server, len(V1)) == V1
+            one.send(V2[5:] + V1[:1])
+            assert receive_all(server, len(V2)) == V2
+
+
+def test_a_tcp_server_turns_the_seventeenth_client_away() -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace("tcpin", "tcp")
+        clients = [stack.enter_context(open_endpoint(far)) for _ in range(CLIENTS_MAX)]
+        while not all(client.connected for client in clients):
+            time.sleep(0.001)
+        server.receive(0.0)
+        late = stack.enter_context(open_endpoint(far))
+        time.sleep(0.01)
+        server.receive(0.0)
+        late.receive(0.01)
+        assert not late.connected
+        server.send(V2)
+        assert server.traffic.sent == CLIENTS_MAX
+
+
+@pytest.mark.parametrize(
+    ("data", "whole"),
+    [
+        (b"", 0),
+        (b"\x00\x01", 2),
+        (V1, len(V1)),
+        (V1 + V2 + SIGNED, len(V1 + V2 + SIGNED)),
+        (V1 + SIGNED[:-1], len(V1)),
+        (V1 + b"\xfd", len(V1)),
+        (V1 + b"\xfd\x01", len(V1)),
+        (b"\x55" + V2 + b"\xfe\x02\x00", 1 + len(V2)),
+    ],
+)
+def test_whole_frames_ends_between_frames(data: bytes, whole: int) -> None:
+    assert whole_frames(data) == whole
+
+
+def test_a_serial_device_that_is_unplugged_is_found_again(tmp_path: Path) -> None:
+    plug = tmp_path / "tty"
+    master, slave = os.openpty()
+    plug.symlink_to(os.ttyname(slave))
+    with open_endpoint(f"{plug},115200") as endpoint:
+        os.write(master, V2)
+        assert receive_all(endpoint, len(V2)) == V2
+        os.close(slave)
+        os.close(master)
+        assert endpoint.receive(0.01) == []
+        assert not endpoint.connected
+        endpoint.send(V2)
+        assert endpoint.traffic.dropped == 1
+        plug.unlink()
+        assert endpoint.receive(0.3) == []
+        master, slave = os.openpty()
+        plug.symlink_to(os.ttyname(slave))
+        try:
+            until = time.monotonic() + 5.0
+            while not endpoint.connected and time.monotonic() < until:
+                endpoint.receive(0.05)
+            os.write(master, V1)
+            assert receive_all(endpoint, len(V1)) == V1
+        finally:
+            os.close(master)
+            os.close(slave)
+
+
+def test_a_message_that_fits_only_in_part_is_never_torn() -> None:
+    frame = V2[:10] + bytes(range(1, 200)) + V2[-2:]
+    frame = bytes([0xFD, len(frame) - 12]) + frame[2:]
+    with (
+        open_endpoint("tcpin:127.0.0.1:0") as server,
+        open_endpoint(server.address.replace("tcpin", "tcp")) as client,
+    ):
+        while not client.connected:
+            time.sleep(0.001)
+        while client.traffic.dropped < 100:
+            client.send(frame)
+        arrived = b""
+        for _ in range(3):
+            while chunks := server.receive(0.05):
+                arrived += b"".join(data for data, _ in chunks)
+            client.send(frame)
+        arrived += receive_all(server, len(frame) * client.traffic.sent - len(arrived))
+        assert arrived == frame * client.traffic.sent
