@@ -1,0 +1,197 @@
+"""The chain put together: telemetry in, findings out; the same for a log and for a live link.
+
+    telemetry ─ align ─ gate ─ rates ─▶ rows ─ monitors ─▶ readings ─ events ─▶ findings
+
+`Front` is the part up to the rows, which learning shares; `Chain` adds the monitors of a baseline. Both are values;
+all memory is in their states.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from mavdiag.baseline import Baseline
+from mavdiag.diagnose import events as event_step
+from mavdiag.diagnose.events import Event, EventSpec, EventState
+from mavdiag.diagnose.monitors.base import Monitor, Rows
+from mavdiag.diagnose.monitors.latency import Latency
+from mavdiag.identify import ArxModel
+from mavdiag.quantities import Axis, Telemetry
+from mavdiag.signal import align as align_step
+from mavdiag.signal import gate as gate_step
+from mavdiag.signal import rates as rate_step
+from mavdiag.signal.align import AlignSpec, AlignState
+from mavdiag.signal.block import Block
+from mavdiag.signal.gate import GateSpec, GateState
+from mavdiag.signal.rates import RateSpec, RateState
+
+__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontState:
+    """Memory of the alignment, the gate and the rate filters."""
+
+    align: AlignState
+    gate: GateState
+    rates: RateState
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Front:
+    """Telemetry to uniform rows of flight and their rates."""
+
+    align: AlignSpec
+    gate: GateSpec
+    rates: RateSpec
+
+    def start(self) -> FrontState:
+        """Nothing heard yet."""
+        return FrontState(align_step.start(), gate_step.start(), rate_step.start(self.rates))
+
+    def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows, ...]]:
+        """Take in a chunk of telemetry; return the rows that it completes."""
+        aligned, blocks = align_step.align(self.align, state.align, telemetry)
+        gated, blocks = gate_step.gate(self.gate, state.gate, blocks)
+        return self._rows(aligned, gated, state.rates, blocks)
+
+    def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows, ...]]:
+        """The end of a log: the rows that were waiting."""
+        aligned, blocks = align_step.finish(self.align, state.align)
+        gated, blocks = gate_step.gate(self.gate, state.gate, blocks)
+        gated, rest = gate_step.finish(self.gate, gated)
+        return self._rows(aligned, gated, state.rates, (*blocks, *rest))
+
+    def _rows(
+        self, aligned: AlignState, gated: GateState, filtered: RateState, blocks: tuple[Block, ...]
+    ) -> tuple[FrontState, tuple[Rows, ...]]:
+        out: list[Rows] = []
+        for block in blocks:
+            filtered, rate_block = rate_step.rates(self.rates, filtered, block)
+            out.append(Rows(block, rate_block))
+        return FrontState(aligned, gated, filtered), tuple(out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Watch:
+    """A monitor and the threshold it is held against. level_reference: what its level is an excess over, if anything
+    (for the thesis rule the margin [rad/s])."""
+
+    monitor: Monitor[Any]
+    threshold: float
+    level_reference: float = 0.0
+    clear_s: float = 0.0
+
+    @property
+    def events(self) -> EventSpec:
+        """When an event of this monitor opens and closes."""
+        return EventSpec(self.monitor.name, self.monitor.axis, self.threshold, self.clear_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """The latest reading of one watch, for a display or a telemetry twin. value: |r| - reference, or the level."""
+
+    monitor: str
+    axis: Axis | None
+    statistic: float
+    threshold: float
+    level: float
+    level_reference: float
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What one chunk brought. judged_s: new judged time; now_ns: vehicle time of the latest row, None if none came."""
+
+    events: tuple[Event, ...] = ()
+    levels: tuple[Level, ...] = ()
+    judged_s: float = 0.0
+    now_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainState:
+    """Memory of the front and of every watch."""
+
+    front: FrontState
+    monitors: tuple[Any, ...]
+    events: tuple[EventState, ...] = field(default_factory=tuple)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """Front and watches: the whole way from telemetry to events."""
+
+    front: Front
+    watches: tuple[Watch, ...]
+
+    def start(self) -> ChainState:
+        """Nothing heard yet."""
+        monitors = tuple(watch.monitor.start() for watch in self.watches)
+        return ChainState(self.front.start(), monitors, tuple(event_step.start() for _ in self.watches))
+
+    def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, Findings]:
+        """Take in a chunk of telemetry; return what it brought."""
+        front, rows = self.front.step(state.front, telemetry)
+        return self._watch(state, front, rows)
+
+    def finish(self, state: ChainState) -> Findings:
+        """The end of a log: the last rows, and events that are still open with their highest figures."""
+        front, rows = self.front.finish(state.front)
+        state, findings = self._watch(state, front, rows)
+        still_open = tuple(event for one in state.events for event in event_step.finish(one))
+        return Findings((*findings.events, *still_open), findings.levels, findings.judged_s, findings.now_ns)
+
+    def _watch(self, state: ChainState, front: FrontState, all_rows: tuple[Rows, ...]) -> tuple[ChainState, Findings]:
+        monitors, event_states = list(state.monitors), list(state.events)
+        found: list[Event] = []
+        levels: list[Level] = []
+        judged = 0.0
+        now_ns: int | None = None
+        for rows in all_rows:
+            levels.clear()
+            for i, watch in enumerate(self.watches):
+                monitors[i], reading = watch.monitor.step(monitors[i], rows)
+                event_states[i], seen = event_step.events(watch.events, event_states[i], reading)
+                found += seen
+                if len(reading.t_ns):
+                    levels.append(_level(watch, float(reading.statistic[-1]), float(reading.level[-1])))
+            judged += float(rows.rates.valid.sum()) * rows.rates.dt_s
+            now_ns = int(rows.block.t_ns[-1])
+        state = ChainState(front, tuple(monitors), tuple(event_states))
+        return state, Findings(tuple(found), tuple(levels), judged, now_ns)
+
+
+def _level(watch: Watch, statistic: float, level: float) -> Level:
+    return Level(watch.monitor.name, watch.monitor.axis, statistic, watch.threshold, level, watch.level_reference)
+
+
+def front_of(baseline: Baseline) -> Front:
+    """The front that a baseline was made with."""
+    link, limits = baseline.link, baseline.link.gate
+    return Front(
+        AlignSpec(link.dt_s, link.grid, link.max_gap_s),
+        GateSpec(limits.min_height_m, limits.min_thrust, limits.need_armed, limits.trim_start_s, limits.trim_end_s),
+        RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order),
+    )
+
+
+def chain_of(baseline: Baseline) -> Chain:
+    """The chain that judges by a baseline. Raises BaselineError if it does not hold together."""
+    watches = [
+        Watch(
+            Latency(model_of(baseline, monitor.axis), monitor.axis, monitor.margin_rad_s),
+            monitor.fml_s,
+            monitor.margin_rad_s,
+        )
+        for monitor in baseline.monitors
+    ]
+    return Chain(front_of(baseline), tuple(watches))
+
+
+def model_of(baseline: Baseline, axis: Axis) -> ArxModel:
+    """The identified model of one axis, ready to simulate. Raises BaselineError if the baseline has none."""
+    import numpy as np
+
+    found = baseline.model_of(axis)
+    return ArxModel(np.array(found.a), np.array(found.b), baseline.link.dt_s, found.order, found.method)
