@@ -1,0 +1,350 @@
+"""ArduPilot DataFlash logs (.bin), read by the file's own format records.
+
+Every record is A3 95, a type byte and a body. Records of type 0x80 (FMT) give each type its length, its name, a format
+of one character per field, and the fields' labels; their layout is fixed, so the file explains itself. The walk jumps
+from record to record. After damage it resumes at the next A3 95 of a known type; a last record that is cut short is
+dropped. Records carry no checksum: a flipped bit in a value is a wrong value.
+
+Eras differ: `TimeMS` or `TimeUS`, `IMU2` or an instance field, centi-degrees or degrees per second in RATE. Each is
+decided from the file (see `_rate_unit`, `_first_instance`), never from a file name.
+"""
+
+import math
+import struct
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavdiag.errors import InputError
+from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.logs.records import gather, recorded
+from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+
+__all__ = ["read_dataflash"]
+
+HEADER = b"\xa3\x95"
+HEADER_BYTES = 3
+FMT_TYPE = 0x80
+FMT_BODY = struct.Struct("<BB4s16s64s")  # type, length, name, format, labels
+FMT_BYTES = HEADER_BYTES + FMT_BODY.size
+
+# Format characters (ArduPilot, AP_Logger/LogStructure.h): numpy layout, and what a stored unit is worth.
+_LAYOUTS = {
+    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
+    "f": "<f4", "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "M": "u1",
+    "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
+}  # fmt: skip
+_MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
+_PLAIN_INTEGERS = "bBhHiIqQ"
+_NUMBERS = _PLAIN_INTEGERS + "fdgMcCeEL"  # the rest are texts and arrays
+_TIMES = (("TimeUS", 1_000), ("TimeMS", 1_000_000))  # label, nanoseconds
+_INSTANCES = ("I", "IMU", "Inst", "Instance")
+
+DEG = math.pi / 180
+CENTIDEGREE_OUTPUT = 4500.0  # full scale of ROut, POut, YOut up to Copter 3.3
+THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
+CENTIVOLT = 0.01  # CURR.Volt where it is an integer
+PWM_ZERO_US, PWM_SPAN_US = 1000.0, 1000.0
+MOTOR_FUNCTIONS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)  # SERVOn_FUNCTION of motors 1 to 12
+MAX_CHANNELS = 14  # of RCOU
+EVENT_ARMED, EVENT_DISARMED = 10, 11
+
+GPS_EPOCH_UNIX_S = 315_964_800
+WEEK_S = 604_800
+LEAP_SECONDS = ((1930, 18), (1851, 17), (1695, 16))  # GPS - UTC from this GPS week on (IERS bulletin C), to the week
+GPS_FIX_3D = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Format:
+    """One message type: its length with header, name, and one character and label per field.
+
+    layout is None where the characters do not add up to the length: such records are stepped over, not read.
+    """
+
+    length: int
+    name: str
+    characters: str
+    labels: tuple[str, ...]
+    layout: np.dtype[np.void] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """All records of one type. starts: (n,) their places in the file; records: (n,), fields f0, f1, … by label."""
+
+    format: _Format
+    starts: IntArray
+    records: NDArray[np.void]
+
+    def has(self, labels: Collection[str], characters: str = _NUMBERS) -> bool:
+        """Whether all these fields are there, and of these formats: damage can turn a number into a text."""
+        kinds = dict(zip(self.format.labels, self.format.characters, strict=True))
+        return all(label in kinds and kinds[label] in characters for label in labels)
+
+    def raw(self, label: str) -> NDArray[np.generic]:
+        """The stored values of a field."""
+        return self.records[f"f{self.format.labels.index(label)}"]
+
+    def column(self, label: str, integer_unit: float = 1.0) -> FloatArray:
+        """A field as numbers, (n,), by its character's multiplier; a plain integer counts in `integer_unit`."""
+        character = self.format.characters[self.format.labels.index(label)]
+        unit = integer_unit if character in _PLAIN_INTEGERS else _MULTIPLIERS.get(character, 1.0)
+        return self.raw(label).astype(np.float64) * unit
+
+    def columns(self, labels: Collection[str], integer_unit: float = 1.0) -> FloatArray:
+        """Several fields, (n, len(labels))."""
+        return np.column_stack([self.column(label, integer_unit) for label in labels])
+
+    def t_ns(self) -> IntArray | None:
+        """Time since boot of each record, (n,); None if the type carries no time."""
+        for label, unit_ns in _TIMES:
+            if self.has((label,), _PLAIN_INTEGERS):
+                return self.raw(label).astype(np.int64) * unit_ns
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """How one signal is made from one message. Angles are wrapped to ±pi, as a quaternion would give them."""
+
+    signal: Signal
+    message: str
+    labels: tuple[str, ...]
+    unit: float = 1.0
+    integer_unit: float = 1.0
+    wrapped: bool = False
+
+
+# The first row of a signal whose message and fields are in the log is taken.
+_ROWS = (
+    _Row(Signal.ATTITUDE_SETPOINT, "ATT", ("DesRoll", "DesPitch", "DesYaw"), DEG, wrapped=True),
+    _Row(Signal.ATTITUDE, "ATT", ("Roll", "Pitch", "Yaw"), DEG, wrapped=True),
+    _Row(Signal.BODY_RATE, "IMU", ("GyrX", "GyrY", "GyrZ")),
+    _Row(Signal.SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
+    _Row(Signal.VIBRATION, "VIBE", ("VibeX", "VibeY", "VibeZ")),
+    _Row(Signal.THRUST_SETPOINT, "CTUN", ("ThO",)),
+    _Row(Signal.THRUST_SETPOINT, "CTUN", ("ThrOut",), integer_unit=THROTTLE_PER_MILLE),
+    _Row(Signal.HEIGHT, "POS", ("RelHomeAlt",)),
+    _Row(Signal.HEIGHT, "CTUN", ("Alt",)),
+    _Row(Signal.HEIGHT, "BARO", ("Alt",)),
+    _Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
+    _Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
+)
+_WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
+
+
+def read_dataflash(path: Path) -> Log:
+    """Read a DataFlash log of ArduPilot, of any era that describes itself. Profile "ardupilot-log".
+
+    Samples are as recorded, not resampled. Several IMUs: the first. ACTUATOR has one column per motor, in the order of
+    the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel in use. ARMED has a row
+    for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
+    """
+    data = read_bytes(path)
+    tables = _tables(data)
+    series = _series(tables)
+    if not series:
+        raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
+    return Log(path.name, sha256_of(data), "ardupilot-log", Telemetry(series), _started_ns(tables, series))
+
+
+@dataclass(slots=True)
+class _Walk:
+    """What the walk has learnt so far. lengths: by type, 0 for unknown. starts: by type, of the wanted types only."""
+
+    formats: dict[int, _Format] = field(default_factory=dict)
+    lengths: list[int] = field(default_factory=lambda: [FMT_BYTES if kind == FMT_TYPE else 0 for kind in range(256)])
+    starts: dict[int, list[int]] = field(default_factory=dict)
+
+    def learn(self, data: bytes, position: int) -> None:
+        """Take in the format record at `position`. A type keeps its first sound definition: a later one is damage."""
+        kind, length, name, characters, labels = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
+        known = self.formats.get(kind)
+        if kind == FMT_TYPE or length < HEADER_BYTES or (known is not None and known.layout is not None):
+            return
+        found = _format(length, _text(name), _text(characters), _text(labels))
+        self.formats[kind] = found
+        self.lengths[kind] = length
+        if found.name in _WANTED and found.layout is not None:
+            self.starts[kind] = []
+
+
+def _tables(data: bytes) -> Mapping[str, _Table]:
+    """Walk the file once and gather the wanted messages by name. Never raises on content."""
+    walk = _Walk()
+    lengths, starts = walk.lengths, walk.starts
+    position = data.find(HEADER)
+    while 0 <= position <= len(data) - HEADER_BYTES:
+        kind = data[position + 2]
+        length = lengths[kind]
+        if position + length > len(data):
+            break
+        if kind == FMT_TYPE:
+            walk.learn(data, position)
+        elif kind in starts:
+            starts[kind].append(position)
+        position = data.find(HEADER, position + (length or 1))
+    found: dict[str, _Table] = {}
+    for kind, at in starts.items():
+        form = walk.formats[kind]
+        if at and form.layout is not None and form.name not in found:
+            found[form.name] = _first_instance(_Table(form, np.asarray(at), gather(data, form.layout, at)))
+    return found
+
+
+def _format(length: int, name: str, characters: str, labels: str) -> _Format:
+    """A message type as its FMT record declares it."""
+    names = tuple(labels.split(","))
+    layout = None
+    if len(names) == len(characters) and all(c in _LAYOUTS for c in characters):
+        header = [("header", f"V{HEADER_BYTES}")]
+        fields = np.dtype(header + [(f"f{i}", _LAYOUTS[c]) for i, c in enumerate(characters)])
+        layout = fields if fields.itemsize == length else None
+    return _Format(length, name, characters, names, layout)
+
+
+def _text(raw: bytes) -> str:
+    """Text up to the first NUL."""
+    return raw.partition(b"\0")[0].decode("latin-1")
+
+
+def _first_instance(table: _Table) -> _Table:
+    """Only the records of the lowest instance, for messages that carry the instance as a field."""
+    label = next((name for name in _INSTANCES if table.has((name,), _PLAIN_INTEGERS)), None)
+    if label is None:
+        return table
+    instance = table.raw(label)
+    first = instance == instance.min()
+    return _Table(table.format, table.starts[first], table.records[first])
+
+
+def _series(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+    """Every signal that the log carries."""
+    found: dict[Signal, Series] = {}
+    for row in _ROWS:
+        table = tables.get(row.message)
+        t_ns = table.t_ns() if table is not None else None
+        if row.signal in found or table is None or t_ns is None or not table.has(row.labels):
+            continue
+        values = table.columns(row.labels, row.integer_unit) * row.unit
+        found[row.signal] = recorded(row.signal, t_ns, _wrapped(values) if row.wrapped else values)
+    return (*found.values(), *_rate_loop(tables, found.get(Signal.BODY_RATE)), *_actuator(tables), *_armed(tables))
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Angles in -pi..pi; those already there are left as they are, to the bit."""
+    with np.errstate(invalid="ignore"):  # an infinite angle, from damage, becomes NaN
+        return np.where(np.abs(angle) > math.pi, np.remainder(angle + math.pi, 2 * math.pi) - math.pi, angle)
+
+
+def _rate_loop(tables: Mapping[str, _Table], gyro: Series | None) -> tuple[Series, ...]:
+    """Rate setpoints and torque commands of the RATE message."""
+    table = tables.get("RATE")
+    t_ns = table.t_ns() if table is not None else None
+    if table is None or t_ns is None or not table.has(("RDes", "PDes", "YDes", "ROut", "POut", "YOut", "R", "P", "Y")):
+        return ()
+    unit = _rate_unit(table, t_ns, gyro)
+    output_unit = 1.0 if unit == DEG else 1 / CENTIDEGREE_OUTPUT
+    return (
+        recorded(Signal.RATE_SETPOINT, t_ns, table.columns(("RDes", "PDes", "YDes")) * unit),
+        recorded(Signal.TORQUE_COMMAND, t_ns, table.columns(("ROut", "POut", "YOut")) * output_unit),
+    )
+
+
+def _rate_unit(table: _Table, t_ns: IntArray, gyro: Series | None) -> float:
+    """What RATE counts in [rad/s]: degrees per second, or hundredths of them up to Copter 3.3.
+
+    The message repeats the gyro, so the file decides: its mean size against the IMU's over their common span is near
+    1 or near 100. Logs with TimeMS all come from the hundredths' era; without an IMU the present unit is assumed.
+    """
+    if "TimeMS" in table.format.labels:
+        return DEG / 100
+    if gyro is None:
+        return DEG
+    low, high = max(t_ns[0], gyro.t_ns[0]), min(t_ns[-1], gyro.t_ns[-1])
+    said = _mean_size(table.columns(("R", "P", "Y"))[(t_ns >= low) & (t_ns <= high)])
+    measured = _mean_size(gyro.values[(gyro.t_ns >= low) & (gyro.t_ns <= high)]) / DEG
+    return DEG / 100 if said > 10 * measured > 0 else DEG
+
+
+def _mean_size(values: FloatArray) -> float:
+    """Mean absolute value of the finite ones; 0 if there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.mean()) if len(finite) else 0.0
+
+
+def _actuator(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+    """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us, an idle output (0 us) counting as 0."""
+    table = tables.get("RCOU")
+    t_ns = table.t_ns() if table is not None else None
+    if table is None or t_ns is None:
+        return ()
+    prefix = "Ch" if table.has(("Ch1",)) else "C"
+    channels = [n for n in _motor_channels(tables) if table.has((f"{prefix}{n}",))]
+    if not channels:  # no parameters in the log: every channel that ever gave a pulse
+        present = [n for n in range(1, MAX_CHANNELS + 1) if table.has((f"{prefix}{n}",))]
+        channels = [n for n in present if table.column(f"{prefix}{n}").any()]
+    if not channels:
+        return ()
+    pulse_us = table.columns([f"{prefix}{n}" for n in channels])
+    return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
+
+
+def _motor_channels(tables: Mapping[str, _Table]) -> list[int]:
+    """Output channels by motor number, from the SERVOn_FUNCTION parameters; empty where the log has none."""
+    table = tables.get("PARM")
+    if table is None or not table.has(("Value",)) or not table.has(("Name",), "N"):
+        return []
+    values = dict(zip(table.raw("Name").tolist(), table.column("Value").tolist(), strict=True))
+    functions = [(values.get(f"SERVO{n}_FUNCTION".encode()), n) for n in range(1, MAX_CHANNELS + 1)]
+    return [n for wanted in MOTOR_FUNCTIONS for function, n in functions if function == wanted]
+
+
+def _armed(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+    """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
+    arm, event = tables.get("ARM"), tables.get("EV")
+    if arm is not None and arm.has(("ArmState",)):
+        t_ns = arm.t_ns()
+        return () if t_ns is None else (recorded(Signal.ARMED, t_ns, np.minimum(arm.column("ArmState"), 1.0)),)
+    if event is None or not event.has(("Id",), _PLAIN_INTEGERS):
+        return ()
+    t_ns, number = _event_time(event, tables.get("IMU")), event.raw("Id")
+    change = (number == EVENT_ARMED) | (number == EVENT_DISARMED)
+    if t_ns is None or not change.any():
+        return ()
+    return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
+
+
+def _event_time(event: _Table, clock: _Table | None) -> IntArray | None:
+    """Time of each event, by its own stamp or by the last record of `clock` before it in the file."""
+    own = event.t_ns()
+    ticks = clock.t_ns() if clock is not None else None
+    if own is not None or clock is None or ticks is None:
+        return own
+    return ticks[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
+
+
+def _started_ns(tables: Mapping[str, _Table], series: tuple[Series, ...]) -> int:
+    """Unix time of the first sample [ns], by the first three-dimensional GPS fix; 0 if there is none."""
+    table = tables.get("GPS")
+    if table is None or not table.has(("Status",)):
+        return 0
+    if table.has(("GMS", "GWk", "TimeUS"), _PLAIN_INTEGERS):
+        week, tow_ms, boot_ns = table.raw("GWk"), table.raw("GMS"), table.raw("TimeUS").astype(np.int64) * 1_000
+    elif table.has(
+        ("TimeMS", "Week", "T"), _PLAIN_INTEGERS
+    ):  # here TimeMS is the time of the week, and T the time since boot
+        week, tow_ms, boot_ns = table.raw("Week"), table.raw("TimeMS"), table.raw("T").astype(np.int64) * 1_000_000
+    else:
+        return 0
+    fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week.astype(np.int64) >= LEAP_SECONDS[-1][0]))
+    if len(fixed) == 0:
+        return 0
+    weeks = int(week[fixed[0]])
+    leap_s = next(seconds for since, seconds in LEAP_SECONDS if weeks >= since)
+    fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * 1_000_000_000 + int(tow_ms[fixed[0]]) * 1_000_000
+    return fix_ns - int(boot_ns[fixed[0]]) + min(int(s.t_ns[0]) for s in series)

@@ -1,0 +1,34 @@
+"""What the readers of binary logs share: packed records out of raw bytes, and a series from recorded columns."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from mavdiag.quantities import FloatArray, IntArray, Series, Signal
+
+__all__ = ["gather", "recorded"]
+
+
+def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntArray) -> NDArray[np.void]:
+    """The records of one layout that start at these bytes, copied into one structured array of shape (n,).
+
+    Every start must leave room for a whole record.
+
+    >>> gather(b"-\\x01\\x02--\\x03\\x04", np.dtype([("a", "u1"), ("b", "u1")]), [1, 5])["b"].tolist()
+    [2, 4]
+    """
+    if len(starts) == 0:
+        return np.empty(0, layout)
+    windows = sliding_window_view(np.frombuffer(data, np.uint8), layout.itemsize)
+    records: NDArray[np.void] = windows[np.asarray(starts)].view(layout)[:, 0]
+    return records
+
+
+def recorded(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
+    """A series of a log that only knows the vehicle's clock: the recorder's clock is taken to be the same.
+
+    t_ns: (n,). values: (n, k), or (n,) for a signal of one column.
+    """
+    return Series(signal, t_ns, t_ns, values.reshape(len(t_ns), -1) if values.ndim == 1 else values)
