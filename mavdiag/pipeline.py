@@ -9,12 +9,14 @@ all memory is in their states.
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from mavdiag.baseline import Baseline
 from mavdiag.diagnose import events as event_step
-from mavdiag.diagnose.events import Event, EventSpec, EventState
+from mavdiag.diagnose.events import Event, EventSpec, EventState, Reading
 from mavdiag.diagnose.monitors.base import Monitor, Rows
 from mavdiag.diagnose.monitors.latency import Latency
-from mavdiag.identify import ArxModel
+from mavdiag.identify import ArxModel, Method
 from mavdiag.quantities import Axis, Telemetry
 from mavdiag.signal import align as align_step
 from mavdiag.signal import gate as gate_step
@@ -24,7 +26,7 @@ from mavdiag.signal.block import Block
 from mavdiag.signal.gate import GateSpec, GateState
 from mavdiag.signal.rates import RateSpec, RateState
 
-__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of"]
+__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of", "front_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,12 +75,15 @@ class Front:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Watch:
-    """A monitor and the threshold it is held against. level_reference: what its level is an excess over, if anything
-    (for the thesis rule the margin [rad/s])."""
+    """A monitor and the threshold it is held against.
+
+    reference: what its signal is held against, if anything (for the thesis rule the margin [rad/s]); clear_s: how
+    long the statistic must have been back before an event closes.
+    """
 
     monitor: Monitor[Any]
     threshold: float
-    level_reference: float = 0.0
+    reference: float = 0.0
     clear_s: float = 0.0
 
     @property
@@ -89,14 +94,14 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """The latest reading of one watch, for a display or a telemetry twin. value: |r| - reference, or the level."""
+    """The latest reading of one watch, for a display or a telemetry twin; fields as in `Reading` and `Watch`."""
 
     monitor: str
     axis: Axis | None
     statistic: float
     threshold: float
-    level: float
-    level_reference: float
+    signal: float
+    reference: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,15 +160,16 @@ class Chain:
                 event_states[i], seen = event_step.events(watch.events, event_states[i], reading)
                 found += seen
                 if len(reading.t_ns):
-                    levels.append(_level(watch, float(reading.statistic[-1]), float(reading.level[-1])))
+                    levels.append(_level(watch, reading))
             judged += float(rows.rates.valid.sum()) * rows.rates.dt_s
             now_ns = int(rows.block.t_ns[-1])
         state = ChainState(front, tuple(monitors), tuple(event_states))
         return state, Findings(tuple(found), tuple(levels), judged, now_ns)
 
 
-def _level(watch: Watch, statistic: float, level: float) -> Level:
-    return Level(watch.monitor.name, watch.monitor.axis, statistic, watch.threshold, level, watch.level_reference)
+def _level(watch: Watch, reading: Reading) -> Level:
+    monitor, statistic, signal = watch.monitor, float(reading.statistic[-1]), float(reading.signal[-1])
+    return Level(monitor.name, monitor.axis, statistic, watch.threshold, signal, watch.reference)
 
 
 def front_of(baseline: Baseline) -> Front:
@@ -191,7 +197,5 @@ def chain_of(baseline: Baseline) -> Chain:
 
 def model_of(baseline: Baseline, axis: Axis) -> ArxModel:
     """The identified model of one axis, ready to simulate. Raises BaselineError if the baseline has none."""
-    import numpy as np
-
     found = baseline.model_of(axis)
-    return ArxModel(np.array(found.a), np.array(found.b), baseline.link.dt_s, found.order, found.method)
+    return ArxModel(np.array(found.a), np.array(found.b), baseline.link.dt_s, found.order, Method(found.method))

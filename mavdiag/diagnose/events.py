@@ -18,12 +18,14 @@ __all__ = ["Event", "EventSpec", "EventState", "Reading", "events", "finish", "s
 class Reading:
     """What a monitor says of consecutive rows. t_ns: (n,) vehicle time; statistic: (n,) in the monitor's unit;
     level: (n,) a second figure that describes the event (for the thesis rule the excess over the margin [rad/s]);
+    signal: (n,) what the statistic is made of, for a display (there the residual [rad/s]);
     valid: (n,) False where nothing may be concluded.
     """
 
     t_ns: IntArray
     statistic: FloatArray
     level: FloatArray
+    signal: FloatArray
     valid: BoolArray
 
 
@@ -72,7 +74,7 @@ def events(spec: EventSpec, state: EventState, reading: Reading) -> tuple[EventS
 
     >>> spec = EventSpec("latency", Axis.ROLL, threshold=2.0)
     >>> t, x = np.arange(5) * 1000, np.array([0.0, 3.0, 4.0, 1.0, 1.0])
-    >>> state, seen = events(spec, start(), Reading(t, x, x, np.ones(5, dtype=bool)))
+    >>> state, seen = events(spec, start(), Reading(t, x, x, x, np.ones(5, dtype=bool)))
     >>> [(e.start_ns, e.end_ns, e.statistic) for e in seen]
     [(1000, None, 3.0), (1000, 2000, 4.0)]
     """
