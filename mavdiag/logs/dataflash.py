@@ -1,47 +1,23 @@
-"""ArduPilot DataFlash logs (.bin), read by the file's own format records.
-
-Every record is A3 95, a type byte and a body. Records of type 0x80 (FMT) give each type its length, its name, a format
-of one character per field, and the fields' labels; their layout is fixed, so the file explains itself. The walk jumps
-from record to record. After damage it resumes at the next A3 95 of a known type; a last record that is cut short is
-dropped. Records carry no checksum: a flipped bit in a value is a wrong value.
+"""ArduPilot DataFlash logs (.bin): the messages of any era become one vehicle's telemetry, in SI and FRD.
 
 Eras differ: `TimeMS` or `TimeUS`, `IMU2` or an instance field, centi-degrees or degrees per second in RATE. Each is
-decided from the file (see `_rate_unit`, `_first_instance`), never from a file name.
+decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_format`).
 """
 
 import math
-import struct
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
+from mavdiag.logs.dataflash_format import INTEGERS, Table, read_tables
 from mavdiag.logs.log import Log, read_bytes, sha256_of
-from mavdiag.logs.records import gather, recorded
+from mavdiag.logs.records import recorded
 from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_dataflash"]
-
-HEADER = b"\xa3\x95"
-HEADER_BYTES = 3
-FMT_TYPE = 0x80
-FMT_BODY = struct.Struct("<BB4s16s64s")  # type, length, name, format, labels
-FMT_BYTES = HEADER_BYTES + FMT_BODY.size
-
-# Format characters (ArduPilot, AP_Logger/LogStructure.h): numpy layout, and what a stored unit is worth.
-_LAYOUTS = {
-    "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
-    "f": "<f4", "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "M": "u1",
-    "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
-}  # fmt: skip
-_MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
-_PLAIN_INTEGERS = "bBhHiIqQ"
-_NUMBERS = _PLAIN_INTEGERS + "fdgMcCeEL"  # the rest are texts and arrays
-_TIMES = (("TimeUS", 1_000), ("TimeMS", 1_000_000))  # label, nanoseconds
-_INSTANCES = ("I", "IMU", "Inst", "Instance")
 
 DEG = math.pi / 180
 CENTIDEGREE_OUTPUT = 4500.0  # full scale of ROut, POut, YOut up to Copter 3.3
@@ -56,55 +32,6 @@ GPS_EPOCH_UNIX_S = 315_964_800
 WEEK_S = 604_800
 LEAP_SECONDS = ((1930, 18), (1851, 17), (1695, 16))  # GPS - UTC from this GPS week on (IERS bulletin C), to the week
 GPS_FIX_3D = 3
-
-
-@dataclass(frozen=True, slots=True)
-class _Format:
-    """One message type: its length with header, name, and one character and label per field.
-
-    layout is None where the characters do not add up to the length: such records are stepped over, not read.
-    """
-
-    length: int
-    name: str
-    characters: str
-    labels: tuple[str, ...]
-    layout: np.dtype[np.void] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """All records of one type. starts: (n,) their places in the file; records: (n,), fields f0, f1, … by label."""
-
-    format: _Format
-    starts: IntArray
-    records: NDArray[np.void]
-
-    def has(self, labels: Collection[str], characters: str = _NUMBERS) -> bool:
-        """Whether all these fields are there, and of these formats: damage can turn a number into a text."""
-        kinds = dict(zip(self.format.labels, self.format.characters, strict=True))
-        return all(label in kinds and kinds[label] in characters for label in labels)
-
-    def raw(self, label: str) -> NDArray[np.generic]:
-        """The stored values of a field."""
-        return self.records[f"f{self.format.labels.index(label)}"]
-
-    def column(self, label: str, integer_unit: float = 1.0) -> FloatArray:
-        """A field as numbers, (n,), by its character's multiplier; a plain integer counts in `integer_unit`."""
-        character = self.format.characters[self.format.labels.index(label)]
-        unit = integer_unit if character in _PLAIN_INTEGERS else _MULTIPLIERS.get(character, 1.0)
-        return self.raw(label).astype(np.float64) * unit
-
-    def columns(self, labels: Collection[str], integer_unit: float = 1.0) -> FloatArray:
-        """Several fields, (n, len(labels))."""
-        return np.column_stack([self.column(label, integer_unit) for label in labels])
-
-    def t_ns(self) -> IntArray | None:
-        """Time since boot of each record, (n,); None if the type carries no time."""
-        for label, unit_ns in _TIMES:
-            if self.has((label,), _PLAIN_INTEGERS):
-                return self.raw(label).astype(np.int64) * unit_ns
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,84 +72,14 @@ def read_dataflash(path: Path) -> Log:
     for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
     """
     data = read_bytes(path)
-    tables = _tables(data)
+    tables = read_tables(data, _WANTED)
     series = _series(tables)
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     return Log(path.name, sha256_of(data), "ardupilot-log", Telemetry(series), _started_ns(tables, series))
 
 
-@dataclass(slots=True)
-class _Walk:
-    """What the walk has learnt so far. lengths: by type, 0 for unknown. starts: by type, of the wanted types only."""
-
-    formats: dict[int, _Format] = field(default_factory=dict)
-    lengths: list[int] = field(default_factory=lambda: [FMT_BYTES if kind == FMT_TYPE else 0 for kind in range(256)])
-    starts: dict[int, list[int]] = field(default_factory=dict)
-
-    def learn(self, data: bytes, position: int) -> None:
-        """Take in the format record at `position`. A type keeps its first sound definition: a later one is damage."""
-        kind, length, name, characters, labels = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
-        known = self.formats.get(kind)
-        if kind == FMT_TYPE or length < HEADER_BYTES or (known is not None and known.layout is not None):
-            return
-        found = _format(length, _text(name), _text(characters), _text(labels))
-        self.formats[kind] = found
-        self.lengths[kind] = length
-        if found.name in _WANTED and found.layout is not None:
-            self.starts[kind] = []
-
-
-def _tables(data: bytes) -> Mapping[str, _Table]:
-    """Walk the file once and gather the wanted messages by name. Never raises on content."""
-    walk = _Walk()
-    lengths, starts = walk.lengths, walk.starts
-    position = data.find(HEADER)
-    while 0 <= position <= len(data) - HEADER_BYTES:
-        kind = data[position + 2]
-        length = lengths[kind]
-        if position + length > len(data):
-            break
-        if kind == FMT_TYPE:
-            walk.learn(data, position)
-        elif kind in starts:
-            starts[kind].append(position)
-        position = data.find(HEADER, position + (length or 1))
-    found: dict[str, _Table] = {}
-    for kind, at in starts.items():
-        form = walk.formats[kind]
-        if at and form.layout is not None and form.name not in found:
-            found[form.name] = _first_instance(_Table(form, np.asarray(at), gather(data, form.layout, at)))
-    return found
-
-
-def _format(length: int, name: str, characters: str, labels: str) -> _Format:
-    """A message type as its FMT record declares it."""
-    names = tuple(labels.split(","))
-    layout = None
-    if len(names) == len(characters) and all(c in _LAYOUTS for c in characters):
-        header = [("header", f"V{HEADER_BYTES}")]
-        fields = np.dtype(header + [(f"f{i}", _LAYOUTS[c]) for i, c in enumerate(characters)])
-        layout = fields if fields.itemsize == length else None
-    return _Format(length, name, characters, names, layout)
-
-
-def _text(raw: bytes) -> str:
-    """Text up to the first NUL."""
-    return raw.partition(b"\0")[0].decode("latin-1")
-
-
-def _first_instance(table: _Table) -> _Table:
-    """Only the records of the lowest instance, for messages that carry the instance as a field."""
-    label = next((name for name in _INSTANCES if table.has((name,), _PLAIN_INTEGERS)), None)
-    if label is None:
-        return table
-    instance = table.raw(label)
-    first = instance == instance.min()
-    return _Table(table.format, table.starts[first], table.records[first])
-
-
-def _series(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+def _series(tables: Mapping[str, Table]) -> tuple[Series, ...]:
     """Every signal that the log carries."""
     found: dict[Signal, Series] = {}
     for row in _ROWS:
@@ -241,7 +98,7 @@ def _wrapped(angle: FloatArray) -> FloatArray:
         return np.where(np.abs(angle) > math.pi, np.remainder(angle + math.pi, 2 * math.pi) - math.pi, angle)
 
 
-def _rate_loop(tables: Mapping[str, _Table], gyro: Series | None) -> tuple[Series, ...]:
+def _rate_loop(tables: Mapping[str, Table], gyro: Series | None) -> tuple[Series, ...]:
     """Rate setpoints and torque commands of the RATE message."""
     table = tables.get("RATE")
     t_ns = table.t_ns() if table is not None else None
@@ -255,7 +112,7 @@ def _rate_loop(tables: Mapping[str, _Table], gyro: Series | None) -> tuple[Serie
     )
 
 
-def _rate_unit(table: _Table, t_ns: IntArray, gyro: Series | None) -> float:
+def _rate_unit(table: Table, t_ns: IntArray, gyro: Series | None) -> float:
     """What RATE counts in [rad/s]: degrees per second, or hundredths of them up to Copter 3.3.
 
     The message repeats the gyro, so the file decides: its mean size against the IMU's over their common span is near
@@ -277,7 +134,7 @@ def _mean_size(values: FloatArray) -> float:
     return float(finite.mean()) if len(finite) else 0.0
 
 
-def _actuator(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+def _actuator(tables: Mapping[str, Table]) -> tuple[Series, ...]:
     """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us, an idle output (0 us) counting as 0."""
     table = tables.get("RCOU")
     t_ns = table.t_ns() if table is not None else None
@@ -294,7 +151,7 @@ def _actuator(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
     return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
-def _motor_channels(tables: Mapping[str, _Table]) -> list[int]:
+def _motor_channels(tables: Mapping[str, Table]) -> list[int]:
     """Output channels by motor number, from the SERVOn_FUNCTION parameters; empty where the log has none."""
     table = tables.get("PARM")
     if table is None or not table.has(("Value",)) or not table.has(("Name",), "N"):
@@ -304,13 +161,13 @@ def _motor_channels(tables: Mapping[str, _Table]) -> list[int]:
     return [n for wanted in MOTOR_FUNCTIONS for function, n in functions if function == wanted]
 
 
-def _armed(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
+def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
     """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
     arm, event = tables.get("ARM"), tables.get("EV")
     if arm is not None and arm.has(("ArmState",)):
         t_ns = arm.t_ns()
         return () if t_ns is None else (recorded(Signal.ARMED, t_ns, np.minimum(arm.column("ArmState"), 1.0)),)
-    if event is None or not event.has(("Id",), _PLAIN_INTEGERS):
+    if event is None or not event.has(("Id",), INTEGERS):
         return ()
     t_ns, number = _event_time(event, tables.get("IMU")), event.raw("Id")
     change = (number == EVENT_ARMED) | (number == EVENT_DISARMED)
@@ -319,7 +176,7 @@ def _armed(tables: Mapping[str, _Table]) -> tuple[Series, ...]:
     return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
 
 
-def _event_time(event: _Table, clock: _Table | None) -> IntArray | None:
+def _event_time(event: Table, clock: Table | None) -> IntArray | None:
     """Time of each event, by its own stamp or by the last record of `clock` before it in the file."""
     own = event.t_ns()
     ticks = clock.t_ns() if clock is not None else None
@@ -328,16 +185,14 @@ def _event_time(event: _Table, clock: _Table | None) -> IntArray | None:
     return ticks[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
 
 
-def _started_ns(tables: Mapping[str, _Table], series: tuple[Series, ...]) -> int:
+def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first three-dimensional GPS fix; 0 if there is none."""
     table = tables.get("GPS")
     if table is None or not table.has(("Status",)):
         return 0
-    if table.has(("GMS", "GWk", "TimeUS"), _PLAIN_INTEGERS):
+    if table.has(("GMS", "GWk", "TimeUS"), INTEGERS):
         week, tow_ms, boot_ns = table.raw("GWk"), table.raw("GMS"), table.raw("TimeUS").astype(np.int64) * 1_000
-    elif table.has(
-        ("TimeMS", "Week", "T"), _PLAIN_INTEGERS
-    ):  # here TimeMS is the time of the week, and T the time since boot
+    elif table.has(("TimeMS", "Week", "T"), INTEGERS):  # here TimeMS is the time of the week, and T the time since boot
         week, tow_ms, boot_ns = table.raw("Week"), table.raw("TimeMS"), table.raw("T").astype(np.int64) * 1_000_000
     else:
         return 0
