@@ -1,0 +1,116 @@
+"""How a MAVLink message lies on the wire, and how values are made to fit it.
+
+Fields travel sorted by size and are declared in another order; arrays lie flat; text is bytes padded with NUL.
+"""
+
+import math
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeAlias, cast
+
+from mavdiag.errors import UsageError
+
+__all__ = ["Argument", "FieldValue", "Layout", "cut"]
+
+FieldValue: TypeAlias = int | float | bytes
+Argument: TypeAlias = int | float | bytes | str | Sequence[int] | Sequence[float]
+
+FLOAT32_MAX = 3.4028234663852886e38  # IEEE 754 binary32
+_INTEGERS = {
+    code: (-(1 << bits - 1), (1 << bits - 1) - 1) if code.islower() else (0, (1 << bits) - 1)
+    for codes, bits in (("bB", 8), ("hH", 16), ("iI", 32), ("qQ", 64))
+    for code in codes
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One message on the wire.
+
+    names: fields as declared. sizes: places that each takes in a flat tuple. order: declared index of each wire field.
+    packer: the wire format. crc_extra: the one-byte checksum seed that tells definitions of a message apart.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    sizes: tuple[int, ...]
+    order: tuple[int, ...]
+    packer: struct.Struct
+    crc_extra: bytes
+
+    @property
+    def wire_fields(self) -> tuple[tuple[str, int], ...]:
+        """Name and number of places of each field, in the order of the wire."""
+        return tuple((self.names[i], self.sizes[i]) for i in self.order)
+
+    def pack(self, fields: Sequence[Argument]) -> bytes:
+        """The payload, not trimmed, from fields in the declared order; trailing ones left out are zero.
+
+        Integers are rounded and saturated, text is cut. Raises UsageError for too many fields, an array of the wrong
+        length, or a value that its field cannot hold at all.
+        """
+        if len(fields) != len(self.names):
+            fields = self._complete(fields)
+        places: list[Argument] = []
+        for index in self.order:
+            if self.sizes[index] == 1:
+                places.append(fields[index])
+            else:
+                places += fields[index]  # type: ignore[arg-type]  # a scalar here raises TypeError below
+        try:
+            return self.packer.pack(*places)  # the common case: everything fits as it is
+        except (struct.error, OverflowError):
+            return self._pack_fitted(places)
+
+    def _complete(self, fields: Sequence[Argument]) -> Sequence[Argument]:
+        if len(fields) > len(self.names):
+            raise UsageError(f"{self.name} has {len(self.names)} fields, not {len(fields)}")
+        zeros: list[Argument] = [0 if size == 1 else (0,) * size for size in self.sizes[len(fields) :]]
+        return [*fields, *zeros]
+
+    def _pack_fitted(self, places: Sequence[Argument]) -> bytes:
+        codes = _codes(self.packer.format)
+        if len(codes) != len(places):
+            raise UsageError(
+                f"{self.name} takes {len(codes)} values in all, not {len(places)}: an array is too long or short"
+            )
+        try:
+            return self.packer.pack(*(_fit(code, place) for code, place in zip(codes, places, strict=True)))
+        except (struct.error, TypeError, ValueError) as error:
+            raise UsageError(f"{self.name}: {error}") from error
+
+
+@cache
+def _codes(wire_format: str) -> tuple[str, ...]:
+    """The struct code of each place; text is one place, with its length: `B50sHB` gives B, 50s, H, B."""
+    runs = re.findall(r"(\d*)([a-zA-Z])", wire_format)
+    places = ([count + code] if code == "s" else [code] * int(count or 1) for count, code in runs)
+    return tuple(code for run in places for code in run)
+
+
+def _fit(code: str, value: Argument) -> FieldValue:
+    """The nearest value that the field can hold. Raises ValueError or TypeError if there is none (a NaN integer)."""
+    if code.endswith("s"):
+        if isinstance(value, str):
+            return cut(value, int(code[:-1]))
+        if isinstance(value, bytes):
+            return value
+        raise TypeError(f"text wanted, not {value!r}")
+    number = cast(float, value)  # anything else raises TypeError in the comparison
+    if code in _INTEGERS:
+        lowest, highest = _INTEGERS[code]
+        return round(min(max(number, lowest), highest))
+    within = min(max(number, -FLOAT32_MAX), FLOAT32_MAX)
+    return within if code == "f" and math.isfinite(number) else number
+
+
+def cut(text: str, size: int) -> bytes:
+    """The text in UTF-8 within `size` bytes, cut at a whole character.
+
+    >>> cut("a\u00e9", 2)
+    b'a'
+    """
+    return text.encode()[:size].decode(errors="ignore").encode()

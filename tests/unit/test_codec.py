@@ -1,0 +1,275 @@
+"""The codec against pymavlink's own MAVLink class, which packs and parses the same bytes both ways."""
+
+import struct
+
+import pymavlink.dialects.v20.ardupilotmega as dialect
+import pytest
+
+from mavdiag.errors import UsageError
+from mavdiag.link.codec import (
+    UNKNOWN,
+    Decoder,
+    Encoder,
+    FieldValue,
+    Frame,
+    decode_statustext,
+    field_index,
+    message_name,
+    wire_fields,
+)
+from mavdiag.link.messages import MessageId, Severity
+
+HEARTBEAT = (2, 3, 128, 0, 4, 3)
+
+
+def peer(seq: int = 0) -> dialect.MAVLink:
+    mav = dialect.MAVLink(None, 1, 1)
+    mav.seq = seq
+    return mav
+
+
+def wire_values(message: dialect.MAVLink_message) -> tuple[FieldValue, ...]:
+    """The field values of pymavlink's parsed message, flattened in wire order."""
+    values: list[FieldValue] = []
+    for name in type(message).ordered_fieldnames:
+        value = getattr(message, name)
+        values += value if isinstance(value, list) else [value.encode() if isinstance(value, str) else value]
+    return tuple(values)
+
+
+def stripped(fields: tuple[FieldValue, ...]) -> tuple[FieldValue, ...]:
+    return tuple(v.rstrip(b"\0") if isinstance(v, bytes) else v for v in fields)
+
+
+def sample_arguments(message: type[dialect.MAVLink_message]) -> list[object]:
+    """Small values that differ from field to field, in declaration order, as pymavlink's constructor takes them."""
+    arguments: list[object] = []
+    for place, name in enumerate(message.fieldnames):
+        order = message.ordered_fieldnames.index(name)
+        if message.fieldtypes[place] == "char":
+            arguments.append(b"ab" if message.array_lengths[order] else b"x")
+        else:
+            size = message.lengths[order]
+            base = 0.5 if message.fieldtypes[place] in ("float", "double") else 0
+            values = [(place * 7 + k) % 100 + base for k in range(size)]
+            arguments.append(values if message.array_lengths[order] else values[0])
+    return arguments
+
+
+BY_VERSION = [(v, n) for v in (1, 2) for n in sorted(dialect.mavlink_map) if v == 2 or n < 256]
+
+
+@pytest.mark.parametrize(("version", "number"), BY_VERSION)
+def test_every_message_of_the_dialect_travels_both_ways(version: int, number: int) -> None:
+    message = dialect.mavlink_map[number]
+    arguments = sample_arguments(message)
+    theirs = message(*arguments).pack(peer(), force_mavlink1=version == 1)
+    (frame,) = Decoder().feed(theirs, 5)
+    parsed = peer().parse_buffer(theirs)
+    assert parsed is not None
+    assert (frame.msgid, frame.sysid, frame.compid, frame.seq, frame.host_ns) == (number, 1, 1, 0, 5)
+    assert stripped(frame.fields) == wire_values(parsed[0])
+    if version == 2:
+        encoder = Encoder(1, 1)
+        assert encoder.encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
+        assert Encoder(1, 1).encode_wire(number, frame.fields) == theirs
+
+
+def crc_extra(name: str, fields: list[tuple[str, str, int]]) -> int:
+    """The checksum seed by its definition (mavlink.io, serialization guide), from fields in wire order."""
+    text = b"".join(f"{kind} {field} ".encode() + (bytes([n]) if n > 1 else b"") for kind, field, n in fields)
+    seed = dialect.x25crc(f"{name} ".encode() + text).crc
+    return (seed & 0xFF) ^ (seed >> 8)
+
+
+def test_messages_that_pymavlink_lacks_have_the_seed_of_their_definition() -> None:
+    status = [("uint64_t", "time_usec", 1), ("int32_t", "rpm", 4), ("float", "voltage", 4), ("float", "current", 4)]
+    assert crc_extra("ESC_STATUS", [*status, ("uint8_t", "index", 1)]) == 10
+    info = [
+        ("uint64_t", "time_usec", 1),
+        ("uint32_t", "error_count", 4),
+        ("uint16_t", "counter", 1),
+        ("uint16_t", "failure_flags", 4),
+        ("int16_t", "temperature", 4),
+        ("uint8_t", "index", 1),
+        ("uint8_t", "count", 1),
+        ("uint8_t", "connection_type", 1),
+        ("uint8_t", "info", 1),
+    ]
+    assert crc_extra("ESC_INFO", info) == 251
+
+
+def test_esc_status_travels() -> None:
+    data = Encoder(1, 1).encode(MessageId.ESC_STATUS, 0, 5_000_000, (1, 2, 3, 4), (14.5,) * 4, (2.0,) * 4)
+    (frame,) = Decoder().feed(data, 0)
+    assert frame.fields == (5_000_000, 1, 2, 3, 4, *(14.5,) * 4, *(2.0,) * 4, 0)
+    assert [size for _, size in wire_fields(MessageId.ESC_STATUS)] == [1, 4, 4, 4, 1]
+    assert sum(size for _, size in wire_fields(MessageId.ESC_INFO)) == 18
+
+
+def test_a_field_is_found_by_name() -> None:
+    assert field_index(MessageId.HEARTBEAT, "base_mode") == 3
+    assert field_index(MessageId.ATTITUDE_TARGET, "thrust") == 8
+    with pytest.raises(UsageError, match="HEARTBEAT has no field thrust"):
+        field_index(MessageId.HEARTBEAT, "thrust")
+    with pytest.raises(UsageError, match="54321"):
+        wire_fields(54321)
+    assert message_name(54321) == "UNKNOWN_54321"
+
+
+def test_integers_are_rounded_and_saturated_and_text_is_cut() -> None:
+    data = Encoder(1, 1).encode(MessageId.RAW_IMU, 7.6, 4e4, -4e4, -1.5, float("inf"), 1, 2, 3, 4, 5)
+    (frame,) = Decoder().feed(data, 0)
+    assert frame.fields[:6] == (8, 32767, -32768, -2, 32767, 1)
+    data = Encoder(1, 1).encode(MessageId.NAMED_VALUE_FLOAT, 1, "a name too long", 1e39)
+    (frame,) = Decoder().feed(data, 0)
+    assert frame.fields == (1, struct.unpack("<f", b"\xff\xff\x7f\x7f")[0], b"a name too")
+
+
+@pytest.mark.parametrize(
+    ("msgid", "fields", "words"),
+    [
+        (54321, (), "54321"),
+        (MessageId.HEARTBEAT, (1, 2, 3, 4, 5, 6, 7), "6 fields"),
+        (MessageId.RAW_IMU, (float("nan"),), "NaN"),
+        (MessageId.ATTITUDE_TARGET, (0, 0, (1.0, 0.0)), "array"),
+        (MessageId.NAMED_VALUE_FLOAT, (0, 5, 1.0), "text"),
+        (MessageId.HEARTBEAT, ("x",), "HEARTBEAT"),
+    ],
+)
+def test_what_cannot_be_sent_is_refused(msgid: int, fields: tuple[float, ...], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        Encoder(1, 1).encode(msgid, *fields)
+
+
+def test_wire_values_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(UsageError, match="HEARTBEAT"):
+        Encoder(1, 1).encode_wire(MessageId.HEARTBEAT, (0, 999, 0, 0, 0, 0))
+    with pytest.raises(UsageError, match="1 to 255"):
+        Encoder(0, 1)
+
+
+def test_statustext_of_50_bytes_has_no_terminator_and_longer_is_cut_at_a_character() -> None:
+    encoder = Encoder(1, 191)
+    (full,) = Decoder().feed(encoder.statustext(Severity.CRITICAL, "x" * 50), 0)
+    assert decode_statustext(full).text == "x" * 50
+    (long,) = Decoder().feed(encoder.statustext(Severity.INFO, "x" * 49 + "é" * 9), 0)
+    assert decode_statustext(long).text == "x" * 49
+    assert decode_statustext(long).severity is not None
+    (heartbeat,) = Decoder().feed(encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT), 0)
+    with pytest.raises(UsageError, match="HEARTBEAT"):
+        decode_statustext(heartbeat)
+
+
+def test_statustext_is_read_alike_by_pymavlink() -> None:
+    text = "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
+    parsed = peer().parse_buffer(Encoder(1, 191).statustext(Severity.CRITICAL, text))
+    assert parsed is not None
+    assert parsed[0].to_dict()["text"] == text
+    assert parsed[0].to_dict()["severity"] == 2
+
+
+def test_signed_frames_are_accepted_and_their_signature_skipped() -> None:
+    mav = peer()
+    mav.signing.secret_key, mav.signing.sign_outgoing = b"k" * 32, True
+    signed = dialect.mavlink_map[0](*HEARTBEAT).pack(mav)
+    assert signed[2] == 1
+    decoder = Decoder()
+    frames = decoder.feed(signed + signed, 0)
+    assert len(frames) == 2
+    assert decoder.count.garbage_bytes == 0
+
+
+def test_unknown_incompatibility_flags_are_dropped_and_counted() -> None:
+    good = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
+    decoder = Decoder()
+    strange = bytearray(good)
+    strange[2] = 0x02
+    assert len(decoder.feed(bytes(strange) + good, 0)) == 1
+    assert decoder.count.incompatible == 1
+    assert decoder.count.garbage_bytes == len(strange)
+
+
+def test_a_fake_header_does_not_swallow_the_frames_behind_it() -> None:
+    encoder = Encoder(1, 1)
+    beats = b"".join(encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(20))
+    fake = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00"  # a heartbeat of 255 bytes
+    decoder = Decoder()
+    assert len(decoder.feed(fake + beats, 0)) == 20
+    assert decoder.count.bad_crc == 1
+    assert decoder.count.garbage_bytes == len(fake)
+
+
+def test_a_datagram_cut_short_does_not_spoil_the_next() -> None:
+    encoder = Encoder(1, 1)
+    first, second, third = (encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(3))
+    decoder = Decoder()
+    assert [f.seq for f in decoder.feed_datagram(first[:-1], 1)] == []
+    assert [f.seq for f in decoder.feed_datagram(second + third, 2)] == [1, 2]
+    assert decoder.count.garbage_bytes == len(first) - 1
+    assert [f.seq for f in decoder.feed_datagram(b"\xfd\xff\x00" + third[:5] + second, 2)] == [1]
+
+
+def unknown_frame(seq: int = 0) -> bytes:
+    return bytes([0xFD, 3, 0, 0, seq, 1, 1, 0x31, 0xD4, 0x00]) + b"abc" + b"??"
+
+
+def test_frames_outside_the_dialect_are_taken_on_trust_only_before_another_frame() -> None:
+    good = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
+    decoder = Decoder()
+    assert decoder.feed(unknown_frame(255), 0) == []
+    assert decoder.count.unknown == 0  # not yet confirmed
+    assert len(decoder.feed(good, 0)) == 1
+    assert decoder.count.unknown == 1
+    assert decoder.senders[1, 1].by_message == {UNKNOWN: 1, MessageId.HEARTBEAT: 1}
+    assert decoder.senders[1, 1].lost == 0
+    decoder = Decoder()
+    assert len(decoder.feed(unknown_frame() + b"x" + good, 0)) == 1
+    assert decoder.count.unknown == 0
+    decoder = Decoder()
+    decoder.feed_datagram(unknown_frame(), 0)
+    assert decoder.count.unknown == 1
+
+
+def test_unwanted_messages_are_counted_but_not_handed_out() -> None:
+    encoder = Encoder(7, 1)
+    data = b"".join(encoder.encode(number) for number in (MessageId.ATTITUDE, MessageId.HEARTBEAT, MessageId.ATTITUDE))
+    decoder = Decoder({MessageId.HEARTBEAT})
+    assert [f.msgid for f in decoder.feed(data, 0)] == [0]
+    assert decoder.senders[7, 1].received == 3
+    assert decoder.senders[7, 1].lost == 0
+    assert decoder.senders[7, 1].by_message == {MessageId.ATTITUDE: 2, MessageId.HEARTBEAT: 1}
+
+
+def numbered(sequence: list[int]) -> Decoder:
+    """A decoder that was fed heartbeats with these sequence numbers."""
+    message = dialect.mavlink_map[0](*HEARTBEAT)
+    decoder = Decoder()
+    frames: list[Frame] = []
+    for seq in sequence:
+        frames += decoder.feed(message.pack(peer(seq % 256)), 0)
+    assert len(frames) == len(sequence)
+    return decoder
+
+
+@pytest.mark.parametrize(
+    ("sequence", "lost", "reordered", "duplicated", "restarts"),
+    [
+        ([*range(600)], 0, 0, 0, 0),
+        ([0, 1, 3, 4, 5], 1, 0, 0, 0),
+        ([0, 1, 3, 2, 4, 5], 0, 1, 0, 0),
+        ([254, 256, 255, 257], 0, 1, 0, 0),
+        ([0, 1, 1, 2], 0, 0, 1, 0),
+        ([0, 1, 3, 2, 2, 4], 0, 1, 1, 0),
+        ([*range(100), *range(200, 300)], 100, 0, 0, 0),
+        ([*range(100), *range(50)], 0, 0, 0, 1),
+        ([0, 4, 3, 1, 2, 5], 0, 3, 0, 0),
+        ([0, 2, *range(3, 257), 257, 256 + 1], 1, 0, 1, 0),  # the gap was a whole turn ago
+    ],
+)
+def test_loss_is_counted_honestly(
+    sequence: list[int], lost: int, reordered: int, duplicated: int, restarts: int
+) -> None:
+    count = numbered(sequence).senders[1, 1]
+    assert count.received == len(sequence)
+    assert (count.lost, count.reordered, count.duplicated, count.restarts) == (lost, reordered, duplicated, restarts)
