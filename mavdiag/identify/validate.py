@@ -1,11 +1,28 @@
-"""How good is a model: fit figures and residual tests (T 4.1.3, Model validation)."""
+"""How good is a model: fit figures on other flights, and tests of its residual (T 4.1.3, Model validation)."""
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
+from mavdiag.identify.data import Records, to_segments
+from mavdiag.identify.model import ArxModel
 from mavdiag.quantities import FloatArray
 
-__all__ = ["nrmse_percent", "r_squared"]
+__all__ = [
+    "ResidualReport",
+    "Validation",
+    "examine_residual",
+    "nrmse_percent",
+    "one_step_report",
+    "r_squared",
+    "validate",
+]
+
+LAGS = 25  # the usual depth of such tests, also MATLAB's resid default
+SIGNIFICANCE = 0.01  # chance that one test rejects a true model
 
 
 def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
@@ -28,3 +45,99 @@ def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
     if spread == 0.0:
         raise IdentificationError("y is constant; there is nothing to explain")
     return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / spread)
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """Free-run fit of a model on flights: R_T^2, fit percentage, mean squared error [unit of y squared], samples."""
+
+    r2t: float
+    nrmse_fit: float
+    mse: float
+    samples: int
+
+
+def validate(model: ArxModel, u: Records, y: Records) -> Validation:
+    """Simulate the model on flights it was not trained on, each from rest, and pool the errors (T 5.3, 5.4).
+
+    u, y: one record each, (n,), or one per flight. Raises IdentificationError on data that do not pair up, hold NaN,
+    are constant, or are too short.
+    """
+    segments = to_segments(u, y, model.order)
+    measured = np.concatenate([segment.y for segment in segments])
+    simulated = np.concatenate([model.simulate(segment.u) for segment in segments])
+    mse = float(np.mean((measured - simulated) ** 2))
+    return Validation(r_squared(measured, simulated), nrmse_percent(measured, simulated), mse, len(measured))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualReport:
+    """Whiteness of a residual and its independence of the input (Ljung, System Identification 2e, sec. 16.6).
+
+    acf: (lags + 1,) autocorrelation of e at lags 0..lags. ccf: (lags + 1,) correlation of e(t) with u(t - lag).
+    acf_band99: half width that holds 99 % of the values of a white residual, 2.58/sqrt(n).
+    ccf_band99: the same for ccf, widened for coloured e and u, 2.58 sqrt(sum_k r_e(k) r_u(k) / n).
+    ljung_box_q, ljung_box_p: portmanteau statistic over all lags, and its tail in chi^2(lags); parameters are not
+    subtracted from the degrees of freedom. white: ljung_box_p >= 1 %. independent: no ccf beyond the 1 % limit for
+    all lags together (Bonferroni). A true model fails either test in about 1 % of cases.
+    """
+
+    samples: int
+    acf: FloatArray
+    ccf: FloatArray
+    acf_band99: float
+    ccf_band99: float
+    ljung_box_q: float
+    ljung_box_p: float
+    white: bool
+    independent: bool
+
+
+def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
+    """sum_t x(t) z(t - lag) / sqrt(sum x^2 sum z^2) of the mean-removed x and z at lags 0..lags."""
+    x, z = x - np.mean(x), z - np.mean(z)
+    scale = math.sqrt(float(x @ x) * float(z @ z))
+    if scale == 0.0:
+        raise IdentificationError("the residual or the input is constant; there is nothing to correlate")
+    return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(lags + 1)]) / scale
+
+
+def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> ResidualReport:
+    """Test a residual e against white noise and against the input u at the same rows, both (n,).
+
+    Q = n (n + 2) sum_k acf(k)^2 / (n - k), k = 1..lags (Ljung and Box, Biometrika 65, 1978).
+    Raises IdentificationError if the lengths differ, n <= 2 lags, or either is constant.
+    """
+    from scipy.special import gammaincc  # tail of chi^2; only offline work needs it
+
+    n = len(e)
+    if u.shape != e.shape or e.ndim != 1 or n <= 2 * lags:
+        raise IdentificationError(f"the residual tests need e and u of one length above {2 * lags}")
+    acf, ccf, input_acf = _correlations(e, e, lags), _correlations(e, u, lags), _correlations(u, u, lags)
+    q = n * (n + 2) * float(np.sum(acf[1:] ** 2 / (n - np.arange(1, lags + 1))))
+    p = float(gammaincc(lags / 2, q / 2))
+    # Bartlett: var ccf = sum over k = -lags..lags of r_e(k) r_u(k) / n
+    ccf_deviation = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0) / n)
+    z99 = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
+    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / (lags + 1)) * ccf_deviation
+    return ResidualReport(
+        samples=n,
+        acf=acf,
+        ccf=ccf,
+        acf_band99=z99 / math.sqrt(n),
+        ccf_band99=z99 * ccf_deviation,
+        ljung_box_q=q,
+        ljung_box_p=p,
+        white=p >= SIGNIFICANCE,
+        independent=bool(np.max(np.abs(ccf)) <= limit),
+    )
+
+
+def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray, lags: int = LAGS) -> ResidualReport:
+    """Residual tests of the one-step prediction error over the rows that have a complete past. u, y: (n,).
+
+    This is the residual that least squares makes white. A SRIV model describes y from u alone: examine
+    y - model.simulate(u) instead, whose independence of u is what counts.
+    Raises IdentificationError as `ArxModel.predict` and `examine_residual` do.
+    """
+    return examine_residual(y[model.lag :] - model.predict(u, y), u[model.lag :], lags)

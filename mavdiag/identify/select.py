@@ -1,0 +1,111 @@
+"""Sweeps over model orders and filter windows, the thesis's way to choose both (T 5.3, 5.4, Fig 5.5)."""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import product
+from typing import TypeAlias
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify.data import Records
+from mavdiag.identify.estimate import fit
+from mavdiag.identify.model import ArxModel, Method, Order
+from mavdiag.identify.validate import validate
+
+__all__ = ["Prepare", "SweepRow", "best_row", "order_sweep", "window_sweep"]
+
+Flights: TypeAlias = tuple[Records, Records]  # u and y
+Prepare: TypeAlias = Callable[[int], Flights]  # window in samples -> u and y filtered with it
+
+NA, NB, NK = range(1, 4), range(1, 6), range(5)  # T 5.4 tried 2 and 3 poles, numerators 0-4, delays 0-4
+
+
+@dataclass(frozen=True, slots=True)
+class SweepRow:
+    """One candidate. model is None where identification refused, and `refused` then says why, else it is empty.
+
+    window: samples, 0 in an order sweep. r2t_validation: R_T^2 on the validation flights, nan without them.
+    """
+
+    order: Order
+    window: int
+    model: ArxModel | None
+    r2t_validation: float
+    refused: str
+
+    @property
+    def score(self) -> float:
+        """R_T^2 on the validation flights, or on the training flights where there are none; -inf if refused."""
+        if self.model is None:
+            return -math.inf
+        return self.model.r2t if math.isnan(self.r2t_validation) else self.r2t_validation
+
+
+def _row(
+    train: Flights, validation: Flights | None, order: Order, dt: float, method: Method | str, window: int
+) -> SweepRow:
+    try:
+        model = fit(*train, order, dt=dt, method=method)
+    except IdentificationError as error:
+        return SweepRow(order, window, None, math.nan, str(error))
+    r2t = validate(model, *validation).r2t if validation is not None else math.nan
+    return SweepRow(order, window, model, r2t, "")
+
+
+def order_sweep(
+    train: Flights,
+    validation: Flights | None = None,
+    *,
+    dt: float,
+    method: Method | str = Method.SRIV,
+    na: Iterable[int] = NA,
+    nb: Iterable[int] = NB,
+    nk: Iterable[int] = NK,
+) -> tuple[SweepRow, ...]:
+    """Fit every order on the training flights (u, y) and judge it on the validation flights; one row per order.
+
+    An order that cannot be identified, or is unstable, as the thesis found with three poles, is a row with its reason.
+    Raises IdentificationError only if the validation flights themselves cannot be used.
+    """
+    orders = product(tuple(na), tuple(nb), tuple(nk))
+    return tuple(_row(train, validation, order, dt, method, 0) for order in orders)
+
+
+def window_sweep(
+    prepare: Prepare,
+    windows: Iterable[int],
+    *,
+    dt: float,
+    order: Order = (2, 2, 1),
+    method: Method | str = Method.SRIV,
+    prepare_validation: Prepare | None = None,
+) -> tuple[SweepRow, ...]:
+    """Fit one order at each filter window (T Fig 5.5); `prepare` filters the training flights with a window.
+
+    Both R_T^2 are taken against data filtered with the row's own window, as in the thesis: a wide window also makes
+    the target easier. Raises IdentificationError only if the validation flights cannot be used.
+    """
+    return tuple(
+        _row(
+            prepare(window),
+            None if prepare_validation is None else prepare_validation(window),
+            order,
+            dt,
+            method,
+            window,
+        )
+        for window in windows
+    )
+
+
+def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
+    """The row with the lowest YIC among those whose R_T^2 is within `tolerance` of the best.
+
+    Young's practice: fit decides first, then how well the parameters are known, which punishes extra ones. The
+    tolerance is our choice. Raises IdentificationError if no row has a model.
+    """
+    usable = [(row, row.model) for row in rows if row.model is not None]
+    if not usable:
+        raise IdentificationError("no candidate could be identified; record longer or more excited flight")
+    limit = max(row.score for row, _ in usable) - tolerance
+    return min((pair for pair in usable if pair[0].score >= limit), key=lambda pair: pair[1].yic)[0]
