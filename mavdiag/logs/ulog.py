@@ -1,0 +1,243 @@
+"""PX4 ULog files (.ulg), parsed by pyulog: the topics of any PX4 since 2016 become one vehicle's telemetry.
+
+PX4 logs SI units in FRD, so most topics are taken as they are. Where a topic says when its sample was taken, that time
+is used, and otherwise the time of its publication. Dropouts of the logger stay what they are: gaps between time stamps.
+Damaged parts are skipped as pyulog skips them.
+"""
+
+import io
+import math
+import struct
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pyulog import ULog, ULogException
+
+from mavdiag.errors import InputError
+from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.logs.records import recorded
+from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+
+__all__ = ["read_ulog"]
+
+NS_PER_US = 1_000
+MAX_TIME_US = 2**53  # anything later is damage, and would not fit in nanoseconds
+NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
+ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
+PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
+RAD_S_PER_RPM = math.pi / 30
+UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
+
+READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
+MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
+MAX_NESTING = 16  # PX4 nests messages two deep
+
+# What pyulog lets through on damaged files besides its own errors.
+_PARSER_ERRORS = (
+    ULogException, struct.error, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError,
+    RecursionError, MemoryError,
+)  # fmt: skip
+
+Conversion = Callable[[FloatArray], FloatArray]
+
+
+def _as_is(values: FloatArray) -> FloatArray:
+    return values
+
+
+def _euler(q: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (n, 3) of quaternions w, x, y, z (n, 4), body to earth."""
+    w, x, y, z = q.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.column_stack([roll, pitch, yaw])
+
+
+def _norm(values: FloatArray) -> FloatArray:
+    length: FloatArray = np.linalg.norm(values, axis=1, keepdims=True)
+    return length
+
+
+def _pulses(output: FloatArray) -> FloatArray:
+    """Outputs that carry a pulse, (pulse - 1000 us) / 1000 us and not below 0; the others are left out."""
+    return np.maximum(output[:, (output >= PWM_LEAST_US).any(axis=0)] - PWM_ZERO_US, 0.0) / PWM_SPAN_US
+
+
+def _in_use(values: FloatArray) -> FloatArray:
+    """Columns that are ever a number: PX4 fills unused outputs with NaN."""
+    return values[:, np.isfinite(values).any(axis=0)]
+
+
+def _turning(values: FloatArray) -> FloatArray:
+    """Columns that ever turn, from rpm of either sign to rad/s."""
+    return np.abs(values[:, (values != 0).any(axis=0)]) * RAD_S_PER_RPM
+
+
+def _armed(state: FloatArray) -> FloatArray:
+    return np.where(state == ARMED_STATE, 1.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """How one signal is made from one topic. delay: a field with the sample's time after the time stamp [us]."""
+
+    signal: Signal
+    topic: str
+    fields: tuple[str, ...]
+    convert: Conversion = _as_is
+    delay: str | None = None
+
+
+def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
+    """The names that pyulog gives to the elements of an array."""
+    return tuple(f"{name}[{index}]{member}" for index in range(count))
+
+
+# The first row of a signal whose topic and fields are in the log is taken. Later rows are other versions' topics.
+_ROWS = (
+    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
+    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), _euler),
+    _Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
+    _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
+    _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
+    _Row(Signal.THRUST_SETPOINT, "vehicle_rates_setpoint", _elements("thrust_body", 3), _norm),
+    _Row(Signal.TORQUE_COMMAND, "vehicle_torque_setpoint", _elements("xyz", 3)),
+    _Row(Signal.TORQUE_COMMAND, "actuator_controls_0", _elements("control", 3)),
+    _Row(Signal.BODY_RATE, "sensor_combined", _elements("gyro_rad", 3)),
+    _Row(Signal.BODY_RATE, "vehicle_angular_velocity", _elements("xyz", 3)),
+    _Row(
+        Signal.SPECIFIC_FORCE,
+        "sensor_combined",
+        _elements("accelerometer_m_s2", 3),
+        delay="accelerometer_timestamp_relative",
+    ),
+    _Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
+    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), _euler),
+    _Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
+    _Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
+    _Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
+    _Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
+    _Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
+    _Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
+)
+_GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")
+_TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
+
+
+def read_ulog(path: Path) -> Log:
+    """Read a ULog of PX4. Profile "px4-log". Of several instances of a topic, the first.
+
+    HEIGHT is above the origin of the local position, which PX4 sets where it starts. Raises InputError for a file that
+    is unreadable, of another kind, damaged beyond use, or without a known signal.
+    """
+    data = read_bytes(path)
+    try:
+        topics = _topics(data)
+        series = _series(topics)
+    except InputError as error:
+        raise InputError(f"{path}: not a usable ULog: {error}") from error
+    return Log(path.name, sha256_of(data), "px4-log", Telemetry(series), _started_ns(topics, series))
+
+
+class _Metered(io.BytesIO):
+    """A file in memory that may be read only so much: after some damage pyulog steps back for ever."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._left = READ_ALLOWANCE * len(data)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of any file. Raises InputError when the allowance is used up."""
+        chunk = super().read(size)
+        self._left -= len(chunk) + 1
+        if self._left < 0:
+            raise InputError("it is damaged beyond use; download the log again")
+        return chunk
+
+
+def _topics(data: bytes) -> Mapping[str, ULog.Data]:
+    """The topics of interest by name. Raises InputError if pyulog cannot make sense of the file."""
+    try:
+        with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
+            _check_definitions(ULog(_Metered(data), parse_header_only=True))
+            log = ULog(_Metered(data), list(_TOPICS))
+    except _PARSER_ERRORS as error:
+        raise InputError(f"it is damaged ({' '.join(str(error).split())}); download the log again") from error
+    found: dict[str, ULog.Data] = {}
+    for item in log.data_list:  # sorted by name and instance
+        found.setdefault(item.name, item)
+    return found
+
+
+def _check_definitions(log: ULog) -> None:
+    """Refuse messages that are declared too large to exist, before pyulog expands them field by field.
+
+    Raises InputError.
+    """
+    sizes: dict[str, int] = {}
+
+    def fields_of(name: str, depth: int) -> int:
+        if depth > MAX_NESTING:
+            raise InputError(f"it declares the message {name[:32]!r} within itself; download the log again")
+        if name not in sizes:
+            parts = [(max(1, count), kind) for kind, count, _ in log.message_formats[name].fields]
+            sizes[name] = sum(
+                count * (fields_of(kind, depth + 1) if kind in log.message_formats else 1) for count, kind in parts
+            )
+        if sizes[name] > MAX_FIELDS:
+            raise InputError(f"it declares the message {name[:32]!r} with too many fields; download the log again")
+        return sizes[name]
+
+    for name in log.message_formats:
+        fields_of(name, 0)
+
+
+def _series(topics: Mapping[str, ULog.Data]) -> tuple[Series, ...]:
+    """Every signal that the log carries. Raises InputError if there is none."""
+    found: dict[Signal, Series] = {}
+    for row in _ROWS:
+        topic = topics.get(row.topic)
+        if row.signal in found or topic is None or not all(name in topic.data for name in row.fields):
+            continue
+        time_us = _sample_time_us(topic.data, row.delay)
+        if time_us is None:
+            continue
+        known = (time_us > 0) & (time_us < MAX_TIME_US)  # a topic that was never published is stamped 0
+        stored = np.column_stack([topic.data[name][known].astype(np.float64) for name in row.fields])
+        with np.errstate(invalid="ignore", over="ignore"):  # damaged values become NaN or infinite
+            values = row.convert(stored)
+        if values.size:
+            found[row.signal] = recorded(row.signal, time_us[known] * NS_PER_US, values)
+    if not found:
+        raise InputError("no record of a known signal; check what the logger was set to record")
+    return tuple(found.values())
+
+
+def _sample_time_us(fields: Mapping[str, NDArray[np.number]], delay: str | None) -> IntArray | None:
+    """When the samples of a topic were taken, (n,); 0 where nothing was. None if the topic has no time."""
+    stamp = fields.get("timestamp_sample", fields.get("timestamp"))
+    if stamp is None or stamp.dtype.kind not in "iu":
+        return None
+    time_us = stamp.astype(np.int64)
+    late = fields.get(delay) if delay is not None else None
+    if late is None or late.dtype.kind not in "iu":
+        return time_us
+    return np.where(late == NO_ACCELEROMETER, 0, time_us + late.astype(np.int64))
+
+
+def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> int:
+    """Unix time of the first sample [ns], by the first GPS time; 0 if there is none."""
+    gps = next((topics[name] for name in _GPS_TOPICS if name in topics), None)
+    utc, boot = (gps.data.get("time_utc_usec"), gps.data.get("timestamp")) if gps is not None else (None, None)
+    if utc is None or boot is None or utc.dtype.kind not in "iu" or boot.dtype.kind not in "iu":
+        return 0
+    known = np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US))
+    if len(known) == 0:
+        return 0
+    first = known[0]
+    return (int(utc[first]) - int(boot[first])) * NS_PER_US + min(int(s.t_ns[0]) for s in series)
