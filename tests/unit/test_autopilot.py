@@ -1,0 +1,152 @@
+"""The emulated autopilot: answers what is meant for it, forwards the rest as ArduPilot does, believes no impostor."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.layout import Argument
+from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
+from sitl_plant.autopilot import Action, Autopilot, Forward, Reply
+from sitl_plant.schedule import Schedule
+
+GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)
+PARAMETERS = (("SYSID_THISMAV", 1.0), ("INS_GYRO_FILTER", 20.0))
+NOW_NS = 5_000_000_000
+
+
+def autopilot(n_links: int = 3) -> Autopilot:
+    schedules = [Schedule({MessageId.RAW_IMU: 1000.0, MessageId.HIGHRES_IMU: 0.0}, 1000.0) for _ in range(n_links)]
+    return Autopilot(1, schedules, PARAMETERS)
+
+
+def frame(source: tuple[int, int], msgid: int, *fields: Argument) -> Frame:
+    return Decoder().feed(Encoder(*source).encode(msgid, *fields), 0)[0]
+
+
+def heartbeat(source: tuple[int, int]) -> Frame:
+    return frame(source, MessageId.HEARTBEAT, 18, 8, 0, 0, 4, 3)
+
+
+def command(source: tuple[int, int], target: tuple[int, int], number: int, *parameters: float) -> Frame:
+    return frame(source, MessageId.COMMAND_LONG, *target, number, 0, *parameters)
+
+
+def acknowledged(actions: list[Action]) -> list[tuple[Argument, Argument]]:
+    return [a.fields[:2] for a in actions if isinstance(a, Reply) and a.msgid == MessageId.COMMAND_ACK]  # type: ignore[misc]  # a slice of a tuple has no fixed length for mypy
+
+
+def replies(actions: list[Action], msgid: int) -> list[tuple[Argument, ...]]:
+    return [action.fields for action in actions if isinstance(action, Reply) and action.msgid == msgid]
+
+
+def test_a_status_text_reaches_the_other_links_that_were_heard_and_not_its_own() -> None:
+    one = autopilot()
+    text = frame(DETECTOR, MessageId.STATUSTEXT, Severity.CRITICAL, "PROP FAULT r1")
+    assert one.step(0, text, NOW_NS) == []
+    one.step(1, heartbeat(GCS), NOW_NS)
+    assert one.step(0, text, NOW_NS) == [Forward(1, text)]
+    one.step(2, heartbeat((254, 190)), NOW_NS)
+    assert one.step(0, text, NOW_NS) == [Forward(1, text), Forward(2, text)]
+
+
+def test_a_text_in_the_autopilots_own_name_is_dropped() -> None:
+    one = autopilot()
+    one.step(1, heartbeat(GCS), NOW_NS)
+    assert one.step(0, frame(PLANT, MessageId.STATUSTEXT, Severity.CRITICAL, "impostor"), NOW_NS) == []
+
+
+def test_a_message_with_an_address_goes_to_where_its_addressee_was_heard() -> None:
+    one = autopilot()
+    one.step(0, heartbeat(DETECTOR), NOW_NS)
+    one.step(1, heartbeat(GCS), NOW_NS)
+    one.step(2, heartbeat((254, 190)), NOW_NS)
+    asked = frame(GCS, MessageId.PARAM_REQUEST_LIST, *DETECTOR)
+    assert one.step(1, asked, NOW_NS) == [Forward(0, asked)]
+
+
+def test_commands_for_somebody_else_are_not_answered() -> None:
+    one = autopilot()
+    for target in (DETECTOR, (2, 1), (2, 0)):
+        assert one.step(1, command(GCS, target, MavCmd.SET_MESSAGE_INTERVAL, 27, 1e6), NOW_NS) == []
+
+
+@pytest.mark.parametrize("target", [(1, 1), (1, 0), (0, 0)])
+@pytest.mark.parametrize(
+    ("number", "parameters", "result"),
+    [
+        (MavCmd.SET_MESSAGE_INTERVAL, (27, 10_000), MavResult.ACCEPTED),
+        (MavCmd.SET_MESSAGE_INTERVAL, (27, 100), MavResult.DENIED),
+        (MavCmd.SET_MESSAGE_INTERVAL, (30_000, 10_000), MavResult.DENIED),
+        (MavCmd.REQUEST_MESSAGE, (148,), MavResult.ACCEPTED),
+        (MavCmd.REQUEST_MESSAGE, (105,), MavResult.ACCEPTED),
+        (MavCmd.REQUEST_MESSAGE, (30_000,), MavResult.DENIED),
+        (400, (1,), MavResult.UNSUPPORTED),
+        (MavCmd.INJECT_FAILURE, (101, 1, 1), MavResult.UNSUPPORTED),
+    ],
+)
+def test_every_command_for_it_is_acknowledged(
+    target: tuple[int, int], number: int, parameters: tuple[float, ...], result: MavResult
+) -> None:
+    actions = autopilot().step(1, command(GCS, target, number, *parameters), NOW_NS)
+    assert acknowledged(actions) == [(number, result)]
+    assert replies(actions, MessageId.COMMAND_ACK)[0][4:] == GCS
+    assert bool(replies(actions, MessageId.AUTOPILOT_VERSION)) == (parameters == (148,))
+
+
+def test_an_interval_is_changed_on_the_link_that_asked_only() -> None:
+    one = autopilot()
+    one.step(1, command(GCS, PLANT, MavCmd.SET_MESSAGE_INTERVAL, MessageId.RAW_IMU, 20_000), NOW_NS)
+    for link, interval_us in ((0, 1000), (1, 20_000)):
+        told = one.step(link, command(GCS, PLANT, MavCmd.REQUEST_MESSAGE, 244, MessageId.RAW_IMU), NOW_NS)
+        assert replies(told, 244) == [(27, interval_us)]
+
+
+def test_parameters_are_listed_read_by_name_or_index_and_never_changed() -> None:
+    one = autopilot()
+    first, second = ("SYSID_THISMAV", 1.0, 9, 2, 0), ("INS_GYRO_FILTER", 20.0, 9, 2, 1)
+    asked = {
+        "list": frame(GCS, MessageId.PARAM_REQUEST_LIST, *PLANT),
+        "name": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "INS_GYRO_FILTER", -1),
+        "index": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "", 0),
+        "set": frame(GCS, MessageId.PARAM_SET, *PLANT, "INS_GYRO_FILTER", 90.0, 9),
+        "unknown": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "NO_SUCH", -1),
+        "beyond": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "", 2),
+    }
+    told = {name: replies(one.step(1, question, NOW_NS), MessageId.PARAM_VALUE) for name, question in asked.items()}
+    assert told == {
+        "list": [first, second],
+        "name": [second],
+        "index": [first],
+        "set": [second],
+        "unknown": [],
+        "beyond": [],
+    }
+
+
+def test_the_time_is_told_once_and_an_answer_is_not_answered() -> None:
+    one = autopilot()
+    assert replies(one.step(0, frame(GCS, MessageId.TIMESYNC, 0, 77), NOW_NS), MessageId.TIMESYNC) == [(NOW_NS, 77)]
+    assert one.step(0, frame(GCS, MessageId.TIMESYNC, NOW_NS, 77), NOW_NS) == []
+
+
+def test_there_is_no_mission() -> None:
+    actions = autopilot().step(0, frame(GCS, MessageId.MISSION_REQUEST_LIST, *PLANT), NOW_NS)
+    assert replies(actions, MessageId.MISSION_COUNT) == [(*GCS, 0)]
+
+
+@given(
+    source=st.tuples(st.integers(1, 255), st.integers(1, 255)),
+    target=st.tuples(st.integers(0, 255), st.integers(0, 255)),
+    number=st.sampled_from([511, 512, 400, 65_535]),
+    parameters=st.lists(st.floats(width=32), min_size=7, max_size=7),
+    link=st.integers(0, 2),
+)
+def test_no_command_raises_and_none_is_forwarded_to_its_own_link(
+    source: tuple[int, int], target: tuple[int, int], number: int, parameters: list[float], link: int
+) -> None:
+    one = autopilot()
+    for other in range(3):
+        one.step(other, heartbeat((250 - other, 190)), NOW_NS)
+    for action in one.step(link, command(source, target, number, *parameters), NOW_NS):
+        assert isinstance(action, Reply) or action.link != link

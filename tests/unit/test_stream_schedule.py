@@ -1,0 +1,76 @@
+"""The rhythm of messages: exact in the mean, never early, changed and denied as an autopilot does."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.link.messages import MavResult
+from sitl_plant.schedule import DEFAULT_INTERVAL, NEVER, Schedule
+
+FAST, SLOW, QUIET = 27, 0, 105
+STEP_NS = 1_000_000
+
+
+def times(first: int, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.arange(first, first + n, dtype=np.int64) * STEP_NS
+
+
+def count(schedule: Schedule, msgid: int, first: int, n: int, block: int = 7) -> int:
+    total = 0
+    for start in range(first, first + n, block):
+        due = dict(schedule.due(times(start, min(block, first + n - start))))
+        total += len(due.get(msgid, ()))
+    return total
+
+
+def schedule() -> Schedule:
+    return Schedule({FAST: 1000.0, SLOW: 1.0, QUIET: 0.0}, ceiling_hz=1000.0)
+
+
+def test_each_message_keeps_its_own_rate() -> None:
+    assert count(schedule(), FAST, 0, 5000) == 5000
+    assert count(schedule(), SLOW, 0, 5000) == 5
+    assert count(schedule(), QUIET, 0, 5000) == 0
+
+
+@given(rate_hz=st.floats(0.5, 1000.0), blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12))
+def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, blocks: list[int]) -> None:
+    one = Schedule({FAST: rate_hz}, ceiling_hz=1000.0)
+    rows, first = [], 0
+    for n in blocks:
+        due = dict(one.due(times(first, n)))
+        rows += [first + int(row) for row in due.get(FAST, ())]
+        first += n
+    whole = Schedule({FAST: rate_hz}, ceiling_hz=1000.0).due(times(0, first))
+    assert rows == dict(whole)[FAST].tolist()
+    assert abs(len(rows) - first * 1e-3 * rate_hz) <= 1.0
+
+
+def test_an_interval_is_changed_restored_and_silenced() -> None:
+    one = schedule()
+    count(one, FAST, 0, 100)
+    assert one.set_interval(FAST, 10_000) is MavResult.ACCEPTED
+    assert one.interval_us(FAST) == 10_000
+    assert count(one, FAST, 100, 1000) == 100
+    assert one.set_interval(FAST, NEVER) is MavResult.ACCEPTED
+    assert one.interval_us(FAST) == NEVER
+    assert count(one, FAST, 1100, 1000) == 0
+    assert one.set_interval(FAST, DEFAULT_INTERVAL) is MavResult.ACCEPTED
+    assert count(one, FAST, 2100, 1000) == 1000
+
+
+@pytest.mark.parametrize(("msgid", "interval_us"), [(FAST, 999 / 1.01), (FAST, 1), (999, 10_000)])
+def test_what_cannot_be_sent_is_denied_and_changes_nothing(msgid: int, interval_us: float) -> None:
+    one = schedule()
+    assert one.set_interval(msgid, interval_us) is MavResult.DENIED
+    assert one.interval_us(FAST) == 1000
+    assert one.interval_us(999) == 0
+
+
+def test_a_message_can_be_asked_for_once() -> None:
+    one = schedule()
+    assert one.ask_once(QUIET) is MavResult.ACCEPTED
+    assert one.ask_once(999) is MavResult.DENIED
+    assert dict(one.due(times(0, 4)))[QUIET].tolist() == [3]
+    assert count(one, QUIET, 4, 100) == 0
