@@ -1,0 +1,49 @@
+"""The one place that touches numba: typed decorators, and a compiled cache that cannot go stale.
+
+numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
+another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
+also holds a digest of every file that defined a compiled function.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import ParamSpec, TypeVar, cast
+
+from mavdiag.errors import UsageError
+
+try:
+    import numba
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise UsageError("the plant needs numba: install mavdiag[plant]") from error
+
+__all__ = ["cached", "jit", "source_digest"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_sources: set[Path] = set()
+
+
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile `function` when a compiled function first calls it. No fast-math: results are reproducible."""
+    _sources.add(Path(function.__code__.co_filename))
+    return cast(Callable[P, R], numba.njit(error_model="numpy")(function))
+
+
+def cached(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile on the first call and keep the machine code on disk.
+
+    `function` must close over `source_digest()`, so that a change of any compiled source changes numba's cache key.
+    """
+    if function.__closure__ is None:
+        raise UsageError(f"{function.__name__} must close over source_digest() to be cached")
+    return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))
+
+
+def source_digest() -> int:
+    """A digest (63 bits) of all files that have defined a compiled function so far."""
+    digest = hashlib.sha256()
+    for path in sorted(_sources):
+        digest.update(path.read_bytes())
+    return int.from_bytes(digest.digest()[:8], "little") >> 1

@@ -1,0 +1,230 @@
+"""The plant: configure a flight, advance it, read what the vehicle and its sensors did.
+
+    plant = Plant(PlantConfig(drone=1, fault="F2/SV2", rotor=3, onset_s=10.0, seed=7))
+    samples = plant.advance(1000)          # one second
+
+Equal configurations give equal bits, however the flight is cut into calls of `advance`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.errors import UsageError
+from mavdiag.quantities import FloatArray, IntArray
+from sitl_plant.airframe import Airframe, Payload, drone
+from sitl_plant.faults import parse_fault
+from sitl_plant.injections import Injection, rotor_condition, sensor_condition
+from sitl_plant.kernel import Model, Noise, Rows, State, fly
+from sitl_plant.parameters import STEP_S, initial_state, make_model
+from sitl_plant.trajectory import Shape, path
+from sitl_plant.vehicle import qdrone2
+
+__all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
+
+STEP_NS = round(STEP_S * 1e9)
+SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, integrals and the wind are settled
+
+
+@dataclass(frozen=True, slots=True)
+class PlantConfig:
+    """One flight. Rotors are numbered as in T Eq 2.2-2.4: 1 rear right, 2 front right, 3 rear left, 4 front left.
+
+    drone: 1 (aged), 2, 3 (new). airframe: another specimen instead. fault: a code such as "F2/SV2", on `rotor` from
+    `onset_s` of flight time (0: from the start); phenomenology: see `sitl_plant.faults`. injections: anything more.
+    wind_m_s: mean speed, blowing towards `wind_towards_rad` (0 north, pi/2 east). Raises UsageError if it cannot be.
+    """
+
+    drone: int = 1
+    trajectory: str = "square"
+    speed_m_s: float = 0.5
+    size_m: float = 1.0
+    heading_rad: float = 0.0
+    altitude_m: float = 1.0
+    fault: str | None = None
+    rotor: int = 1
+    onset_s: float = 0.0
+    phenomenology: float = 1.0
+    injections: tuple[Injection, ...] = ()
+    wind_m_s: float = 0.0
+    wind_towards_rad: float = math.pi / 4
+    payload: Payload = Payload()
+    seed: int = 0
+    airframe: Airframe | None = None
+
+    def __post_init__(self) -> None:
+        if self.trajectory not in list(Shape):
+            raise UsageError(f"no trajectory {self.trajectory!r}: give one of {', '.join(Shape)}")
+        for name in ("speed_m_s", "size_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise UsageError(f"{name} must be positive, not {value:g}")
+        for name in ("heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
+            if not math.isfinite(getattr(self, name)):
+                raise UsageError(f"{name} must be a finite number")
+        if self.seed < 0:
+            raise UsageError(f"seed must be zero or more, not {self.seed}")
+        if self.fault is not None:
+            parse_fault(self.fault).damage(self.phenomenology)
+
+    def all_injections(self) -> tuple[Injection, ...]:
+        """The fault by code, if any, and the other injections."""
+        if self.fault is None:
+            return self.injections
+        damage = parse_fault(self.fault).damage(self.phenomenology)
+        return (Injection(damage, self.rotor, self.onset_s), *self.injections)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlantSamples:
+    """n steps of a flight at 1 kHz; body FRD, world NED, SI units.
+
+    Measured and commanded: t_ns (n,) since the start. setpoint (n, 3) commanded roll, pitch, yaw [rad]. rate_setpoint
+    (n, 3) [rad/s]. thrust_setpoint (n,) 0..1 of the thrust at full duty. gyro (n, 3) [rad/s]. accel (n, 3) specific
+    force, (0, 0, -9.81) at rest. attitude (n, 9) T's estimate (Eq 2.33). duty (n, r) 0..1. battery_v (n,).
+
+    Truth: quaternion (n, 4) body to world, w first. position, velocity (n, 3) of the centre of gravity.
+    omega (n, 3) [rad/s]. rotor_speed (n, r) [rad/s].
+    """
+
+    t_ns: IntArray
+    setpoint: FloatArray
+    rate_setpoint: FloatArray
+    thrust_setpoint: FloatArray
+    gyro: FloatArray
+    accel: FloatArray
+    attitude: FloatArray
+    duty: FloatArray
+    battery_v: FloatArray
+    quaternion: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    omega: FloatArray
+    rotor_speed: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+class Plant:
+    """A vehicle in flight. It starts in the air, hovering in trim at the first point of its path."""
+
+    def __init__(self, config: PlantConfig) -> None:
+        self.config = config
+        self.airframe = config.airframe or drone(qdrone2(), config.drone)
+        self._injections = config.all_injections()
+        rotors = len(self.airframe.vehicle.rotors)
+        for injection in self._injections:
+            if injection.rotor not in range(1, rotors + 1):
+                raise UsageError(f"rotor must be 1 to {rotors}, not {injection.rotor}")
+        self._streams = _Streams(config.seed)
+        self._angles = tuple(
+            drawn if injection.angle_rad is None else injection.angle_rad
+            for injection, drawn in zip(
+                self._injections, self._streams.angle.uniform(0.0, 2.0 * np.pi, len(self._injections)), strict=True
+            )
+        )
+        self._model = _model(config, self.airframe)
+        self._state = initial_state(self._model, self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors))
+        self._step = -SETTLING_STEPS
+        self.advance(SETTLING_STEPS)
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the next sample, from the start of the flight."""
+        return self._step * STEP_NS
+
+    def advance(self, steps: int) -> PlantSamples:
+        """Fly `steps` of 1 ms and return what happened. Raises UsageError if it is negative."""
+        if steps < 0:
+            raise UsageError(f"cannot advance by {steps} steps")
+        rows = _empty_rows(steps, len(self.airframe.vehicle.rotors))
+        done = 0
+        while done < steps:
+            count = min(steps - done, self._steps_to_next_event())
+            self._fly(count, Rows(*(column[done : done + count] for column in rows)))
+            done += count
+        return _samples(rows, self._step - steps, self._model)
+
+    def _fly(self, count: int, rows: Rows) -> None:
+        t_s = self._step * STEP_S
+        fly(
+            self._step,
+            count,
+            self._model,
+            rotor_condition(self.airframe, self._injections, self._angles, t_s, STEP_S),
+            sensor_condition(self._injections, t_s),
+            self._state,
+            self._streams.draw(self._step, count, self._model),
+            rows,
+        )
+        self._step += count
+
+    def _steps_to_next_event(self) -> int:
+        """Steps until some injection starts or ends, or a large number."""
+        events = [math.ceil(t / STEP_S) for i in self._injections for t in (i.onset_s, i.end_s) if math.isfinite(t)]
+        return min((event - self._step for event in events if event > self._step), default=2**62)
+
+
+class _Streams:
+    """Independent random streams, one per purpose, each consumed in order of time: cutting a flight changes nothing."""
+
+    def __init__(self, seed: int) -> None:
+        children = np.random.SeedSequence(seed).spawn(6)
+        self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = (
+            np.random.default_rng(child) for child in children
+        )
+
+    def draw(self, first: int, count: int, model: Model) -> Noise:
+        """Numbers for `count` steps from step `first` on."""
+        period, markers = model.mocap.period, len(model.mocap.markers)
+        frames = (first + count - 1) // period - (first - 1) // period
+        return Noise(
+            rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),
+            imu=self.imu.standard_normal((count, 6)),
+            wind=self.wind.standard_normal((count, 3)),
+            markers=self.markers.standard_normal((frames, markers, 3)),
+            occlusion=self.occlusion.random((frames, markers)),
+        )
+
+
+def _model(config: PlantConfig, airframe: Airframe) -> Model:
+    shape = path(Shape(config.trajectory), config.size_m, config.speed_m_s, config.heading_rad, config.altitude_m)
+    towards = config.wind_towards_rad
+    wind = config.wind_m_s * np.array([math.cos(towards), math.sin(towards), 0.0])
+    return make_model(airframe, config.payload, shape, wind)
+
+
+def _empty_rows(steps: int, rotors: int) -> Rows:
+    return Rows(
+        setpoint=np.empty((steps, 3)),
+        rate_setpoint=np.empty((steps, 3)),
+        thrust=np.empty(steps),
+        imu=np.empty((steps, 6)),
+        attitude=np.empty((steps, 9)),
+        rigid=np.empty((steps, 13)),
+        rotor_speed=np.empty((steps, rotors)),
+        duty=np.empty((steps, rotors)),
+        battery_v=np.empty(steps),
+    )
+
+
+def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
+    full = model.controller.full_thrust * len(model.rotors.sign)
+    return PlantSamples(
+        t_ns=(first + np.arange(len(rows.thrust), dtype=np.int64)) * STEP_NS,
+        setpoint=rows.setpoint,
+        rate_setpoint=rows.rate_setpoint,
+        thrust_setpoint=rows.thrust / full,
+        gyro=rows.imu[:, :3],
+        accel=rows.imu[:, 3:],
+        attitude=rows.attitude,
+        duty=rows.duty,
+        battery_v=rows.battery_v,
+        quaternion=rows.rigid[:, 6:10],
+        position=rows.rigid[:, :3],
+        velocity=rows.rigid[:, 3:6],
+        omega=rows.rigid[:, 10:13],
+        rotor_speed=rows.rotor_speed,
+    )

@@ -1,0 +1,253 @@
+"""Vehicles are data: a TOML file with every number and its source becomes these frozen values.
+
+Body frame FRD, origin at the geometric centre. Rotor count and geometry come from the file, so a hexacopter or an
+octocopter is another file. What the file says is the *type*; one specimen of it is drawn in `sitl_plant.airframe`.
+"""
+
+import tomllib
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeAlias
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+from mavdiag.errors import InputError
+from mavdiag.quantities import FloatArray
+
+__all__ = [
+    "Battery",
+    "Body",
+    "Control",
+    "Imu",
+    "MotionCapture",
+    "Piv",
+    "Propulsion",
+    "Rotor",
+    "Spread",
+    "Vehicle",
+    "Wind",
+    "allocation",
+    "load_vehicle",
+    "qdrone2",
+]
+
+Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share: TypeAlias = Annotated[float, Field(ge=0, lt=1)]
+Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+Vector: TypeAlias = tuple[Finite, Finite, Finite]
+PositiveVector: TypeAlias = tuple[Positive, Positive, Positive]
+
+STRICT: Literal["forbid"] = "forbid"  # a misspelt key in the file is an error, not a default
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Body:
+    """Rigid body and its air drag."""
+
+    mass_kg: Positive
+    inertia_kg_m2: PositiveVector
+    drag_n_s_m: NotNegative
+    hub_moment_n_s: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Rotor:
+    """One rotor: hub in body FRD and sense of rotation seen from above."""
+
+    name: str
+    position_m: Vector
+    spin: Literal["cw", "ccw"]
+
+    @property
+    def sign(self) -> float:
+        """+1 if the rotor turns positively about body z (down), that is clockwise seen from above."""
+        return 1.0 if self.spin == "cw" else -1.0
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Propulsion:
+    """What all rotors of the type share (T Eq 2.5, 2.9-2.12)."""
+
+    thrust_coefficient_n_s2: Positive
+    thrust_per_torque_1_m: Positive
+    motor_lag_s: Positive
+    rotor_inertia_kg_m2: NotNegative
+    effective_radius_m: Positive
+    thrust_noise_rms: NotNegative
+    thrust_noise_corner_hz: Positive
+    unbalance_max_g_mm: NotNegative
+    minimum_duty: Share
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Battery:
+    """Voltage, sag and the duty-to-speed constant."""
+
+    nominal_v: Positive
+    motor_constant_rpm_v: Positive
+    open_circuit_v: Positive
+    resistance_ohm: NotNegative
+    slope_v_per_ah: NotNegative
+    drive_efficiency: Annotated[float, Field(gt=0, le=1)]
+    avionics_a: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Imu:
+    """Inertial sensor: place, noise density (one-sided), on-chip filter, bias."""
+
+    position_m: Vector
+    gyro_noise_density: NotNegative
+    accel_noise_density: NotNegative
+    filter_hz: Positive
+    gyro_bias_rms: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class MotionCapture:
+    """Cameras and the markers on the airframe (T 2.2.3)."""
+
+    rate_hz: Positive
+    latency_s: NotNegative
+    marker_noise_rms_m: NotNegative
+    occlusion_probability: Share
+    markers_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Piv:
+    """One proportional-integral-velocity loop (T Eq 2.25-2.28)."""
+
+    p: Finite
+    v: Finite
+    i: Finite
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Control:
+    """Gains, filters and limits of the cascaded controller (T Eq 2.22-2.44)."""
+
+    position: Piv
+    altitude: Piv
+    yaw: Piv
+    attitude_p: Finite
+    attitude_d: Finite
+    rate_p: Finite
+    rate_d: Finite
+    yaw_rate_p: Finite
+    gyro_filter_hz: Positive
+    accel_filter_hz: Positive
+    complementary_s: Positive
+    velocity_filter_hz: Positive
+    tilt_limit_rad: Positive
+    rate_limit_rad_s: Positive
+    yaw_rate_limit_rad_s: Positive
+    integral_limit_rad: Positive
+    torque_limit_n_m: PositiveVector
+    thrust_limit_n: tuple[NotNegative, Positive]
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Spread:
+    """How specimens of the type differ, and what age adds."""
+
+    thrust_coefficient_rms: Share
+    centre_of_gravity_rms_m: NotNegative
+    motor_lag_rms: Share
+    inertia_rms: Share
+    battery_gain_max: Share
+    aged_spread_factor: Positive
+    aged_unbalance_factor: Positive
+    aged_thrust_coefficient: Finite
+    aged_motor_lag: Finite
+    aged_noise_factor: Positive
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Wind:
+    """How the wind varies about its mean."""
+
+    gust_intensity: NotNegative
+    gust_corner_hz: Positive
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Vehicle:
+    """A type of multirotor, as its file describes it."""
+
+    name: str
+    body: Body
+    rotors: Annotated[tuple[Rotor, ...], Field(min_length=4, max_length=12)]
+    propulsion: Propulsion
+    battery: Battery
+    imu: Imu
+    mocap: MotionCapture
+    control: Control
+    spread: Spread
+    wind: Wind
+
+    @model_validator(mode="after")
+    def _can_fly(self) -> Self:
+        Ixx, Iyy, Izz = self.body.inertia_kg_m2
+        if max(Ixx, Iyy, Izz) > Ixx + Iyy + Izz - max(Ixx, Iyy, Izz):
+            raise ValueError("body.inertia_kg_m2 is no rigid body: one moment exceeds the sum of the others")
+        if np.linalg.matrix_rank(allocation(self)) < 4:
+            raise ValueError("rotors cannot command thrust, roll, pitch and yaw independently")
+        markers = np.asarray(self.mocap.markers_m)
+        if np.linalg.matrix_rank(markers - markers.mean(axis=0), tol=1e-3) < 2:
+            raise ValueError("mocap.markers_m lie on one line")
+        return self
+
+
+def allocation(vehicle: Vehicle) -> FloatArray:
+    """The motor mapping matrix in body FRD: rows thrust, roll, pitch, yaw; one column per rotor (T Eq 2.7).
+
+    [ F     ]   [  1            ...]
+    [ tau_x ] = [ -y_i          ...] @ [F_1 ... F_n]      thrust F_i acts along -z at (x_i, y_i)
+    [ tau_y ]   [  x_i          ...]
+    [ tau_z ]   [ -sign_i / K   ...]                      K = thrust per torque, 68.9055 1/m
+
+    T works in a frame with y to the left and z up: its Eq 2.3 and 2.4 are the negative of rows three and four.
+    The last row is 1/K as in T Eq 2.7; T Eq 2.6 prints K there, and only 2.7 and its inverse 2.8 agree.
+    """
+    hubs = np.array([rotor.position_m for rotor in vehicle.rotors])
+    signs = np.array([rotor.sign for rotor in vehicle.rotors])
+    return np.vstack(
+        [
+            np.ones(len(hubs)),
+            -hubs[:, 1],
+            hubs[:, 0],
+            -signs / vehicle.propulsion.thrust_per_torque_1_m,
+        ]
+    )
+
+
+def load_vehicle(path: Path) -> Vehicle:
+    """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot read vehicle file {path}: {error.strerror}") from error
+    return _parse(text, path.name)
+
+
+@cache
+def qdrone2() -> Vehicle:
+    """The vehicle of the thesis, from `qdrone2.toml` in this package."""
+    file = resources.files("sitl_plant") / "qdrone2.toml"
+    return _parse(file.read_text(encoding="utf-8"), file.name)
+
+
+def _parse(text: str, name: str) -> Vehicle:
+    try:
+        return TypeAdapter(Vehicle).validate_python(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name} is not TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "vehicle"
+        raise InputError(f"{name}: {where}: {first['msg']}") from error
