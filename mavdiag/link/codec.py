@@ -13,13 +13,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 from fastcrc.crc16 import mcrf4xx
 
 from mavdiag.errors import UsageError
 from mavdiag.link.layout import Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import MessageId, Severity
-from mavdiag.link.sequence import LinkCount, SequenceTracker
+from mavdiag.link.sequence import DecoderCount, LinkCount, SequenceTracker
 
 __all__ = [
     "Decoder",
@@ -31,6 +32,7 @@ __all__ = [
     "decode_statustext",
     "field_index",
     "message_name",
+    "record_dtype",
     "wire_fields",
 ]
 
@@ -48,14 +50,19 @@ _pack_header = struct.Struct("<BBBBBBHB").pack  # the same, without the marker a
 
 
 class Frame(NamedTuple):
-    """One received message. fields: flat, in the order of the wire, arrays element by element (see `field_index`)."""
+    """One received message. payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off."""
 
     msgid: int
     sysid: int
     compid: int
     seq: int
-    fields: tuple[FieldValue, ...]
+    payload: bytes
     host_ns: int
+
+    @property
+    def fields(self) -> tuple[FieldValue, ...]:
+        """The values, flat, in the order of the wire; an array takes one place per element (see `field_index`)."""
+        return _LAYOUTS[self.msgid].packer.unpack(self.payload)
 
 
 def _generated_layout(message: type[dialect.MAVLink_message]) -> Layout:
@@ -135,29 +142,36 @@ def field_index(msgid: int, name: str) -> int:
     raise UsageError(f"{message_name(msgid)} has no field {name}")
 
 
-@dataclass(frozen=True, slots=True)
-class DecoderCount:
-    """What a decoder made of its input so far, besides the frames themselves.
+def record_dtype(msgid: int, *columns: tuple[str, int]) -> np.dtype[np.void]:
+    """How `numpy.frombuffer` reads joined payloads of one message: the way to convert many frames at once.
 
-    garbage_bytes: bytes outside any accepted frame. bad_crc: seeming frames with a wrong checksum.
-    incompatible: seeming frames with incompatibility flags that we do not know. unknown: frames outside the dialect.
+    columns: (field, count) each; a column of count > 1 takes that many consecutive places from the field on, all of
+    one type. Raises UsageError if there is no such message or field, or the places differ in type.
     """
-
-    garbage_bytes: int
-    bad_crc: int
-    incompatible: int
-    unknown: int
+    layout = _layout(msgid)
+    codes = layout.codes
+    formats, offsets = [], []
+    for name, count in columns:
+        first = field_index(msgid, name)
+        kinds = set(codes[first : first + count])
+        if len(kinds) != 1:
+            raise UsageError(f"{layout.name}: {count} places from {name} on are not of one type")
+        kind = np.dtype("<" + kinds.pop())
+        formats.append(kind if count == 1 else np.dtype((kind, count)))
+        offsets.append(struct.calcsize("<" + "".join(codes[:first])))
+    names = [name for name, _ in columns]
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.packer.size})
 
 
 class Decoder:
     """Bytes in, frames out, for one link. At most 281 bytes are kept between calls.
 
-    wanted: message ids to hand out, None for all. Others are checked and counted but not unpacked.
+    wanted: message ids to hand out, None for all. Others are checked and counted all the same.
     """
 
     def __init__(self, wanted: Collection[int] | None = None) -> None:
         self._table = {
-            msgid: (layout.packer.unpack_from, layout.packer.size, layout.crc_extra, wanted is None or msgid in wanted)
+            msgid: (layout.packer.size, layout.crc_extra, wanted is None or msgid in wanted)
             for msgid, layout in _LAYOUTS.items()
         }
         self._senders: dict[int, SequenceTracker] = {}
@@ -213,13 +227,14 @@ class Decoder:
                 at = self._skip(buffer, at)
                 continue
             if after <= end and (entry := table.get(msgid)) is not None:
-                unpack, size, extra, wanted = entry
+                size, extra, wanted = entry
                 if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) == buffer[stop] | buffer[stop + 1] << 8:
                     self._note(sysid, compid, seq, msgid)
                     if wanted:
-                        full = length >= size  # else MAVLink 2 trimmed trailing zeros
-                        fields = unpack(buffer, start) if full else unpack(buffer[start:stop].ljust(size, b"\0"))
-                        frames.append(new_tuple(Frame, (msgid, sysid, compid, seq, fields, host_ns)))
+                        payload = buffer[start:stop]
+                        if length != size:  # MAVLink 2 trims trailing zeros; a newer definition may be longer
+                            payload = payload.ljust(size, b"\0")[:size]
+                        frames.append(new_tuple(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
                     at = after
                     continue
                 self._bad_crc += 1

@@ -46,6 +46,11 @@ class Layout:
         """Name and number of places of each field, in the order of the wire."""
         return tuple((self.names[i], self.sizes[i]) for i in self.order)
 
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """The struct code of each place of the wire; text is one place, with its length, as in `50s`."""
+        return _codes(self.packer.format)
+
     def pack(self, fields: Sequence[Argument]) -> bytes:
         """The payload, not trimmed, from fields in the declared order; trailing ones left out are zero.
 
@@ -72,7 +77,7 @@ class Layout:
         return [*fields, *zeros]
 
     def _pack_fitted(self, places: Sequence[Argument]) -> bytes:
-        codes = _codes(self.packer.format)
+        codes = self.codes
         if len(codes) != len(places):
             raise UsageError(
                 f"{self.name} takes {len(codes)} values in all, not {len(places)}: an array is too long or short"
@@ -85,7 +90,6 @@ class Layout:
 
 @cache
 def _codes(wire_format: str) -> tuple[str, ...]:
-    """The struct code of each place; text is one place, with its length: `B50sHB` gives B, 50s, H, B."""
     runs = re.findall(r"(\d*)([a-zA-Z])", wire_format)
     places = ([count + code] if code == "s" else [code] * int(count or 1) for count, code in runs)
     return tuple(code for run in places for code in run)

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["LinkCount", "SequenceTracker"]
+__all__ = ["DecoderCount", "LinkCount", "SequenceTracker"]
 
 WINDOW = 16  # frames: how late a frame may come and still be recognised as late (a choice: links swap neighbours)
 
@@ -23,6 +23,20 @@ class LinkCount:
     duplicated: int
     restarts: int
     by_message: Mapping[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class DecoderCount:
+    """What a decoder made of its input so far, besides the frames themselves.
+
+    garbage_bytes: bytes outside any accepted frame. bad_crc: seeming frames with a wrong checksum.
+    incompatible: seeming frames with incompatibility flags that we do not know. unknown: frames outside the dialect.
+    """
+
+    garbage_bytes: int
+    bad_crc: int
+    incompatible: int
+    unknown: int
 
 
 class SequenceTracker:

@@ -2,6 +2,7 @@
 
 import struct
 
+import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
 
@@ -15,6 +16,7 @@ from mavdiag.link.codec import (
     decode_statustext,
     field_index,
     message_name,
+    record_dtype,
     wire_fields,
 )
 from mavdiag.link.messages import MessageId, Severity
@@ -115,6 +117,26 @@ def test_a_field_is_found_by_name() -> None:
     with pytest.raises(UsageError, match="54321"):
         wire_fields(54321)
     assert message_name(54321) == "UNKNOWN_54321"
+
+
+def test_joined_payloads_become_columns() -> None:
+    encoder = Encoder(1, 1)
+    data = b"".join(encoder.encode(MessageId.RAW_IMU, 10**15 + k, k, -k, 7, 0, 0, 3) for k in range(4))
+    dtype = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3), ("xgyro", 3), ("id", 1))
+    record = np.frombuffer(b"".join(f.payload for f in Decoder().feed(data, 0)), dtype)
+    assert record["time_usec"].tolist() == [10**15 + k for k in range(4)]
+    assert record["xacc"].tolist() == [[k, -k, 7] for k in range(4)]
+    assert record["xgyro"][-1].tolist() == [0, 0, 3]
+    assert not record["id"].any()
+    with pytest.raises(UsageError, match="one type"):
+        record_dtype(MessageId.RAW_IMU, ("time_usec", 2))
+
+
+def test_longer_payloads_of_a_newer_definition_are_cut() -> None:
+    body = bytes([30, 0, 0, 0, 1, 1, 0, 0, 0]) + bytes(range(1, 31))
+    crc = dialect.x25crc(body + bytes([50])).crc
+    (frame,) = Decoder().feed(b"\xfd" + body + crc.to_bytes(2, "little"), 0)
+    assert frame.payload == bytes(range(1, 10))
 
 
 def test_integers_are_rounded_and_saturated_and_text_is_cut() -> None:
