@@ -6,7 +6,7 @@
 all memory is in their states.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -106,12 +106,17 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What one chunk brought. judged_s: new judged time; now_ns: vehicle time of the latest row, None if none came."""
+    """What one chunk brought.
+
+    judged_s: new judged time. now_ns: vehicle time of the latest row, None if none came. peaks: one figure a watch, the
+    highest judged statistic, 0 if none was.
+    """
 
     events: tuple[Event, ...] = ()
     levels: tuple[Level, ...] = ()
     judged_s: float = 0.0
     now_ns: int | None = None
+    peaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,13 +150,13 @@ class Chain:
         front, rows = self.front.finish(state.front)
         state, findings = self._watch(state, front, rows)
         still_open = tuple(event for one in state.events for event in event_step.finish(one))
-        return Findings((*findings.events, *still_open), findings.levels, findings.judged_s, findings.now_ns)
+        return replace(findings, events=(*findings.events, *still_open))
 
     def _watch(self, state: ChainState, front: FrontState, all_rows: tuple[Rows, ...]) -> tuple[ChainState, Findings]:
         monitors, event_states = list(state.monitors), list(state.events)
         found: list[Event] = []
         levels: list[Level] = []
-        judged = 0.0
+        judged, peaks = 0, [0.0] * len(self.watches)
         now_ns: int | None = None
         for rows in all_rows:
             levels.clear()
@@ -159,12 +164,13 @@ class Chain:
                 monitors[i], reading = watch.monitor.step(monitors[i], rows)
                 event_states[i], seen = event_step.events(watch.events, event_states[i], reading)
                 found += seen
+                peaks[i] = max(peaks[i], float(reading.statistic.max(where=reading.valid, initial=0.0)))
                 if len(reading.t_ns):
                     levels.append(_level(watch, reading))
-            judged += float(rows.rates.valid.sum()) * rows.rates.dt_s
+            judged += int(rows.rates.valid.sum())
             now_ns = int(rows.block.t_ns[-1])
         state = ChainState(front, tuple(monitors), tuple(event_states))
-        return state, Findings(tuple(found), tuple(levels), judged, now_ns)
+        return state, Findings(tuple(found), tuple(levels), judged * self.front.align.dt_s, now_ns, tuple(peaks))
 
 
 def _level(watch: Watch, reading: Reading) -> Level:

@@ -78,6 +78,8 @@ def events(spec: EventSpec, state: EventState, reading: Reading) -> tuple[EventS
     >>> [(e.start_ns, e.end_ns, e.statistic) for e in seen]
     [(1000, None, 3.0), (1000, 2000, 4.0)]
     """
+    if len(reading.t_ns) == 0:
+        return state, ()
     above = reading.valid & (reading.statistic > spec.threshold)
     seen: list[Event] = []
     edges = np.flatnonzero(np.diff(above, prepend=False, append=False)) if above.any() else np.empty(0, dtype=np.intp)
@@ -90,8 +92,8 @@ def events(spec: EventSpec, state: EventState, reading: Reading) -> tuple[EventS
             seen.append(opened)
             state = EventState(opened)
         state = _grow(state, reading, first, stop)
-    if len(above):
-        state = replace(state, touching=bool(above[-1]))
+    if state.open is not None:
+        state = EventState(state.open, state.above_ns, bool(above[-1]))
         if not state.touching:
             state, closed = _close(spec, state, int(reading.t_ns[-1]))
             seen += closed

@@ -60,14 +60,15 @@ def exceedance(
     """
     excess = np.abs(r) - margin
     above = valid & (excess > 0)
+    if not above.any():
+        nothing = np.zeros(len(r))
+        return (ExceedState() if len(r) else state), Exceedance(nothing, nothing)
     count, peak = np.zeros(len(r)), np.zeros(len(r))
     for first, stop in _spans(above):
         carried = state if first == 0 else ExceedState()
         count[first:stop] = np.arange(carried.rows + 1, carried.rows + 1 + stop - first)
         peak[first:stop] = np.maximum(np.maximum.accumulate(excess[first:stop]), carried.peak)
-    if len(r):
-        state = ExceedState(int(count[-1]), float(peak[-1]))
-    return state, Exceedance(count * dt_s, peak)
+    return ExceedState(int(count[-1]), float(peak[-1])), Exceedance(count * dt_s, peak)
 
 
 def runs(trace: Exceedance, t_ns: IntArray) -> tuple[Run, ...]:
@@ -80,7 +81,5 @@ def runs(trace: Exceedance, t_ns: IntArray) -> tuple[Run, ...]:
 
 def _spans(flags: BoolArray) -> list[tuple[int, int]]:
     """Half-open spans [first, stop) of True."""
-    if not flags.any():
-        return []
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

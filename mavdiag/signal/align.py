@@ -148,6 +148,8 @@ def _take_in(spec: AlignSpec, state: AlignState, telemetry: Telemetry) -> AlignS
 
 def _merge(spec: AlignSpec, old: _Stream | None, series: Series, counts: AlignCounts) -> tuple[_Stream, AlignCounts]:
     t, v = series.t_ns, series.values
+    if old is not None and t[0] > old.newest and (t[1:] > t[:-1]).all():  # the usual case: all new and in order
+        return _Stream(np.concatenate((old.t, t)), np.concatenate((old.v, v)), int(t[-1])), counts
     before = old.newest if old is not None else int(t[0])
     newest = np.maximum.accumulate(np.maximum(t, before))
     on_time = t >= newest - round(spec.reorder_s * NS_PER_S)
@@ -156,8 +158,7 @@ def _merge(spec: AlignSpec, old: _Stream | None, series: Series, counts: AlignCo
         t, v = t[on_time], v[on_time]
     if old is not None:
         t, v = np.concatenate((old.t, t)), np.concatenate((old.v, v))
-    steps = np.diff(t)
-    if len(steps) and steps.min() <= 0:
+    if not (t[1:] > t[:-1]).all():
         order = np.argsort(t, kind="stable")
         t, v = t[order], v[order]
         keep = np.append(np.diff(t) > 0, True)  # of equal times the last to arrive counts
@@ -191,20 +192,30 @@ def _emit(spec: AlignSpec, state: AlignState, horizon_ns: int) -> tuple[AlignSta
     limit = round(spec.break_s * NS_PER_S)
     fresh = fresh[_within(setpoint, fresh, limit)]
     blocks: list[Block] = []
-    if len(fresh):
-        broken = np.diff(fresh, prepend=fresh[0] if state.last_ns is None else state.last_ns) > limit
-        broken[0] |= state.last_ns is None
-        starts = np.union1d([0], np.flatnonzero(broken))
-        for piece, breaks in zip(np.split(fresh, starts[1:]), broken[starts], strict=True):
-            state, block = _piece(spec, state, piece, bool(breaks))
-            blocks.extend(() if block is None else (block,))
+    for piece, broken in _pieces(fresh, state.last_ns, limit):
+        state, block = _piece(spec, state, piece, broken)
+        blocks.extend(() if block is None else (block,))
     keep_from = state.last_ns if state.last_ns is not None else horizon_ns
     keep_from = max(keep_from, horizon_ns - 2 * limit)
     return replace(state, streams={s: _forget(stream, keep_from) for s, stream in state.streams.items()}), tuple(blocks)
 
 
+def _pieces(fresh: IntArray, last_ns: int | None, limit_ns: int) -> list[tuple[IntArray, bool]]:
+    """Stretches without a step above the limit, and whether one lies before each."""
+    if len(fresh) == 0:
+        return []
+    if last_ns is not None and fresh[-1] - last_ns <= limit_ns:
+        return [(fresh, False)]
+    broken = np.diff(fresh, prepend=fresh[0] if last_ns is None else last_ns) > limit_ns
+    broken[0] |= last_ns is None
+    starts = np.union1d([0], np.flatnonzero(broken))
+    return list(zip(np.split(fresh, starts[1:]), broken[starts].tolist(), strict=True))
+
+
 def _within(stream: _Stream, rows: IntArray, limit_ns: int) -> BoolArray:
     """Which rows lie between two samples that are not farther apart than the limit."""
+    if rows[0] >= stream.t[0] and rows[-1] <= stream.t[-1] and stream.t[-1] - stream.t[0] <= limit_ns:
+        return np.ones(len(rows), dtype=np.bool_)
     right = np.searchsorted(stream.t, rows, side="left")
     inside = (right < len(stream.t)) & (rows >= stream.t[0])
     right = np.minimum(right, len(stream.t) - 1)
@@ -238,8 +249,8 @@ def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> tuple[IntAr
         step = round(dt_ns)
         return np.arange(fresh[0] if last_ns is None else last_ns + step, fresh[-1] + 1, step, dtype=np.int64), 0
     points = fresh if last_ns is None else np.concatenate(([last_ns], fresh))
-    places = np.round(np.diff(points) / dt_ns).astype(np.int64)
-    if (places == 1).all():
+    places = (points[1:] - points[:-1]) / dt_ns
+    if ((places > 0.5) & (places < 1.5)).all():
         return fresh, 0
     return _place_uneven(points, last_ns is None, dt_ns)
 
@@ -260,12 +271,9 @@ def _place_uneven(points: IntArray, first_is_new: bool, dt_ns: float) -> tuple[I
 
 
 def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignState, Block]:
-    bad = np.zeros(len(rows), dtype=np.bool_)
-    linear: dict[Signal, FloatArray] = {}
-    for signal in (Signal.BODY_RATE, *LINEAR):
-        linear[signal], gap = _interpolate(spec, state.streams.get(signal), rows)
-        if signal in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT):
-            bad |= gap
+    linear = {signal: _interpolate(state.streams.get(signal), rows) for signal in (Signal.BODY_RATE, *LINEAR)}
+    bad = _in_gap(spec, state.streams[Signal.BODY_RATE], rows)
+    bad |= _in_gap(spec, state.streams[Signal.ATTITUDE_SETPOINT], rows)
     held = {signal: _hold(state.streams.get(signal), rows, width) for signal, width in HELD.items()}
     until = state.blank_until_ns
     if bad.any():
@@ -293,27 +301,38 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
     return replace(state, blank_until_ns=until), block
 
 
-def _interpolate(spec: AlignSpec, stream: _Stream | None, rows: IntArray) -> tuple[FloatArray, BoolArray]:
-    """Linear interpolation to the rows, and which rows lie in a gap or outside of the samples."""
+def _interpolate(stream: _Stream | None, rows: IntArray) -> FloatArray:
+    """Linear interpolation to the rows; a sample at the very time of a row is taken as it is."""
     if stream is None:
-        return np.full((len(rows), 3), np.nan), np.ones(len(rows), dtype=np.bool_)
-    at = np.searchsorted(stream.t, rows, side="left")
-    if at[-1] < len(stream.t) and np.array_equal(stream.t[at], rows):
-        return stream.v[at], np.zeros(len(rows), dtype=np.bool_)
+        return np.full((len(rows), 3), np.nan)
+    first = int(np.searchsorted(stream.t, rows[0], side="left"))
+    if np.array_equal(stream.t[first : first + len(rows)], rows):
+        return stream.v[first : first + len(rows)]
     t = stream.t - rows[0]  # small numbers: nanoseconds since the epoch do not fit a double
-    x = (rows - rows[0]).astype(np.float64)
-    values = np.column_stack([np.interp(x, t, stream.v[:, j]) for j in range(stream.v.shape[1])])
-    right = np.minimum(at, len(t) - 1)
+    x = rows - rows[0]
+    return np.column_stack([np.interp(x, t, stream.v[:, j]) for j in range(stream.v.shape[1])])
+
+
+def _in_gap(spec: AlignSpec, stream: _Stream, rows: IntArray) -> BoolArray:
+    """Which rows lie between two samples too far apart to interpolate, or outside of all samples."""
+    first = max(int(np.searchsorted(stream.t, rows[0], side="right")) - 1, 0)
+    t = stream.t[first : int(np.searchsorted(stream.t, rows[-1], side="left")) + 1]
+    limit = spec.max_gap_s * NS_PER_S
+    if len(t) and t[0] <= rows[0] and t[-1] >= rows[-1] and (t[1:] - t[:-1] <= limit).all():
+        return np.zeros(len(rows), dtype=np.bool_)
+    right = np.minimum(np.searchsorted(stream.t, rows, side="left"), len(stream.t) - 1)
     left = np.maximum(right - 1, 0)
-    exact = t[right] == x
-    gap = ~exact & (t[right] - t[left] > spec.max_gap_s * NS_PER_S)
-    return values, gap | (x > t[-1]) | (x < t[0])
+    gap: BoolArray = (stream.t[right] != rows) & (stream.t[right] - stream.t[left] > limit)
+    outside: BoolArray = (rows > stream.t[-1]) | (rows < stream.t[0])
+    return gap | outside
 
 
 def _hold(stream: _Stream | None, rows: IntArray, width: int | None) -> FloatArray:
     """The last value at or before each row; nan before the first."""
     if stream is None:
         return np.full((len(rows), width or 0), np.nan)
+    if stream.t[0] <= rows[0] and (len(stream.t) == 1 or stream.t[1] > rows[-1]):  # one value for all rows
+        return np.repeat(stream.v[:1], len(rows), axis=0)
     at = np.searchsorted(stream.t, rows, side="right") - 1
     values: FloatArray = stream.v[np.maximum(at, 0)].copy()
     values[at < 0] = np.nan
