@@ -1,0 +1,110 @@
+"""The Crazyflie reader on logs written by hand: units, signs, event types, and what it says of unusable files."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_logs import CrazyflieEvent, crazyflie_content, with_checksum
+
+from mavdiag.errors import InputError
+from mavdiag.logs import read_log
+from mavdiag.logs.crazyflie import read_crazyflie
+from mavdiag.quantities import Signal
+
+PID = CrazyflieEvent(
+    65535,
+    "fixedFrequency",
+    tuple(
+        f"controller.{name}(f)"
+        for name in ("roll", "pitch", "yaw", "r_roll", "r_pitch", "r_yaw", "cmd_yaw", "accelz", "actuatorThrust")
+    ),
+)
+MARK = CrazyflieEvent(7, "activeMarkerModeChanged", ("mode(B)",))
+RECORDS = (
+    PID.record(1_000, 10.0, -20.0, 90.0, 0.1, 0.2, 0.3, 32767.0, 1.0, 65535.0),
+    PID.record(11_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+
+
+def written(folder: Path, content: bytes) -> Path:
+    path = folder / "log00"
+    path.write_bytes(content)
+    return path
+
+
+def test_units_and_signs_are_si_and_frd(tmp_path: Path) -> None:
+    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], RECORDS))))
+    first = {series.signal: series.values[0] for series in log.telemetry.series}
+    assert first[Signal.ATTITUDE_SETPOINT] == pytest.approx([math.radians(10), math.radians(-20), -math.pi / 2])
+    assert first[Signal.BODY_RATE] == pytest.approx([0.1, 0.2, -0.3])
+    assert first[Signal.THRUST_SETPOINT] == pytest.approx([1.0])
+    assert first[Signal.SPECIFIC_FORCE][2] == pytest.approx(-9.80665)
+    assert np.isnan(first[Signal.SPECIFIC_FORCE][:2]).all()
+    assert log.profile == "crazyflie"
+    assert log.started_ns == 0
+
+
+def test_a_signal_without_all_its_variables_is_absent(tmp_path: Path) -> None:
+    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS))))
+    assert log.telemetry.get(Signal.TORQUE_COMMAND) is None  # only cmd_yaw is there
+
+
+def test_all_signals_of_a_record_share_its_time(tmp_path: Path) -> None:
+    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS))))
+    for series in log.telemetry.series:
+        assert series.t_ns.tolist() == [1_000_000, 11_000_000]
+        assert series.host_ns.tolist() == series.t_ns.tolist()
+
+
+def test_other_events_between_the_records_change_nothing(tmp_path: Path) -> None:
+    plain = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], RECORDS))))
+    mixed_records = (MARK.record(5, 1), RECORDS[0], MARK.record(5_000, 2), MARK.record(5_001, 3), RECORDS[1])
+    mixed = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([PID, MARK], mixed_records))))
+    assert [s.signal for s in mixed.telemetry.series] == [s.signal for s in plain.telemetry.series]
+    for ours, theirs in zip(mixed.telemetry.series, plain.telemetry.series, strict=True):
+        np.testing.assert_array_equal(ours.t_ns, theirs.t_ns)
+        np.testing.assert_array_equal(ours.values, theirs.values)
+
+
+def test_raw_sensor_axes_turn_about_x(tmp_path: Path) -> None:
+    raw = CrazyflieEvent(
+        1, "imu", tuple(f"{name}(f)" for name in ("gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y", "acc.z"))
+    )
+    log = read_crazyflie(written(tmp_path, with_checksum(crazyflie_content([raw], [raw.record(1, 1, 2, 3, 0, 0, 1)]))))
+    assert np.degrees(log.telemetry.need(Signal.BODY_RATE).values[0]) == pytest.approx([1, -2, -3])
+    assert log.telemetry.need(Signal.SPECIFIC_FORCE).values[0] == pytest.approx([0, 0, -9.80665])
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (with_checksum(crazyflie_content([PID], RECORDS))[:-1], "checksum"),
+        (with_checksum(crazyflie_content([PID], RECORDS)[:-5]), "cut short"),
+        (with_checksum(crazyflie_content([PID], RECORDS, version=3)), "version 3"),
+        (with_checksum(crazyflie_content([PID], [])), "no records"),
+        (with_checksum(crazyflie_content([PID], [])[:40]), "header ends early"),
+        (with_checksum(crazyflie_content([MARK], [MARK.record(1, 2)])), "no signal"),
+        (with_checksum(crazyflie_content([PID], [MARK.record(1, 2)])), "no declared type"),
+        (with_checksum(crazyflie_content([CrazyflieEvent(1, "x", ("pm.vbat(s)",))], [b"\1\0"])), "known type"),
+        (with_checksum(crazyflie_content([PID], [PID.record(2**60, *range(9))])), "time stamp"),
+        (b"\xbc", "first bytes"),
+        (b"\xa3\x95\x80\x80 another kind of file", "first bytes"),
+        (b"", "empty"),
+    ],
+)
+def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: bytes, reason: str) -> None:
+    with pytest.raises(InputError, match=reason) as caught:
+        read_crazyflie(written(tmp_path, content))
+    assert "log00" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_crazyflie(tmp_path / "absent")
+
+
+def test_it_is_recognised_by_content(tmp_path: Path) -> None:
+    path = written(tmp_path, with_checksum(crazyflie_content([PID], RECORDS)))
+    assert read_log(path).profile == "crazyflie"
