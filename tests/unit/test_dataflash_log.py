@@ -1,0 +1,158 @@
+"""The DataFlash reader on logs written by hand: formats, eras, instances, motors, arming, and damage."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_logs import DataFlashMessage, dataflash
+
+from mavdiag.errors import InputError
+from mavdiag.logs import read_log
+from mavdiag.logs.dataflash import read_dataflash
+from mavdiag.logs.log import Log
+from mavdiag.quantities import Signal
+
+IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+RATE_FIELDS = "RDes,R,ROut,PDes,P,POut,YDes,Y,YOut"
+RATE = DataFlashMessage(73, "RATE", "Qfffffffff", f"TimeUS,{RATE_FIELDS}")
+RCOU = DataFlashMessage(62, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6")
+PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
+ARM = DataFlashMessage(186, "ARM", "QB", "TimeUS,ArmState")
+EV = DataFlashMessage(13, "EV", "B", "Id")
+GPS = DataFlashMessage(90, "GPS", "QBIH", "TimeUS,Status,GMS,GWk")
+OLD_IMU = DataFlashMessage(131, "IMU", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+OLD_IMU2 = DataFlashMessage(135, "IMU2", "Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+OLD_RATE = DataFlashMessage(29, "RATE", "Ifffffffff", f"TimeMS,{RATE_FIELDS}")
+OLD_CURR = DataFlashMessage(166, "CURR", "Ih", "TimeMS,Volt")
+OLD_CTUN = DataFlashMessage(4, "CTUN", "Ihf", "TimeMS,ThrOut,Alt")
+
+
+def imu(time_us: int, rate: float = 0.0, instance: int = 0) -> bytes:
+    return IMU.record(time_us, instance, rate, 0, 0, 0, 0, -9.8)
+
+
+def read(folder: Path, content: bytes) -> Log:
+    path = folder / "00000007.BIN"
+    path.write_bytes(content)
+    return read_dataflash(path)
+
+
+def first(log: Log, signal: Signal) -> list[float]:
+    values: list[float] = log.telemetry.need(signal).values[0].tolist()
+    return values
+
+
+def test_format_characters_carry_their_multiplier_and_angles_become_radians(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([ATT], [ATT.record(5_000, 1000, 1100, -500, -400, 350.0, 10.0)]))
+    assert first(log, Signal.ATTITUDE_SETPOINT) == pytest.approx([math.radians(a) for a in (10, -5, -10)])
+    assert first(log, Signal.ATTITUDE) == pytest.approx([math.radians(a) for a in (11, -4, 10)])
+    assert log.telemetry.need(Signal.ATTITUDE).t_ns.tolist() == [5_000_000]
+    assert log.profile == "ardupilot-log"
+
+
+def test_only_the_first_imu_is_taken(tmp_path: Path) -> None:
+    new = read(tmp_path, dataflash([IMU], [imu(1, 0.5, 1), imu(2, 0.25, 0), imu(3, 0.5, 1)]))
+    assert first(new, Signal.BODY_RATE) == [0.25, 0, 0]
+    assert len(new.telemetry.need(Signal.BODY_RATE)) == 1
+    records = [OLD_IMU2.record(1, 0.5, 0, 0, 0, 0, 0), OLD_IMU.record(1, 0.25, 0, 0, 0, 0, 0)]
+    old = read(tmp_path, dataflash([OLD_IMU, OLD_IMU2], records))
+    assert first(old, Signal.BODY_RATE) == [0.25, 0, 0]
+    assert old.telemetry.need(Signal.BODY_RATE).t_ns.tolist() == [1_000_000]
+
+
+def turning(message: DataFlashMessage, *values: float) -> list[bytes]:
+    """Two records of RATE among those of an IMU that turns at 10 deg/s."""
+    unit = 1 if message is OLD_RATE else 1_000
+    turn = math.radians(10)
+    return [imu(1_000, turn), message.record(2 * unit, *values), imu(3_000, turn), message.record(4 * unit, *values)]
+
+
+def test_rate_is_in_degrees_per_second_today(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([RATE, IMU], turning(RATE, 20, 10, 0.1, 0, 0, 0, 0, 0, 0)))
+    assert first(log, Signal.RATE_SETPOINT) == pytest.approx([math.radians(20), 0, 0])
+    assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
+
+
+@pytest.mark.parametrize("message", [OLD_RATE, RATE])
+def test_rate_was_in_hundredths_up_to_copter_3_3(tmp_path: Path, message: DataFlashMessage) -> None:
+    log = read(tmp_path, dataflash([IMU, message], turning(message, 2000, 1000, 450, 0, 0, 0, 0, 0, 0)))
+    assert first(log, Signal.RATE_SETPOINT) == pytest.approx([math.radians(20), 0, 0])
+    assert first(log, Signal.TORQUE_COMMAND) == pytest.approx([0.1, 0, 0])
+
+
+def test_plain_integers_of_the_old_era_are_hundredths_of_volts_and_thousandths_of_throttle(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([OLD_CURR, OLD_CTUN], [OLD_CURR.record(1, 1652), OLD_CTUN.record(1, 396, 7.5)]))
+    assert first(log, Signal.VOLTAGE) == pytest.approx([16.52])
+    assert first(log, Signal.THRUST_SETPOINT) == pytest.approx([0.396])
+    assert first(log, Signal.HEIGHT) == [7.5]
+
+
+def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
+    functions = {1: 0, 2: 34, 3: 33, 4: 10, 5: 35}
+    parameters = [PARM.record(1, f"SERVO{n}_FUNCTION".encode(), value) for n, value in functions.items()]
+    outputs = RCOU.record(2, 1100, 1200, 1300, 1400, 1500, 0)
+    log = read(tmp_path, dataflash([PARM, RCOU], [*parameters, outputs]))
+    assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
+
+
+def test_without_parameters_every_output_in_use_is_taken(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([RCOU], [RCOU.record(2, 1100, 0, 1300, 900, 0, 0)]))
+    assert first(log, Signal.ACTUATOR) == pytest.approx([0.1, 0.3, 0.0])
+
+
+def test_arming_comes_from_its_message(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([ARM, EV], [ARM.record(7, 1), EV.record(11), ARM.record(9, 0)]))
+    armed = log.telemetry.need(Signal.ARMED)
+    assert armed.t_ns.tolist() == [7_000, 9_000]
+    assert armed.values[:, 0].tolist() == [1, 0]
+
+
+def test_an_event_without_time_takes_that_of_the_imu_before_it(tmp_path: Path) -> None:
+    records = [imu(10), EV.record(25), imu(20), EV.record(10), imu(30), imu(40), EV.record(11)]
+    armed = read(tmp_path, dataflash([IMU, EV], records)).telemetry.need(Signal.ARMED)
+    assert armed.t_ns.tolist() == [20_000, 40_000]
+    assert armed.values[:, 0].tolist() == [1, 0]
+
+
+def test_gps_dates_the_first_sample(tmp_path: Path) -> None:
+    noon_2020 = 1_577_880_000  # 2020-01-01 12:00 UTC: GPS week 2086, and 18 leap seconds
+    tow_ms = (noon_2020 - 315_964_800 + 18 - 2086 * 604_800) * 1000
+    records = [imu(4_000_000), GPS.record(4_500_000, 1, 0, 0), GPS.record(5_000_000, 3, tow_ms, 2086)]
+    assert read(tmp_path, dataflash([IMU, GPS], records)).started_ns == (noon_2020 - 1) * 1_000_000_000
+    assert read(tmp_path, dataflash([IMU], [imu(1)])).started_ns == 0
+
+
+def test_reading_resumes_after_damage(tmp_path: Path) -> None:
+    records = [imu(1), imu(2), b"\xa3\x95\xee", imu(3), b"garbage\xa3", imu(4), imu(5)[:-6]]
+    log = read(tmp_path, dataflash([IMU], records))
+    assert log.telemetry.need(Signal.BODY_RATE).t_ns.tolist() == [1_000, 2_000, 3_000, 4_000]
+
+
+def test_a_format_that_does_not_add_up_is_stepped_over(tmp_path: Path) -> None:
+    wrong = bytearray(ATT.definition())
+    wrong[4] += 1  # its declared length
+    stepped_over = b"\xa3\x95\x46" + bytes(wrong[4] - 3)
+    log = read(tmp_path, dataflash([IMU], [bytes(wrong), imu(1), stepped_over, imu(2)]))
+    assert len(log.telemetry.need(Signal.BODY_RATE)) == 2
+    assert log.telemetry.get(Signal.ATTITUDE) is None
+
+
+def test_values_that_are_not_numbers_stay_so(tmp_path: Path) -> None:
+    log = read(tmp_path, dataflash([ATT], [ATT.record(1, 0, 0, 0, 0, math.inf, math.nan)]))
+    assert np.isnan(log.telemetry.need(Signal.ATTITUDE_SETPOINT).values[0, 2])
+    assert np.isnan(log.telemetry.need(Signal.ATTITUDE).values[0, 2])
+
+
+@pytest.mark.parametrize("content", [dataflash([IMU, ATT], []), b"\xa3\x95\x80\x80", b"\xa3\x95", b"text", b""])
+def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(InputError, match=r"00000007\.BIN") as caught:
+        read(tmp_path, content)
+    assert "\n" not in str(caught.value)
+
+
+def test_it_is_recognised_by_content(tmp_path: Path) -> None:
+    path = tmp_path / "no-suffix"
+    path.write_bytes(dataflash([IMU], [imu(1)]))
+    assert read_log(path).profile == "ardupilot-log"
