@@ -59,7 +59,7 @@ def estimate_response(u: Records, y: Records, *, dt: float, segment: int = 1024)
     records = [one for one in to_segments(u, y, (1, 1, 0)) if len(one) >= 2 * segment]
     if segment < 8 or not records:
         raise IdentificationError(f"no record holds two windows of {segment} samples; use a shorter window")
-    frequency: FloatArray = np.fft.rfftfreq(segment, dt)
+    frequency = np.fft.rfftfreq(segment, dt).astype(np.float64)
     uu, yy = np.zeros(len(frequency)), np.zeros(len(frequency))
     uy = np.zeros(len(frequency), dtype=np.complex128)
     windows = 0

@@ -59,8 +59,9 @@ class ArxModel:
     r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent].
     mse: mean e_sim^2. yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)).
     aic: ln V + 2d/n and fpe: V (1 + d/n)/(1 - d/n) for d = na + nb parameters and n residuals, where V is the mean
-    square of the method's own residual: the one-step error for LS, e_sim for SRIV. So compare orders with them, not
-    methods. samples: rows of training data. iterations and converged: of SRIV; 0 and True where nothing iterates.
+    square of the method's own residual: the one-step error for LS, the output error with free initial states for
+    SRIV. So compare orders with them, not methods. samples: rows of training data. iterations and converged: of
+    SRIV; 0 and True where nothing iterates.
 
     The arrays are copied and made read-only. Raises IdentificationError if the coefficients do not fit the order, are
     not finite, or dt is not positive. A model with a pole on or outside the unit circle may be built, since published

@@ -6,9 +6,10 @@ which makes the estimate efficient for white e and consistent for coloured e (P.
 Time-Series Analysis 2e, ch. 7; the data-based mechanistic school of T 4.1.1).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mavdiag.errors import IdentificationError
 from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressors, solve
 from mavdiag.identify.data import Segment
 from mavdiag.identify.model import Order
@@ -16,9 +17,10 @@ from mavdiag.quantities import FloatArray
 
 __all__ = ["reflect_poles", "sriv"]
 
-MAX_ITERATIONS = 60  # our choice; good data take 3 to 10
+MAX_ITERATIONS = 40  # our choice; good data take 3 to 10
 STEP_OVER_ERROR = 1e-3  # converged when no parameter moves more than this share of its standard error ..
 STEP_RELATIVE = 1e-9  # .. or, on data without noise, of itself
+MAX_HALVINGS = 10  # of a step that leaves the unit circle (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
 
 
@@ -54,49 +56,73 @@ def _filtered_rows(segment: Segment, order: Order, a: FloatArray, y_sim: FloatAr
     return filtered - Q @ (Q.T @ filtered)
 
 
-def _iterate(
-    segments: tuple[Segment, ...], order: Order, a: FloatArray, b: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """One refinement: new theta, its standard errors, and the old model's mean squared simulation error."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    """A stable theta, the SRIV solution `target` that follows from it with its errors, and theta's own loss."""
+
+    theta: FloatArray
+    target: FloatArray
+    errors: FloatArray
+    loss: float
+    rows: int
+
+    @property
+    def settled(self) -> bool:
+        tolerance = np.maximum(STEP_OVER_ERROR * self.errors, STEP_RELATIVE * np.abs(self.theta))
+        return bool(np.all(np.abs(self.target - self.theta) <= tolerance))
+
+
+def _evaluate(segments: tuple[Segment, ...], order: Order, theta: FloatArray) -> _Point:
+    """Solve Z_f' Phi_f target = Z_f' y_f with filter and instruments from theta.
+
+    y_f - Phi_f theta is the output error y - y_sim of theta (initial states free) and Z_f its gradient, so a fixed
+    point is where the mean squared output error is stationary, and target - theta is the Gauss-Newton step to it.
+    """
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
-    simulated = [np.asarray(lfilter(b, a, segment.u), dtype=np.float64) for segment in segments]
+    a, b = polynomials(theta, order)
     rows = np.concatenate(
-        [_filtered_rows(segment, order, a, y_sim) for segment, y_sim in zip(segments, simulated, strict=True)]
+        [_filtered_rows(one, order, a, np.asarray(lfilter(b, a, one.u), dtype=np.float64)) for one in segments]
     )
-    n, d = len(rows), (rows.shape[1] - 1) // 2
+    n, d = len(rows), len(theta)
     Z, Phi, y = rows[:, :d], rows[:, d : 2 * d], rows[:, -1]
-    theta, spread = solve(Z, Phi, y)
-    freedom = max(1, n - d - len(segments) * (len(a) - 1))
-    variance = float(np.sum((y - Phi @ theta) ** 2)) / freedom
-    squares = sum(float(np.sum((one.y - y_sim) ** 2)) for one, y_sim in zip(segments, simulated, strict=True))
-    return theta, np.sqrt(spread * variance), squares / sum(len(one) for one in segments)
+    target, spread = solve(Z, Phi, y)
+    squares = float(np.sum((y - Phi @ theta) ** 2))
+    freedom = max(1, n - d - len(segments) * order[0])
+    return _Point(theta, target, np.sqrt(spread * squares / freedom), squares / n, n)
+
+
+def _reflected_step(order: Order, point: _Point) -> FloatArray:
+    """`target`, its poles outside the unit circle mirrored to the inside."""
+    return np.concatenate((reflect_poles(polynomials(point.target, order)[0])[1:], point.target[order[0] :]))
+
+
+def _shortened_step(order: Order, point: _Point) -> FloatArray:
+    """`target`, or as far towards it from theta as keeps the model stable, by halving."""
+    theta = point.target
+    for _ in range(MAX_HALVINGS):
+        if np.all(np.abs(np.roots(polynomials(theta, order)[0])) < 1.0):
+            return theta
+        theta = 0.5 * (point.theta + theta)
+    return point.theta
 
 
 def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     """SRIV estimate over all segments, started from least squares.
 
-    standard_errors = sqrt(diag (Z_f' Z_f)^-1 var(e)), right for white output noise. Poles outside the unit circle are
-    reflected while it iterates. If the loop does not settle, the iterate with the smallest simulation error is
-    returned and `converged` is False.
-    Raises IdentificationError if the data cannot tell the parameters apart.
+    standard_errors = sqrt(diag (Z_f' Z_f)^-1 var(e)), right for white output noise. loss: mean squared output error
+    with the initial state of each segment free. A step to an unstable model has its poles reflected; if that does not
+    settle, the loop is run again with such steps cut short. If neither settles, the iterate with the smallest loss is
+    returned and `converged` is False: such data hardly tell the parameters apart.
+    Raises IdentificationError if they cannot tell them apart at all.
     """
-    best = Estimate(np.empty(0), np.empty(0), np.inf, 0)
-    theta = least_squares(segments, order).theta
-    errors = np.full(len(theta), np.nan)
-    samples = sum(len(segment) for segment in segments)
-    for iteration in range(MAX_ITERATIONS):
-        a, b = polynomials(theta, order)
-        stable = reflect_poles(a)
-        moved, moved_errors, loss = _iterate(segments, order, stable, b)
-        if not (np.isfinite(moved).all() and np.isfinite(loss)):
-            break
-        if stable is a and loss < best.loss and iteration > 0:
-            best = Estimate(theta, errors, loss, samples, iteration, converged=False)
-        settled = np.abs(moved - theta) <= np.maximum(STEP_OVER_ERROR * moved_errors, STEP_RELATIVE * np.abs(theta))
-        if stable is a and np.all(settled):
-            return Estimate(theta, moved_errors, loss, samples, iteration + 1)
-        theta, errors = moved, moved_errors
-    if best.rows == 0:
-        raise IdentificationError("SRIV found no stable model; lower the order, or record more excited flight")
-    return best
+    a, b = polynomials(least_squares(segments, order).theta, order)
+    first = best = _evaluate(segments, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
+    for next_theta in (_reflected_step, _shortened_step):
+        point = first
+        for iteration in range(1, MAX_ITERATIONS + 1):
+            if point.settled:
+                return Estimate(point.theta, point.errors, point.loss, point.rows, iteration)
+            point = _evaluate(segments, order, next_theta(order, point))
+            best = min(best, point, key=lambda one: one.loss)
+    return Estimate(best.theta, best.errors, best.loss, best.rows, MAX_ITERATIONS, converged=False)
