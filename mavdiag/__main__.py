@@ -1,0 +1,5 @@
+"""`python -m mavdiag`."""
+
+from mavdiag.cli import main
+
+main()

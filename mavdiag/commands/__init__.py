@@ -1,0 +1,1 @@
+"""The commands of `mavdiag`, one file each; `mavdiag.cli` puts them together."""

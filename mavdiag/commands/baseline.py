@@ -1,0 +1,52 @@
+"""`mavdiag baseline show|check`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mavdiag import commandline
+from mavdiag.storage import load_baseline
+
+__all__ = ["app"]
+
+app = commandline.application("Look into a baseline file.")
+
+
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the whole file as one JSON line.")] = False,
+) -> None:
+    """Print what a baseline says."""
+    baseline = load_baseline(file)
+    if as_json:
+        typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
+        return
+    link = baseline.link
+    typer.echo(f"airframe   {baseline.airframe.name} ({baseline.airframe.scope})")
+    typer.echo(f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid")
+    typer.echo(f"window     {baseline.window.samples} samples, order {baseline.window.order}")
+    for model in baseline.models:
+        fit = f"{model.method} {model.order}, R_T² {model.r2t:.4f}"
+        typer.echo(f"{model.axis:<10} {fit}, a = {_row(model.a)}, b = {_row(model.b)}")
+    for monitor in baseline.monitors:
+        n = len(monitor.longest_run_s)
+        typer.echo(
+            f"{monitor.kind:<10} {monitor.axis}: margin {monitor.margin_rad_s:.4f} rad/s ({monitor.margin_rule}), "
+            f"FML {monitor.fml_s:.3f} s from {n} flights, {monitor.false_alarms_per_flight:.3f} false alarms per flight"
+        )
+    typer.echo(f"support    {len(baseline.provenance.logs)} flights, {baseline.healthy_hours:.3f} h judged")
+    typer.echo(f"made       {baseline.provenance.created} by {baseline.provenance.tool}")
+
+
+@app.command()
+def check(file: Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.")]) -> None:
+    """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
+    baseline = load_baseline(file)
+    typer.echo(f"{file}: sound, {baseline.digest}")
+
+
+def _row(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"

@@ -1,0 +1,52 @@
+"""`mavdiag inspect`: what rates, units and profile do I really get?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from mavdiag.commands.listen import hear
+from mavdiag.link.endpoint import is_address
+from mavdiag.logs import Log, read_log
+from mavdiag.quantities import NS_PER_S, Series
+
+__all__ = ["inspect"]
+
+
+def inspect(
+    source: Annotated[str, typer.Argument(metavar="ENDPOINT|LOG", help="udpin:127.0.0.1:14550, ... or a log file.")],
+    duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
+    vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id, where there are several.")] = None,
+) -> None:
+    """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
+    log = hear(source, duration, vehicle) if is_address(source) else read_log(Path(source), vehicle)
+    _print(log)
+
+
+def _print(log: Log) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{log.name}: profile {log.profile}")
+    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range"):
+        table.add_column(heading, justify="right")
+    for series in log.telemetry.series:
+        if len(series):
+            table.add_row(series.signal, str(len(series)), *_timing(series), _extent(series))
+    Console().print(table)
+
+
+def _timing(series: Series) -> tuple[str, str, str]:
+    """Rate by the median step, jitter as the standard deviation of the usual steps, and the longest step."""
+    steps = np.diff(np.unique(series.t_ns)) / NS_PER_S
+    if len(steps) == 0:
+        return "-", "-", "-"
+    median = float(np.median(steps))
+    usual = steps[steps < 3 * median]
+    return f"{1 / median:.1f}", f"{1e3 * float(usual.std()):.3f}", f"{float(steps.max()):.3f}"
+
+
+def _extent(series: Series) -> str:
+    low, high = np.nanmin(series.values, axis=0), np.nanmax(series.values, axis=0)
+    return "  ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
