@@ -1,0 +1,113 @@
+"""SRIV finds the truth under output noise, where least squares does not, and knows how well."""
+
+import json
+
+import numpy as np
+import pytest
+from identification_data import ROLL, WELL, record
+from numpy.testing import assert_allclose
+from shared_data import shared
+
+from mavdiag.identify import ArxModel, Method, fit
+from mavdiag.identify.sriv import reflect_poles
+from mavdiag.identify.validate import examine_residual, nrmse_percent
+
+
+@pytest.mark.parametrize(
+    ("noise", "sriv_fit", "ls_fit"),
+    [(0.05, 99.8, 60.0), (0.20, 99.4, 12.0)],
+)
+@pytest.mark.parametrize("seed", range(4))
+def test_the_thesis_roll_model_under_output_noise(noise: float, sriv_fit: float, ls_fit: float, seed: int) -> None:
+    data = record(ROLL, 20_000, noise, seed)
+    refined, plain = (fit(data.u, data.y, dt=0.001, method=method) for method in ("sriv", "ls"))
+    assert refined.converged
+    assert nrmse_percent(data.clean, refined.simulate(data.u)) > sriv_fit
+    assert nrmse_percent(data.clean, plain.simulate(data.u)) < ls_fit
+
+
+@pytest.mark.parametrize("column", ["y_out5", "y_out20"])
+def test_octaves_noisy_records_give_the_true_model(column: str) -> None:
+    folder = shared("reference/octave")
+    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
+    truth = json.loads((folder / "true_models.json").read_text())["well"]
+    model = fit(table["u"], table[column], dt=0.001)
+    error = model.theta - np.array([*truth["a"][1:], *truth["b"][1:]])
+    assert np.all(np.abs(error) < 3.5 * model.standard_errors)
+    assert nrmse_percent(table["y_clean"], model.simulate(table["u"])) > (99.7 if column == "y_out5" else 98.9)
+    plain = fit(table["u"], table[column], dt=0.001, method="ls")
+    assert nrmse_percent(table["y_clean"], plain.simulate(table["u"])) < (97.0 if column == "y_out5" else 85.0)
+
+
+@pytest.mark.parametrize(("model", "n", "noise"), [(WELL, 1500, 0.2), (WELL, 1500, 0.5), (ROLL, 5000, 0.2)])
+def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> None:
+    normalised = []
+    for seed in range(60):
+        data = record(model, n, noise, seed)
+        found = fit(data.u, data.y, dt=model.dt)
+        normalised.append((found.theta - model.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    # 60 trials: the rms of a parameter has a standard deviation of 0.09
+    assert np.all((rms > 0.7) & (rms < 1.3)), rms
+
+
+def test_flights_that_begin_in_motion_do_not_bias_it() -> None:
+    normalised = []
+    for seed in range(40):
+        data = record(ROLL, 6000, 0.2, seed)
+        parts = [slice(2000, 3000), slice(3500, 4700), slice(4800, 6000)]
+        found = fit([data.u[part] for part in parts], [data.y[part] for part in parts], dt=0.001)
+        normalised.append((found.theta - ROLL.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    assert np.all(rms < 1.4), rms
+
+
+def test_noise_free_data_give_the_model_to_rounding() -> None:
+    data = record(WELL, 500, 0.0, 3)
+    model = fit(data.u, data.y, dt=0.01)
+    assert_allclose(model.theta, WELL.theta, atol=1e-12)
+    assert model.r2t == pytest.approx(1.0, abs=1e-12)
+    assert model.method is Method.SRIV
+
+
+def test_its_output_error_is_white_and_independent_of_the_input() -> None:
+    data = record(WELL, 5000, 0.2, 5)
+    report = examine_residual(data.y - fit(data.u, data.y, dt=0.01).simulate(data.u), data.u)
+    assert report.white
+    assert report.independent
+    plain = fit(data.u, data.y, dt=0.01, method="ls")
+    biased = examine_residual(data.y - plain.simulate(data.u), data.u)
+    assert not biased.white
+    assert not biased.independent
+
+
+@pytest.mark.parametrize("order", [(1, 1, 1), (2, 2, 1), (2, 2, 2), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
+def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
+    na, nb, nk = order
+    rng = np.random.default_rng(11)
+    poles = np.array([0.9, 0.5, -0.3])[:na]
+    a = np.real(np.atleast_1d(np.poly(poles)))
+    truth = ArxModel(a, np.r_[np.zeros(nk), 0.3 + rng.random(nb)], 0.01, order, Method.PUBLISHED)
+    data = record(truth, 8000, 0.1, 12)
+    found = fit(data.u, data.y, order, dt=0.01)
+    assert np.all(np.abs(found.theta - truth.theta) < 4.5 * found.standard_errors)
+    assert nrmse_percent(data.clean, found.simulate(data.u)) > 99.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_hardly_exciting_data_still_end_in_a_stable_model(seed: int) -> None:
+    # A step every 100 samples says almost nothing about the fast pole at 0.53.
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal(50), 100)
+    clean = ROLL.simulate(u)
+    model = fit(u, clean + 0.2 * clean.std() * rng.standard_normal(len(u)), dt=0.001)
+    assert model.stable
+    assert nrmse_percent(clean, model.simulate(u)) > 95.0
+
+
+def test_reflected_poles_are_inside_and_the_others_stay() -> None:
+    a = np.real(np.poly([1.25, 0.5, -2.0]))
+    assert_allclose(np.sort(np.roots(reflect_poles(a))), [-0.5, 0.5, 0.8], atol=1e-12)
+    assert np.all(np.abs(np.roots(reflect_poles(np.array([1.0, -2.0, 1.0])))) < 1.0)
+    stable = np.array([1.0, -0.5, 0.0])
+    assert reflect_poles(stable) is stable
