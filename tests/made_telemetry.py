@@ -1,0 +1,63 @@
+"""Synthetic telemetry for the tests: a known linear airframe, sampled as a vehicle would send it."""
+
+import itertools
+
+import numpy as np
+from scipy.signal import lfilter
+
+from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+
+DT_NS = 1_000_000
+A = np.array([1.0, -1.95, 0.9512])  # a well damped rate loop at 1 kHz, DC gain 1
+B = np.array([0.0, 0.0007, 0.0005])
+
+
+def series(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
+    """A series whose host clock runs 5 ms behind the vehicle's."""
+    return Series(signal, t_ns, t_ns + 5_000_000, values)
+
+
+def setpoints(n: int, seed: int) -> FloatArray:
+    """(n, 3) attitude set-points [rad]: smooth random steps, about 0.1 rad."""
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.normal(0, 0.1, (n // 400 + 1, 3)), 400, axis=0)[:n]
+    return np.asarray(lfilter([0.02], [1, -0.98], steps, axis=0), dtype=np.float64)
+
+
+def gyro(setpoint: FloatArray, seed: int, noise: float = 0.01) -> FloatArray:
+    """(n, 3) body rates [rad/s] that the airframe answers with, plus white noise."""
+    rate = np.gradient(setpoint, DT_NS / 1e9, axis=0)
+    rng = np.random.default_rng(seed + 1)
+    clean = np.asarray(lfilter(B, A, rate, axis=0), dtype=np.float64)
+    return clean + noise * rng.standard_normal(setpoint.shape)
+
+
+def flight(n: int, seed: int, *, push: FloatArray | None = None, start_ns: int = 1_000_000_000) -> Telemetry:
+    """A flight of n samples at 1 kHz; push: (n,) rates [rad/s] added to the roll gyro."""
+    t_ns = start_ns + DT_NS * np.arange(n, dtype=np.int64)
+    setpoint = setpoints(n, seed)
+    rate = gyro(setpoint, seed)
+    if push is not None:
+        rate[:, 0] += push
+    return Telemetry(
+        (
+            series(Signal.ATTITUDE_SETPOINT, t_ns, setpoint),
+            series(Signal.BODY_RATE, t_ns, rate),
+            series(Signal.SPECIFIC_FORCE, t_ns, np.tile([0.0, 0.0, -9.81], (n, 1))),
+            series(Signal.ARMED, t_ns[::1000], np.ones((len(t_ns[::1000]), 1))),
+        )
+    )
+
+
+def cut(telemetry: Telemetry, edges_ns: list[int]) -> list[Telemetry]:
+    """The same telemetry in chunks, cut by the time of arrival."""
+    bounds = [-(2**62), *edges_ns, 2**62]
+    chunks = []
+    for low, high in itertools.pairwise(bounds):
+        parts = []
+        for one in telemetry.series:
+            keep = (one.host_ns >= low) & (one.host_ns < high)
+            if keep.any():
+                parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+        chunks.append(Telemetry(tuple(parts)))
+    return chunks
