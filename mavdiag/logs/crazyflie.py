@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.logs.log import Log, read_bytes, sha256_of
-from mavdiag.logs.records import gather, recorded
+from mavdiag.logs.records import as_floats, gather, recorded
 from mavdiag.quantities import IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_crazyflie"]
@@ -218,5 +218,5 @@ def _convert(row: _Row, group: _Events) -> Series:
     values = np.full((len(group.t_ns), len(row.variables)), np.nan)
     for column, (variable, factor) in enumerate(zip(row.variables, row.factors, strict=True)):
         if variable is not None:
-            values[:, column] = group.records[f"f{group.variables.index(variable) + 2}"].astype(np.float64) * factor
+            values[:, column] = as_floats(group.records[f"f{group.variables.index(variable) + 2}"]) * factor
     return recorded(row.signal, group.t_ns, values)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.logs.records import gather
+from mavdiag.logs.records import as_floats, gather
 from mavdiag.quantities import FloatArray, IntArray
 
 __all__ = ["INTEGERS", "Table", "read_tables"]
@@ -72,7 +72,7 @@ class Table:
         """A field as numbers, (n,), by its character's multiplier; a plain integer counts in `integer_unit`."""
         character = self.format.characters[self.format.labels.index(label)]
         unit = integer_unit if character in INTEGERS else _MULTIPLIERS.get(character, 1.0)
-        return self.raw(label).astype(np.float64) * unit
+        return as_floats(self.raw(label)) * unit
 
     def columns(self, labels: Collection[str], integer_unit: float = 1.0) -> FloatArray:
         """Several fields, (n, len(labels))."""

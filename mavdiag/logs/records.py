@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mavdiag.quantities import FloatArray, IntArray, Series, Signal
 
-__all__ = ["gather", "recorded"]
+__all__ = ["as_floats", "gather", "recorded"]
 
 
 def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntArray) -> NDArray[np.void]:
@@ -24,6 +24,12 @@ def gather(data: bytes, layout: np.dtype[np.void], starts: Sequence[int] | IntAr
     windows = sliding_window_view(np.frombuffer(data, np.uint8), layout.itemsize)
     records: NDArray[np.void] = windows[np.asarray(starts)].view(layout)[:, 0]
     return records
+
+
+def as_floats(stored: NDArray[np.generic]) -> FloatArray:
+    """Stored numbers as floats, the same shape. Damage can leave a signalling NaN, which becomes a quiet one."""
+    with np.errstate(invalid="ignore"):
+        return stored.astype(np.float64)
 
 
 def recorded(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:

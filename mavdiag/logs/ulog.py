@@ -19,7 +19,7 @@ from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
 from mavdiag.logs.log import Log, read_bytes, sha256_of
-from mavdiag.logs.records import recorded
+from mavdiag.logs.records import as_floats, recorded
 from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_ulog"]
@@ -208,7 +208,7 @@ def _series(topics: Mapping[str, ULog.Data]) -> tuple[Series, ...]:
         if time_us is None:
             continue
         known = (time_us > 0) & (time_us < MAX_TIME_US)  # a topic that was never published is stamped 0
-        stored = np.column_stack([topic.data[name][known].astype(np.float64) for name in row.fields])
+        stored = np.column_stack([as_floats(topic.data[name][known]) for name in row.fields])
         with np.errstate(invalid="ignore", over="ignore"):  # damaged values become NaN or infinite
             values = row.convert(stored)
         if values.size:
