@@ -1,0 +1,204 @@
+"""The `sitl-plant` command (edge): fly an emulated QDrone 2 over MAVLink, or record its flight.
+
+Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, told in one line on stderr.
+"""
+
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, NoReturn, TextIO
+
+import typer
+
+from mavdiag import __version__, commandline
+from mavdiag.errors import UsageError
+from mavdiag.link.endpoint import open_endpoint
+from sitl_plant.emulator import FlightReport, Link, fly
+from sitl_plant.options import (
+    Drone,
+    Fault,
+    FlightPlan,
+    Onset,
+    PayloadKg,
+    Phenomenology,
+    Profile,
+    Rate,
+    Rotor,
+    Seed,
+    Trajectory,
+    TruthFile,
+    Wind,
+    flight_plan,
+    parse_speed,
+)
+from sitl_plant.plant import Plant, PlantSamples
+from sitl_plant.recording import record_flight
+from sitl_plant.trajectory import Shape
+from sitl_plant.truth import Truth
+
+__all__ = ["app", "main"]
+
+app = commandline.application("Fly an emulated QDrone 2 with propeller faults and tell of it over MAVLink.")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sitl-plant {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    out: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ENDPOINT",
+            help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
+        ),
+    ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
+    drone: Drone = 1,
+    trajectory: Trajectory = Shape.SQUARE,
+    fault: Fault = None,
+    rotor: Rotor = 1,
+    onset: Onset = 0.0,
+    phenomenology: Phenomenology = 1.0,
+    rate: Rate = None,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Flight time.  [default: until stopped]")] = None,
+    speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
+    seed: Seed = 0,
+    wind: Wind = 0.0,
+    payload: PayloadKg = 0.0,
+    profile: Profile = "qdrone2",
+    truth: TruthFile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Tell start and end as JSON lines on stdout.")] = False,
+) -> None:
+    """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
+    plan = flight_plan(drone, trajectory, fault, rotor, onset, phenomenology, rate, seed, wind, payload, profile)
+    pace = parse_speed(speed)
+    if duration is not None and not duration > 0.0:
+        raise UsageError(f"duration must be positive, not {duration:g}")
+    with ExitStack() as stack:
+        links = [Link(stack.enter_context(open_endpoint(address)), plan.flavour, rate) for address in out]
+        lines = stack.enter_context(_truth_file(truth))
+        plant = Plant(plan.config)
+        stop = stack.enter_context(_stop_signals())
+        _announce(plan, [link.endpoint.address for link in links], as_json)
+        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace else None))
+        report = fly(plant, plan.flavour, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
+    _conclude(report, as_json)
+
+
+@app.command()
+def record(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
+    drone: Drone = 1,
+    trajectory: Trajectory = Shape.SQUARE,
+    fault: Fault = None,
+    rotor: Rotor = 1,
+    onset: Onset = 0.0,
+    phenomenology: Phenomenology = 1.0,
+    rate: Rate = None,
+    duration: Annotated[float, typer.Option(metavar="S", help="Flight time.")] = 60.0,
+    seed: Seed = 0,
+    wind: Wind = 0.0,
+    payload: PayloadKg = 0.0,
+    profile: Profile = "qdrone2",
+    truth: TruthFile = None,
+) -> None:
+    """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
+    plan = flight_plan(drone, trajectory, fault, rotor, onset, phenomenology, rate, seed, wind, payload, profile)
+    if not duration > 0.0:
+        raise UsageError(f"duration must be positive, not {duration:g}")
+    with _truth_file(truth) as lines:
+        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
+        messages = record_flight(output, plan, duration, watch)
+    typer.echo(f"{output}: {duration:g} s of flight, {messages} messages")
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM end the flight at the next block instead of the process at once."""
+    caught: list[int] = []
+    before = {
+        number: signal.signal(number, lambda n, _: caught.append(n)) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _truth_file(path: Path | None) -> Iterator[TextIO | None]:
+    if path is None:
+        yield None
+        return
+    try:
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
+    with file:
+        yield file
+
+
+def _write_truth(file: TextIO | None, truth: Truth) -> Callable[[PlantSamples], None]:
+    """What is to be done with each block: nothing, or write its lines so that a reader sees them at once."""
+    if file is None:
+        return lambda samples: None
+    file.write(truth.head() + "\n")
+
+    def write(samples: PlantSamples) -> None:
+        lines = truth.step(samples)
+        if lines:
+            file.write("\n".join(lines) + "\n")
+            file.flush()
+
+    return write
+
+
+def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
+    """Tell where the vehicle is heard: with port 0 nobody else knows."""
+    config = plan.config
+    if as_json:
+        line = json.dumps(
+            {"event": "flying", "addresses": addresses, "profile": plan.flavour.profile.name, "rate_hz": plan.rate_hz}
+        )
+    else:
+        fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
+        link = f"{plan.flavour.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
+        line = f"drone {config.drone} flies a {config.trajectory}{fault}; {link}"
+    typer.echo(line)
+
+
+def _conclude(report: FlightReport, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"event": "landed"} | asdict(report)))
+        return
+    typer.echo(
+        f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
+        f"{report.messages} messages sent, {report.dropped} dropped, {report.heard} heard; "
+        f"late by {report.late_p50_ms:.1f} ms (half), {report.late_p99_ms:.1f} (99 %), {report.late_max_ms:.1f} (all)"
+    )
+
+
+def main() -> NoReturn:
+    """Entry point of the console script."""
+    commandline.run(app, "sitl-plant")
+
+
+if __name__ == "__main__":
+    main()

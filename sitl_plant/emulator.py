@@ -1,0 +1,195 @@
+"""The run loop (edge): fly in real time, send each message when its time has come, hear and answer in between.
+
+The plant is computed a short block ahead; within a block messages go out in ticks, never before their time. So a
+message is late by at most one tick and by what the machine adds, and the report says how much that was.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.endpoint import Endpoint, wait
+from mavdiag.link.messages import Component
+from sitl_plant.autopilot import Autopilot, Forward, Reply
+from sitl_plant.flavours import Flavour
+from sitl_plant.plant import STEP_NS, Plant, PlantSamples
+from sitl_plant.schedule import Schedule
+from sitl_plant.sensed import Sensed, Sensing
+from sitl_plant.stream import Streamer
+
+__all__ = ["SYSID", "FlightReport", "Link", "fly"]
+
+SYSID = 1  # the emulated vehicle's system id
+BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
+SLIP_S = 0.5  # later than this, the flight's clock is set back: the machine slept or is too slow
+VOICES_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
+
+_LATENESS_BIN_S = 1e-4
+_LATENESS_BINS = 5000  # to 0.5 s
+
+
+@dataclass(frozen=True, slots=True)
+class FlightReport:
+    """How a flight went on the wire. late_*: how long after its time a tick went out; slips: see `SLIP_S`."""
+
+    flown_s: float
+    wall_s: float
+    cpu_s: float
+    messages: int
+    dropped: int
+    heard: int
+    late_p50_ms: float
+    late_p99_ms: float
+    late_max_ms: float
+    slips: int
+
+
+class Link:
+    """One link of the emulated vehicle: an endpoint, its schedule and sequence numbers, and what waits to be sent."""
+
+    def __init__(self, endpoint: Endpoint, flavour: Flavour, rate_hz: float | None) -> None:
+        self.endpoint = endpoint
+        self.schedule = Schedule(flavour.rates_hz(rate_hz), flavour.ceiling_hz)
+        self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
+        self._streamer = Streamer(flavour, self.schedule, self._encoder)
+        self._decoder = Decoder()
+        self._voices: dict[tuple[int, int], Encoder] = {}
+        self._waiting: deque[tuple[int, bytes]] = deque()
+
+    def hear(self) -> list[Frame]:
+        """What came in since the last time."""
+        return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decoder.feed(data, host_ns)]
+
+    def queue(self, sensed: Sensed) -> None:
+        """Make the messages of a block; they wait for their time."""
+        self._waiting.extend(self._streamer.step(sensed))
+
+    def send_due(self, t_ns: int) -> int:
+        """Send what is due at flight time `t_ns`; returns how many messages that were."""
+        waiting, send, sent = self._waiting, self.endpoint.send, 0
+        while waiting and waiting[0][0] <= t_ns:
+            send(waiting.popleft()[1])
+            sent += 1
+        return sent
+
+    def act(self, action: Reply | Forward) -> None:
+        """Say an answer, or pass a frame on in its sender's name."""
+        if isinstance(action, Reply):
+            self.endpoint.send(self._encoder.encode(action.msgid, *action.fields))
+            return
+        frame = action.frame
+        source = (frame.sysid, frame.compid)
+        if source not in self._voices and len(self._voices) < VOICES_MAX and 0 not in source:
+            self._voices[source] = Encoder(*source)
+        if source in self._voices:
+            self.endpoint.send(self._voices[source].encode_wire(frame.msgid, frame.fields))
+
+
+class _Clock:
+    """Flight time against the wall clock. speed: flight seconds a second; None flies as fast as it goes."""
+
+    def __init__(self, t_ns: int, speed: float | None) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic() - (t_ns * 1e-9 / speed if speed else 0.0)
+        self._late = np.zeros(_LATENESS_BINS, dtype=np.int64)
+        self.late_max_s = 0.0
+        self.slips = 0
+
+    def due_s(self, t_ns: int) -> float:
+        """When flight time `t_ns` has come, on the monotonic clock."""
+        return self._start_s + t_ns * 1e-9 / self._speed if self._speed else time.monotonic()
+
+    def note(self, due_s: float) -> None:
+        """Note how late the messages that were due went out."""
+        late_s = time.monotonic() - due_s
+        if late_s > SLIP_S:
+            self._start_s += late_s
+            self.slips += 1
+        self.late_max_s = max(self.late_max_s, late_s)
+        self._late[min(_LATENESS_BINS - 1, int(late_s / _LATENESS_BIN_S))] += 1
+
+    def late_s(self, share: float) -> float:
+        """The lateness that a share of the ticks stayed within, to 0.1 ms."""
+        within = np.cumsum(self._late)
+        return float(np.searchsorted(within, share * within[-1]) + 1) * _LATENESS_BIN_S if within[-1] else 0.0
+
+
+class _Flight:
+    """One flight: the links served, the counts."""
+
+    def __init__(self, links: Sequence[Link], autopilot: Autopilot, clock: _Clock) -> None:
+        self._links, self._autopilot, self._clock = links, autopilot, clock
+        self._endpoints = [link.endpoint for link in links]
+        self.messages = self.heard = 0
+
+    def send_until(self, from_ns: int, until_ns: int, tick_ns: int) -> None:
+        """Send what waits, tick by tick, and serve the links in between."""
+        for index in range(len(self._links)):
+            self._serve(index, from_ns)  # also lets an endpoint reconnect that has nothing to wait for
+        for t_ns in [*range(from_ns + tick_ns, until_ns, tick_ns), until_ns]:
+            due_s = self._clock.due_s(t_ns)
+            self._wait(due_s, t_ns)
+            for link in self._links:
+                self.messages += link.send_due(t_ns)
+            self._clock.note(due_s)
+
+    def _wait(self, due_s: float, t_ns: int) -> None:
+        """Serve the links until it is time. Waiting for descriptors counts in whole milliseconds; the rest is slept."""
+        while (left_s := due_s - time.monotonic()) > 0.001:
+            for endpoint in wait(self._endpoints, left_s - 0.001):
+                self._serve(self._endpoints.index(endpoint), t_ns)
+        if left_s > 0:
+            time.sleep(left_s)
+
+    def _serve(self, index: int, now_ns: int) -> None:
+        for frame in self._links[index].hear():
+            self.heard += 1
+            for action in self._autopilot.step(index, frame, now_ns):
+                self._links[action.link].act(action)
+
+
+def fly(
+    plant: Plant,
+    flavour: Flavour,
+    links: Sequence[Link],
+    *,
+    duration_s: float | None,
+    speed: float | None,
+    stop: Callable[[], bool],
+    watch: Callable[[PlantSamples], None],
+) -> FlightReport:
+    """Fly until `duration_s` of flight time has passed (None: for ever) or `stop` says so.
+
+    speed: flight seconds a second, None for as fast as it goes. watch: is shown every block's truth.
+    """
+    started_s, started_cpu_s = time.monotonic(), time.process_time()
+    sensing = Sensing(flavour, plant.config.seed)
+    autopilot = Autopilot(SYSID, [link.schedule for link in links], flavour.parameters)
+    clock = _Clock(plant.t_ns, speed)
+    flight = _Flight(links, autopilot, clock)
+    steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))
+    tick_ns = max(STEP_NS, round(TICK_S * (speed or 10.0) * 1e9))
+    end_ns = round(duration_s * 1e9) if duration_s is not None else 1 << 62
+    while plant.t_ns < end_ns and not stop():
+        from_ns = plant.t_ns
+        sensed = sensing.step(plant.advance(min(steps, -((from_ns - end_ns) // STEP_NS))))
+        watch(sensed.samples)
+        for link in links:
+            link.queue(sensed)
+        flight.send_until(from_ns, plant.t_ns, tick_ns)
+    return FlightReport(
+        flown_s=plant.t_ns * 1e-9,
+        wall_s=time.monotonic() - started_s,
+        cpu_s=time.process_time() - started_cpu_s,
+        messages=flight.messages,
+        dropped=sum(link.endpoint.traffic.dropped for link in links),
+        heard=flight.heard,
+        late_p50_ms=1e3 * clock.late_s(0.50),
+        late_p99_ms=1e3 * clock.late_s(0.99),
+        late_max_ms=1e3 * clock.late_max_s,
+        slips=clock.slips,
+    )
