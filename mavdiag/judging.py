@@ -14,7 +14,7 @@ from mavdiag.pipeline import Chain, Watch, chain_of
 from mavdiag.quantities import NS_PER_S, Axis, Series, Signal, Telemetry
 from mavdiag.signal.align import measure_grid
 
-__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge"]
+__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge", "origin_ns"]
 
 MIN_JUDGED_S = 1.0  # less airborne flight than this supports no verdict (our choice)
 

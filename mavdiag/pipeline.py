@@ -26,7 +26,7 @@ from mavdiag.signal.block import Block
 from mavdiag.signal.gate import GateSpec, GateState
 from mavdiag.signal.rates import RateSpec, RateState
 
-__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of", "front_of"]
+__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of", "front_of", "model_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

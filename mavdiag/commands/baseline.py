@@ -9,7 +9,7 @@ import typer
 from mavdiag import commandline
 from mavdiag.storage import load_baseline
 
-__all__ = ["app"]
+__all__ = ["app", "check", "show"]
 
 app = commandline.application("Look into a baseline file.")
 

@@ -1,0 +1,112 @@
+"""The house rules that a tool can check: sizes, broad excepts, import-time side effects, documented packages."""
+
+import ast
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("mavdiag", "sitl_plant", "detector")
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+FILE_LINES = 350
+FUNCTION_LINES = 50
+FUNCTION_LINES_P90 = 25
+
+
+def functions(path: Path) -> list[tuple[str, int]]:
+    """Each function with its length in lines, its signature and docstring left out."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            body = node.body[1:] if ast.get_docstring(node) else node.body
+            length = (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+            found.append((f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", length))
+    return found
+
+
+def test_the_packages_are_there() -> None:
+    assert len(FILES) > 40
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_file_is_longer_than_350_lines(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= FILE_LINES
+
+
+def test_no_function_is_longer_than_50_lines_and_nine_in_ten_have_25() -> None:
+    lengths = [one for path in FILES for one in functions(path)]
+    assert [one for one in lengths if one[1] > FUNCTION_LINES] == []
+    assert statistics.quantiles([length for _, length in lengths], n=10)[8] <= FUNCTION_LINES_P90
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_broad_except_and_no_mavutil(path: Path) -> None:
+    text = path.read_text()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ExceptHandler):
+            assert node.type is not None
+            assert not (isinstance(node.type, ast.Name) and node.type.id in {"Exception", "BaseException"})
+    assert "mavutil" not in text
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_module_says_what_it_is_and_what_it_exports(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    assert ast.get_docstring(tree), "no module docstring"
+    public = [
+        node.name
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+    ]
+    exported = [
+        name
+        for node in tree.body
+        if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets)
+        for name in ast.literal_eval(node.value)
+    ]
+    assert not public or exported, f"__all__ is missing: {public}"
+    assert set(public) <= set(exported), f"public but not in __all__: {sorted(set(public) - set(exported))}"
+
+
+def test_the_detector_starts_without_heavy_imports() -> None:
+    code = "import sys, detector.daemon; print(*sorted(m for m in sys.modules if '.' not in m or m == 'scipy.signal'))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = set(run.stdout.split())
+    assert not loaded & {"numba", "matplotlib", "control", "scipy.signal", "pandas", "sitl_plant"}
+
+
+def test_no_import_cycles() -> None:
+    graph = {module_name(path): imports_of(path) for path in FILES}
+    done: set[str] = set()
+    for name in graph:
+        walk(name, graph, (), done)
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(path: Path) -> set[str]:
+    """First-party modules that a file imports when it is imported itself."""
+    names = {module_name(other) for other in FILES}
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} & names
+            found |= {f"{node.module}.{alias.name}" for alias in node.names} & names
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names} & names
+    return found - {module_name(path)}
+
+
+def walk(name: str, graph: dict[str, set[str]], above: tuple[str, ...], done: set[str]) -> None:
+    assert name not in above, f"import cycle: {' -> '.join((*above, name))}"
+    if name not in done:
+        for other in graph[name]:
+            walk(other, graph, (*above, name), done)
+        done.add(name)
