@@ -23,6 +23,7 @@ __all__ = [
     "Reading",
     "Run",
     "Timeline",
+    "changed_clock",
     "place",
     "rebooted",
     "unwrap",
@@ -93,6 +94,11 @@ def unwrap(counter: Counter, last: Reading | None, raw: IntArray, host_ns: IntAr
     return _unwrap_step_by_step(counter, last, np.clip(raw, 0, HIGHEST_NS // counter.tick_ns), host_ns)
 
 
+def changed_clock(counter: Counter, last: Reading, raw: int) -> bool:
+    """Whether a count that broke off went over from time since boot to unix time or back, which is no reboot."""
+    return (last.raw * counter.tick_ns >= EPOCH_NS) != (raw * counter.tick_ns >= EPOCH_NS)
+
+
 def _unwrap_step_by_step(counter: Counter, last: Reading | None, raw: IntArray, host_ns: IntArray) -> Run:
     before = last or Reading(int(raw[0]), 0, int(host_ns[0]))
     start = before.raw + before.turns * counter.turn
@@ -157,14 +163,15 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     if timeline.on_epoch is None:
         timeline = _begun(timeline, runs[0])
     boot, epoch = timeline.delays
-    delays = (
-        _watched(boot, [run for run in runs if not run.on_epoch]),
-        _watched(epoch, [run for run in runs if run.on_epoch]),
-    )
+    delays = _watched(boot, runs, on_epoch=False), _watched(epoch, runs, on_epoch=True)
     times = [_times(timeline, delays, run) for run in runs]
-    known = [int(t_ns.max()) for t_ns in times if len(t_ns)] + ([] if timeline.t_ns is None else [timeline.t_ns])
-    received = max(timeline.host_ns, *(run.reading.host_ns for run in runs))
-    return replace(timeline, delays=delays, t_ns=max(known), host_ns=received), times
+    known_ns, received_ns = timeline.t_ns, timeline.host_ns
+    for run, t_ns in zip(runs, times, strict=True):
+        received_ns = max(received_ns, run.reading.host_ns)
+        if len(t_ns):
+            latest = int(t_ns.max())
+            known_ns = latest if known_ns is None else max(known_ns, latest)
+    return Timeline(timeline.on_epoch, timeline.base_ns, delays, known_ns, received_ns, timeline.reboots), times
 
 
 def _begun(timeline: Timeline, first: Run) -> Timeline:
@@ -174,14 +181,17 @@ def _begun(timeline: Timeline, first: Run) -> Timeline:
     return replace(timeline, on_epoch=first.on_epoch, base_ns=resume_ns - int(first.clock_ns[0]))
 
 
-def _watched(delay: Delay | None, runs: Sequence[Run]) -> Delay | None:
-    if delay is None and runs:
-        delay = Delay(min(int(run.host_ns[0]) for run in runs), HIGHEST_NS)
-    for run in runs:
-        if delay is not None and run.host_ns[0] < delay.settled_ns:
-            early = run.host_ns < delay.settled_ns
-            delay = replace(delay, least_ns=min(delay.least_ns, int((run.host_ns - run.clock_ns)[early].min())))
-    return delay
+def _watched(delay: Delay | None, runs: Sequence[Run], *, on_epoch: bool) -> Delay | None:
+    own = [run for run in runs if run.on_epoch == on_epoch]
+    if not own:
+        return delay
+    if delay is None:
+        delay = Delay(min(int(run.host_ns[0]) for run in own), HIGHEST_NS)
+    first_ns, least_ns, until_ns = delay.first_host_ns, delay.least_ns, delay.settled_ns
+    for run in own:
+        if run.host_ns[0] < until_ns:
+            least_ns = min(least_ns, int((run.host_ns - run.clock_ns)[run.host_ns < until_ns].min()))
+    return delay if least_ns == delay.least_ns else Delay(first_ns, least_ns)
 
 
 def _times(timeline: Timeline, delays: tuple[Delay | None, Delay | None], run: Run) -> IntArray:
