@@ -52,39 +52,35 @@ _STATE: dict[int, float] = {
     MessageId.ATTITUDE_QUATERNION: 50.0,
     MessageId.LOCAL_POSITION_NED: 30.0,
 }
-_ARDUPILOT: dict[int, float] = _STATE | {
-    MessageId.SERVO_OUTPUT_RAW: 50.0,
-    MessageId.ESC_TELEMETRY_1_TO_4: 10.0,
-    MessageId.VIBRATION: 10.0,
-}
-_QDRONE2: dict[int, float] = _STATE | {
-    MessageId.SERVO_OUTPUT_RAW: 50.0,
-    MessageId.ESC_TELEMETRY_1_TO_4: 50.0,
-    MessageId.HIGHRES_IMU: 50.0,
-}
-_PX4: dict[int, float] = _STATE | {
-    MessageId.ACTUATOR_OUTPUT_STATUS: 50.0,
-    MessageId.ESC_STATUS: 10.0,
-}
+
+
+def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
+    """What a profile needs besides setpoint and IMU, and more at 50 Hz."""
+    vibration: dict[int, float] = {MessageId.VIBRATION: 10.0} if profile.vibration else {}
+    return {**_STATE, **vibration, **dict.fromkeys((profile.actuator, profile.rotor_speed, *more), 50.0)}
+
+
 _COPTER = (("SYSID_THISMAV", 1.0), ("FRAME_CLASS", 1.0))
 
+_QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
+
 _ALL = (
-    Flavour(PROFILES["qdrone2"], custom_mode=0, others=_QDRONE2, ceiling_hz=1000.0, parameters=_COPTER),
-    Flavour(PROFILES["spec"], custom_mode=0, others=_QDRONE2, ceiling_hz=1000.0, parameters=_COPTER),
+    Flavour(_QDRONE2, 0, _messages(_QDRONE2, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
+    Flavour(_SPEC, 0, _messages(_SPEC, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
     # ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
     Flavour(
-        PROFILES["ardupilot"],
+        _ARDUPILOT,
         custom_mode=4,  # Copter: guided
-        others=_ARDUPILOT,
+        others=_messages(_ARDUPILOT),
         ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
         send_delay_s=0.0025,  # one loop
         parameters=(*_COPTER, ("INS_GYRO_FILTER", 20.0), ("INS_ACCEL_FILTER", 20.0), ("SCHED_LOOP_RATE", 400.0)),
     ),
     # PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
     Flavour(
-        PROFILES["px4"],
+        _PX4,
         custom_mode=6 << 16,  # main mode offboard
-        others=_PX4,
+        others=_messages(_PX4),
         ceiling_hz=250.0,  # estimate
         parameters=(("MAV_SYS_ID", 1.0), ("IMU_GYRO_CUTOFF", 40.0), ("IMU_ACCEL_CUTOFF", 30.0)),
     ),

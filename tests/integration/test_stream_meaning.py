@@ -1,0 +1,147 @@
+"""What the plant sends means what it measured: read back by the library's converter, checked by other formulas."""
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.messages import MessageId
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.samples import Converter, SampleState
+from mavdiag.quantities import FloatArray, Signal, Telemetry
+from sitl_plant.flavours import FLAVOURS
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.schedule import Schedule
+from sitl_plant.sensed import Sensing
+from sitl_plant.stream import Streamer
+
+N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
+EVERY_PROFILE = pytest.mark.parametrize("profile", list(PROFILES))
+
+
+@cache
+def flight() -> PlantSamples:
+    return Plant(PlantConfig(fault="F1/SV3", rotor=2, seed=5)).advance(N)
+
+
+def cut(samples: PlantSamples, first: int, last: int) -> PlantSamples:
+    return PlantSamples(*(getattr(samples, name)[first:last] for name in PlantSamples.__dataclass_fields__))
+
+
+def streamed(profile: str, blocks: Sequence[int] = (N,)) -> list[tuple[int, bytes]]:
+    flavour = FLAVOURS[profile]
+    streamer = Streamer(flavour, Schedule(flavour.rates_hz(None), flavour.ceiling_hz), Encoder(1, 1))
+    sensing, first, frames = Sensing(flavour, seed=3), 0, []
+    for n in blocks:
+        frames += streamer.step(sensing.step(cut(flight(), first, first + n)))
+        first += n
+    return frames
+
+
+def decoded(profile: str) -> list[Frame]:
+    decoder = Decoder()
+    frames = [frame for t_ns, data in streamed(profile) for frame in decoder.feed(data, t_ns)]
+    assert decoder.count.bad_crc == decoder.count.garbage_bytes == decoder.count.unknown == 0
+    (count,) = decoder.senders.values()
+    assert (count.lost, count.reordered, count.duplicated) == (0, 0, 0)
+    return frames
+
+
+def telemetry(profile: str) -> Telemetry:
+    return Converter(PROFILES[profile]).step(SampleState(), decoded(profile))[1]
+
+
+def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:
+    places = [field_index(msgid, name) for name in names]
+    return np.array([[frame.fields[place] for place in places] for frame in frames if frame.msgid == msgid], float)
+
+
+@EVERY_PROFILE
+def test_every_message_keeps_the_rate_of_its_profile(profile: str) -> None:
+    frames = decoded(profile)
+    for msgid, rate_hz in FLAVOURS[profile].rates_hz(None).items():
+        n = sum(frame.msgid == msgid for frame in frames)
+        assert abs(n - N * 1e-3 * rate_hz) <= 1.0, f"{n} of message {msgid} in {N} ms at {rate_hz} Hz"
+
+
+@EVERY_PROFILE
+def test_frames_are_in_order_and_do_not_depend_on_how_the_flight_is_cut(profile: str) -> None:
+    whole = streamed(profile)
+    assert [t_ns for t_ns, _ in whole] == sorted(t_ns for t_ns, _ in whole)
+    pieces = streamed(profile, (1, 6, 993, 20, 20, 1960))
+    assert [(t_ns, data[10:-2]) for t_ns, data in pieces] == [(t_ns, data[10:-2]) for t_ns, data in whole]
+
+
+@EVERY_PROFILE
+def test_the_converter_reads_back_what_the_plant_measured(profile: str) -> None:
+    heard, samples, table = telemetry(profile), flight(), PROFILES[profile]
+    expected: list[tuple[Signal, FloatArray, float]] = [
+        (Signal.ATTITUDE_SETPOINT, samples.setpoint, 2e-6),  # float32
+        (Signal.RATE_SETPOINT, samples.rate_setpoint, 2e-6),
+        (Signal.THRUST_SETPOINT, samples.thrust_setpoint[:, None], 1e-7),
+        (Signal.ATTITUDE, samples.attitude[:, :3], 1e-6),
+        (Signal.HEIGHT, -samples.position[:, 2:], 1e-6),
+        (Signal.ACTUATOR, samples.duty, 0.5e-3 * 1.001),  # whole microseconds of 1000
+        (Signal.ROTOR_SPEED, samples.rotor_speed, np.pi / 60 * 1.001),  # whole rpm
+        (Signal.VOLTAGE, samples.battery_v[:, None], 0.5e-3 * 1.001),  # whole millivolts
+    ]
+    if table.imu_corner_hz is None:
+        unit = (table.gyro_unit, table.accel_unit) if table.imu is MessageId.RAW_IMU else (4e-7, 4e-6)
+        expected += [(Signal.BODY_RATE, samples.gyro, 0.501 * unit[0])]
+        expected += [(Signal.SPECIFIC_FORCE, samples.accel, 0.501 * unit[1])]
+    for signal, truth, tolerance in expected:
+        series = heard.need(signal)
+        rows = (series.host_ns - int(samples.t_ns[0])) // 1_000_000  # the tests' host clock is the samples' own
+        np.testing.assert_allclose(series.values, truth[rows], rtol=0, atol=tolerance, err_msg=signal)
+
+
+@EVERY_PROFILE
+def test_stamps_are_of_the_sample_or_of_the_sending(profile: str) -> None:
+    table, flavour = PROFILES[profile], FLAVOURS[profile]
+    frames = [frame for frame in decoded(profile) if frame.msgid == table.imu]
+    late_us = values_of(frames, table.imu, "time_usec")[:, 0] - np.array([frame.host_ns for frame in frames]) / 1e3
+    if flavour.send_delay_s:
+        assert np.ptp(late_us) > 0.5e6 * flavour.send_delay_s
+        assert 0 <= late_us.min() <= late_us.max() < 1e6 * flavour.send_delay_s
+    else:
+        assert np.all(late_us == 0)
+
+
+def test_ardupilots_imu_is_low_passed_at_20_hz() -> None:
+    heard, samples = telemetry("ardupilot"), flight()
+    b, a = butter(2, 20.0, fs=1000.0)
+    settled = 500  # the two filters start differently
+    for signal, raw, unit in ((Signal.BODY_RATE, samples.gyro, 1e-3), (Signal.SPECIFIC_FORCE, samples.accel, 9.81e-3)):
+        series = heard.need(signal)
+        rows = (series.host_ns - int(samples.t_ns[0])) // 1_000_000
+        expected = lfilter(b, a, raw - raw[0], axis=0) + raw[0]
+        late = rows > settled
+        np.testing.assert_allclose(series.values[late], expected[rows[late]], rtol=0, atol=0.55 * unit)
+
+
+def test_the_vibration_level_is_ardupilots() -> None:
+    """AP_InertialSensor::calc_vibration_and_clipping, sample by sample."""
+    accel = flight().accel
+    floor, level = accel[0].copy(), np.zeros(3)
+    dt = 1e-3
+    alpha_floor, alpha_level = dt / (dt + 1 / (2 * np.pi * 5.0)), dt / (dt + 1 / (2 * np.pi * 2.0))
+    vibe = []
+    for a in accel:
+        floor += alpha_floor * (a - floor)
+        level += alpha_level * ((a - floor) ** 2 - level)
+        vibe.append(np.sqrt(level))
+    sent = values_of(decoded("ardupilot"), MessageId.VIBRATION, "vibration_x", "vibration_y", "vibration_z")
+    np.testing.assert_allclose(sent, np.array(vibe)[::100][: len(sent)], rtol=1e-3, atol=1e-9)
+    assert sent[-1, 0] > 0.5  # m/s^2: the damaged rotor shakes
+
+
+@pytest.mark.parametrize("profile", ["qdrone2", "px4"])
+def test_who_speaks_is_told_so_that_the_profile_is_recognised(profile: str) -> None:
+    frames = decoded(profile)
+    names = ("type", "autopilot", "base_mode", "mavlink_version")
+    np.testing.assert_array_equal(
+        values_of(frames, MessageId.HEARTBEAT, *names)[0], [2, PROFILES[profile].autopilot, 0x81, 3]
+    )
