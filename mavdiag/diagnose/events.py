@@ -5,7 +5,7 @@ such row, so its start is the time of detection, and closes when the statistic h
 `clear_s`; what happens within that time belongs to the same event.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ class Reading:
     """What a monitor says of consecutive rows. t_ns: (n,) vehicle time; statistic: (n,) in the monitor's unit;
     level: (n,) a second figure that describes the event (for the thesis rule the excess over the margin [rad/s]);
     signal: (n,) what the statistic is made of, for a display (there the residual [rad/s]);
-    valid: (n,) False where nothing may be concluded.
+    valid: (n,) False where nothing may be concluded. rotors: (n, R) evidence for each rotor, dimensionless, or (n, 0).
     """
 
     t_ns: IntArray
@@ -27,6 +27,7 @@ class Reading:
     level: FloatArray
     signal: FloatArray
     valid: BoolArray
+    rotors: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,8 @@ def chain(grid: Grid, trim_end_s: float) -> Chain:
 
 
 def run(one: Chain, chunks: list[Telemetry]) -> tuple[set[Event], int]:
-    state, events, judged = one.start(), [], 0.0
+    state, judged = one.start(), 0.0
+    events: list[Event] = []
     for chunk in chunks:
         state, found = one.step(state, chunk)
         events += found.events

@@ -33,7 +33,7 @@ def whole(telemetry: Telemetry, spec: AlignSpec = SPEC) -> tuple[list[Block], Al
 
 
 def clock(n: int) -> IntArray:
-    return 5_000_000_000 + DT_NS * np.arange(n, dtype=np.int64)
+    return np.arange(n, dtype=np.int64) * DT_NS + 5_000_000_000
 
 
 def test_a_clean_flight_is_taken_sample_for_sample() -> None:

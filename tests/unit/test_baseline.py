@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from made_telemetry import flight
 
 from mavdiag.baseline import Baseline, check_link, dump, parse
+from mavdiag.diagnose.monitors.latency import Latency
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.pipeline import chain_of
@@ -116,6 +117,7 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, 
     path = tmp_path / "b.json"
     save_baseline(path, baseline)
     watch = chain_of(load_baseline(path)).watches[0]
+    assert isinstance(watch.monitor, Latency)
     np.testing.assert_array_equal(watch.monitor.model.a, baseline.model_of(Axis.ROLL).a)
     assert watch.threshold == baseline.monitors[0].fml_s
 

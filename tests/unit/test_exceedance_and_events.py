@@ -63,7 +63,8 @@ def test_unjudged_rows_raise_nothing() -> None:
 def test_one_event_spans_chunks_and_closes_after_the_clear_time(size: int) -> None:
     statistic = np.array([0, 2, 3, 0, 4, 0, 0, 0, 0, 5.0])
     spec = EventSpec("m", None, 1.0, clear_s=0.03)
-    state, seen = event_step.start(), []
+    state = event_step.start()
+    seen: list[Event] = []
     for i in range(0, 10, size):
         state, found = events(spec, state, reading(statistic[i : i + size], first=i))
         seen += found
