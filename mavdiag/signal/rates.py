@@ -88,7 +88,7 @@ def _unwrap(last: FloatArray, angle: FloatArray) -> FloatArray:
     """Angles without jumps of 2 pi, continuing from `last` (nan at a start)."""
     rows = angle if np.isnan(last[0]) else np.concatenate((last[None], angle))
     # np.unwrap costs more than the filter itself, and a jump is rare. A continued row may already be off by 2 pi n.
-    if np.abs(np.diff(rows, axis=0)).max(initial=0.0) > np.pi:
+    if len(rows) > 1 and np.abs(rows[1:] - rows[:-1]).max() > np.pi:
         rows = np.unwrap(rows, axis=0)
     return rows[len(rows) - len(angle) :]
 
