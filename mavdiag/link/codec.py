@@ -18,7 +18,7 @@ import pymavlink.dialects.v20.ardupilotmega as dialect
 from fastcrc.crc16 import mcrf4xx
 
 from mavdiag.errors import UsageError
-from mavdiag.link.layout import Argument, FieldValue, Layout, cut
+from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.sequence import DecoderCount, LinkCount, SequenceTracker
 
@@ -32,6 +32,7 @@ __all__ = [
     "decode_statustext",
     "field_index",
     "message_name",
+    "next_marker",
     "record_dtype",
     "wire_fields",
 ]
@@ -39,11 +40,12 @@ __all__ = [
 MARKER_V1, MARKER_V2 = MARKERS = 0xFE, 0xFD
 SIGNED_FLAG = 0x01  # MAVLINK_IFLAG_SIGNED, the only incompatibility flag defined
 SIGNATURE_BYTES = 13
+UNFINISHED = -1
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
 SHORTEST_V1, SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 TEXT_BYTES = 50  # STATUSTEXT.text
 
-_next_marker = re.compile(rb"[\xfd\xfe]").search
+_search_marker = re.compile(rb"[\xfd\xfe]").search
 _header_v1 = struct.Struct("<xBBBBB").unpack_from  # length, seq, sysid, compid, msgid
 _header_v2 = struct.Struct("<xBBxBBBI").unpack_from  # length, flags, seq, sysid, compid, msgid and one byte beyond
 _pack_header = struct.Struct("<BBBBBBHB").pack  # the same, without the marker and with the message id in two parts
@@ -77,34 +79,9 @@ def _generated_layout(message: type[dialect.MAVLink_message]) -> Layout:
     )
 
 
-_LAYOUTS: Mapping[int, Layout] = {number: _generated_layout(m) for number, m in dialect.mavlink_map.items()} | {
-    # In common.xml, but not in the dialect that pymavlink ships.
-    MessageId.ESC_INFO: Layout(
-        "ESC_INFO",
-        (
-            "index",
-            "time_usec",
-            "counter",
-            "count",
-            "connection_type",
-            "info",
-            "failure_flags",
-            "error_count",
-            "temperature",
-        ),
-        (1, 1, 1, 1, 1, 1, 4, 4, 4),
-        (1, 7, 2, 6, 8, 0, 3, 4, 5),
-        struct.Struct("<Q4IH4H4h4B"),
-        bytes([251]),
-    ),
-    MessageId.ESC_STATUS: Layout(
-        "ESC_STATUS",
-        ("index", "time_usec", "rpm", "voltage", "current"),
-        (1, 1, 4, 4, 4),
-        (1, 2, 3, 4, 0),
-        struct.Struct("<Q4i4f4fB"),
-        bytes([10]),
-    ),
+_LAYOUTS: Mapping[int, Layout] = {
+    **{number: _generated_layout(message) for number, message in dialect.mavlink_map.items()},
+    **EXTRA_LAYOUTS,
 }
 
 
@@ -134,12 +111,7 @@ def field_index(msgid: int, name: str) -> int:
 
     Raises UsageError if there is no such message or field.
     """
-    place = 0
-    for wire_name, size in wire_fields(msgid):
-        if wire_name == name:
-            return place
-        place += size
-    raise UsageError(f"{message_name(msgid)} has no field {name}")
+    return _layout(msgid).place(name)
 
 
 def record_dtype(msgid: int, *columns: tuple[str, int]) -> np.dtype[np.void]:
@@ -148,28 +120,24 @@ def record_dtype(msgid: int, *columns: tuple[str, int]) -> np.dtype[np.void]:
     columns: (field, count) each; a column of count > 1 takes that many consecutive places from the field on, all of
     one type. Raises UsageError if there is no such message or field, or the places differ in type.
     """
-    layout = _layout(msgid)
-    codes = layout.codes
-    formats, offsets = [], []
-    for name, count in columns:
-        first = field_index(msgid, name)
-        kinds = set(codes[first : first + count])
-        if len(kinds) != 1:
-            raise UsageError(f"{layout.name}: {count} places from {name} on are not of one type")
-        kind = np.dtype("<" + kinds.pop())
-        formats.append(kind if count == 1 else np.dtype((kind, count)))
-        offsets.append(struct.calcsize("<" + "".join(codes[:first])))
-    names = [name for name, _ in columns]
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.packer.size})
+    return _layout(msgid).record_dtype(columns)
+
+
+def next_marker(buffer: bytes, start: int) -> int:
+    """The first place from `start` on where a frame could begin; the length of the buffer if there is none."""
+    found = _search_marker(buffer, start)
+    return found.start() if found else len(buffer)
 
 
 class Decoder:
     """Bytes in, frames out, for one link. At most 281 bytes are kept between calls.
 
     wanted: message ids to hand out, None for all. Others are checked and counted all the same.
+    gap: bytes that stand between frames, as the time stamps of a log do.
     """
 
-    def __init__(self, wanted: Collection[int] | None = None) -> None:
+    def __init__(self, wanted: Collection[int] | None = None, gap: int = 0) -> None:
+        self._gap = gap
         self._table = {
             msgid: (layout.packer.size, layout.crc_extra, wanted is None or msgid in wanted)
             for msgid, layout in _LAYOUTS.items()
@@ -202,51 +170,72 @@ class Decoder:
     def _scan(self, buffer: bytes, host_ns: int, *, whole: bool) -> tuple[list[Frame], int]:
         """Frames of the buffer, and how many bytes are done with: all of them if it is whole."""
         frames: list[Frame] = []
-        table, new_tuple = self._table, tuple.__new__
-        at, end = 0, len(buffer)
+        at, end, take = 0, len(buffer), self.take
         while at < end:
-            marker, left = buffer[at], end - at
-            if marker == MARKER_V2 and left >= SHORTEST_V2:
-                length, flags, seq, sysid, compid, msgid = _header_v2(buffer, at)
-                if flags > SIGNED_FLAG:
-                    self._incompatible += 1
-                    at = self._skip(buffer, at)
-                    continue
-                msgid &= 0xFFFFFF
-                start = at + 10
-                stop = start + length
-                after = stop + 2 + flags * SIGNATURE_BYTES
-            elif marker == MARKER_V1 and left >= SHORTEST_V1:
-                length, seq, sysid, compid, msgid = _header_v1(buffer, at)
-                start = at + 6
-                stop = start + length
-                after = stop + 2
-            elif marker in MARKERS:
-                after = end + 1  # even the header is unfinished
-            else:
-                at = self._skip(buffer, at)
-                continue
-            if after <= end and (entry := table.get(msgid)) is not None:
-                size, extra, wanted = entry
-                if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) == buffer[stop] | buffer[stop + 1] << 8:
-                    self._note(sysid, compid, seq, msgid)
-                    if wanted:
-                        payload = buffer[start:stop]
-                        if length != size:  # MAVLink 2 trims trailing zeros; a newer definition may be longer
-                            payload = payload.ljust(size, b"\0")[:size]
-                        frames.append(new_tuple(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
-                    at = after
-                    continue
-                self._bad_crc += 1
-            elif after >= end and not whole:
-                break  # unfinished; or unknown, and what follows must confirm it
-            elif after == end or (after < end and buffer[after] in MARKERS):
-                self._unknown += 1
-                self._note(sysid, compid, seq, UNKNOWN)
+            after = take(buffer, at, host_ns, frames, whole)
+            if after > at:
                 at = after
-                continue
-            at = self._skip(buffer, at)
+            elif after == UNFINISHED:
+                break
+            else:
+                resume = next_marker(buffer, at + 1)
+                self._garbage += resume - at
+                at = resume
         return frames, at
+
+    def take(self, buffer: bytes, at: int, host_ns: int, frames: list[Frame], whole: bool = True) -> int:
+        """Append the frame that starts at `at`, if it is wanted, and return the place behind it; `at` if there is none.
+
+        whole: the buffer goes on no further; else UNFINISHED says that more bytes must decide.
+        """
+        marker, end = buffer[at], len(buffer)
+        after: int
+        if marker == MARKER_V2:
+            if end - at < SHORTEST_V2:
+                return at if whole else UNFINISHED
+            length, flags, seq, sysid, compid, msgid = _header_v2(buffer, at)
+            if flags > SIGNED_FLAG:
+                self._incompatible += 1
+                return at
+            msgid &= 0xFFFFFF
+            start = at + 10
+            after = start + length + (2 + SIGNATURE_BYTES if flags else 2)
+        elif marker == MARKER_V1:
+            if end - at < SHORTEST_V1:
+                return at if whole else UNFINISHED
+            length, seq, sysid, compid, msgid = _header_v1(buffer, at)
+            start = at + 6
+            after = start + length + 2
+        else:
+            return at
+        if after > end:
+            return at if whole else UNFINISHED
+        entry = self._table.get(msgid)
+        if entry is None:
+            return self._take_unknown(buffer, at, after, (sysid, compid, seq), whole)
+        size, extra, wanted = entry
+        stop = start + length
+        if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) != buffer[stop] | buffer[stop + 1] << 8:
+            self._bad_crc += 1
+            return at
+        self._note(sysid, compid, seq, msgid)
+        if wanted:
+            payload = buffer[start:stop]
+            if length != size:  # MAVLink 2 trims trailing zeros; a newer definition may be longer
+                payload = payload.ljust(size, b"\0")[:size]
+            frames.append(tuple.__new__(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
+        return after
+
+    def _take_unknown(self, buffer: bytes, at: int, after: int, source: tuple[int, int, int], whole: bool) -> int:
+        """A frame outside the dialect has no seed to check it by: it counts if another one follows, or the end."""
+        following = after + self._gap
+        if following >= len(buffer) and not whole:
+            return UNFINISHED
+        if after != len(buffer) and (following >= len(buffer) or buffer[following] not in MARKERS):
+            return at
+        self._unknown += 1
+        self._note(*source, UNKNOWN)
+        return after
 
     def _note(self, sysid: int, compid: int, seq: int, msgid: int) -> None:
         key = sysid << 8 | compid
@@ -254,13 +243,6 @@ class Decoder:
         if tracker is None:
             tracker = self._senders[key] = SequenceTracker(seq)
         tracker.step(seq, msgid)
-
-    def _skip(self, buffer: bytes, at: int) -> int:
-        """The next place after `at` where a frame could start; what lies between is garbage."""
-        found = _next_marker(buffer, at + 1)
-        resume = found.start() if found else len(buffer)
-        self._garbage += resume - at
-        return resume
 
 
 class Encoder:

@@ -6,14 +6,17 @@ Fields travel sorted by size and are declared in another order; arrays lie flat;
 import math
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TypeAlias, cast
 
-from mavdiag.errors import UsageError
+import numpy as np
 
-__all__ = ["Argument", "FieldValue", "Layout", "cut"]
+from mavdiag.errors import UsageError
+from mavdiag.link.messages import MessageId
+
+__all__ = ["EXTRA_LAYOUTS", "Argument", "FieldValue", "Layout", "cut"]
 
 FieldValue: TypeAlias = int | float | bytes
 Argument: TypeAlias = int | float | bytes | str | Sequence[int] | Sequence[float]
@@ -50,6 +53,33 @@ class Layout:
     def codes(self) -> tuple[str, ...]:
         """The struct code of each place of the wire; text is one place, with its length, as in `50s`."""
         return _codes(self.packer.format)
+
+    def place(self, name: str) -> int:
+        """Where a field, or an array's first element, is in the flat tuple. Raises UsageError if there is none."""
+        place = 0
+        for wire_name, size in self.wire_fields:
+            if wire_name == name:
+                return place
+            place += size
+        raise UsageError(f"{self.name} has no field {name}")
+
+    def record_dtype(self, columns: Sequence[tuple[str, int]]) -> np.dtype[np.void]:
+        """The payload as a record of some columns. Raises UsageError: no such field, or a column of several types.
+
+        columns: (field, count); a column of count > 1 takes that many consecutive places from the field on.
+        """
+        codes = self.codes
+        formats, offsets = [], []
+        for name, count in columns:
+            first = self.place(name)
+            kinds = set(codes[first : first + count])
+            if len(kinds) != 1:
+                raise UsageError(f"{self.name}: {count} places from {name} on are not of one type")
+            kind = np.dtype("<" + kinds.pop())
+            formats.append(kind if count == 1 else np.dtype((kind, count)))
+            offsets.append(struct.calcsize("<" + "".join(codes[:first])))
+        names = [name for name, _ in columns]
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.packer.size})
 
     def pack(self, fields: Sequence[Argument]) -> bytes:
         """The payload, not trimmed, from fields in the declared order; trailing ones left out are zero.
@@ -118,3 +148,34 @@ def cut(text: str, size: int) -> bytes:
     b'a'
     """
     return text.encode()[:size].decode(errors="ignore").encode()
+
+
+EXTRA_LAYOUTS: Mapping[int, Layout] = {
+    MessageId.ESC_INFO: Layout(
+        "ESC_INFO",
+        (
+            "index",
+            "time_usec",
+            "counter",
+            "count",
+            "connection_type",
+            "info",
+            "failure_flags",
+            "error_count",
+            "temperature",
+        ),
+        (1, 1, 1, 1, 1, 1, 4, 4, 4),
+        (1, 7, 2, 6, 8, 0, 3, 4, 5),
+        struct.Struct("<Q4IH4H4h4B"),
+        bytes([251]),
+    ),
+    MessageId.ESC_STATUS: Layout(
+        "ESC_STATUS",
+        ("index", "time_usec", "rpm", "voltage", "current"),
+        (1, 1, 4, 4, 4),
+        (1, 2, 3, 4, 0),
+        struct.Struct("<Q4i4f4fB"),
+        bytes([10]),
+    ),
+}
+"""Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out."""

@@ -3,18 +3,26 @@
 A baseline is bound to a profile, because its filter, its rate and its stamps shape the identified model.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import radians
 
+import numpy as np
+
 from mavdiag.errors import UsageError
-from mavdiag.link.messages import Autopilot, MessageId
+from mavdiag.link.codec import Frame, field_index, record_dtype
+from mavdiag.link.messages import Autopilot, Component, MessageId
 
 __all__ = ["PROFILES", "Profile", "Stamp", "detect_profile", "profile_named"]
 
 G = 9.80665  # standard gravity [m/s^2]
 MILLI = 1e-3
+WEIGHT_COUNTS = 1431  # geometric mean of 1000 (mG) and 2048 (IIM-42652)
+ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
+
+_AUTOPILOT = field_index(MessageId.HEARTBEAT, "autopilot")
+_RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
 
 
 class Stamp(StrEnum):
@@ -126,7 +134,21 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def detect_profile(autopilot: int) -> Profile:
-    """The profile that HEARTBEAT.autopilot suggests: `ardupilot` (3), `px4` (12), else `qdrone2`, the default."""
-    own = (profile for profile in _ALL if profile.autopilot is not Autopilot.GENERIC and profile.autopilot == autopilot)
-    return next(own, _ALL[0])
+def detect_profile(frames: Sequence[Frame]) -> str:
+    """The name of the profile that one vehicle's frames follow; `qdrone2` if nothing speaks against it.
+
+    Without RAW_IMU it is PX4's. RAW_IMU in counts shows by its size, for a vehicle feels its own weight: 1000 mG or
+    2048 counts. ArduPilot says so in its HEARTBEAT; faster than its loop allows, it is another that borrows the name.
+    """
+    own = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
+    autopilots = {beat.fields[_AUTOPILOT] for beat in own if beat.msgid == MessageId.HEARTBEAT}
+    imu = [frame.payload for frame in own if frame.msgid == MessageId.RAW_IMU]
+    if not imu:
+        px4 = Autopilot.PX4 in autopilots or any(frame.msgid == MessageId.HIGHRES_IMU for frame in own)
+        return "px4" if px4 else "qdrone2"
+    record = np.frombuffer(b"".join(imu), _RAW_IMU)
+    weight = np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1))
+    if weight > WEIGHT_COUNTS:
+        return "spec"
+    slow = len(record) < 2 or np.median(np.diff(record["time_usec"].astype(np.int64))) >= ARDUPILOT_PERIOD_US
+    return "ardupilot" if slow and Autopilot.ARDUPILOTMEGA in autopilots else "qdrone2"

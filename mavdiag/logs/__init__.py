@@ -21,7 +21,7 @@ class _Kind:
 
     name: str
     recognise: Callable[[bytes], bool]
-    read: Callable[[Path, int | None], Log]
+    read: Callable[[Path, int | None, str | None], Log]
 
 
 def _is_dataflash(head: bytes) -> bool:
@@ -45,28 +45,28 @@ def _is_tlog(head: bytes) -> bool:
 
 
 # The readers are imported when a file of their kind is met: each brings a library that the daemon does not need.
-def _read_dataflash(path: Path, vehicle: int | None) -> Log:
+def _read_dataflash(path: Path, vehicle: int | None, profile: str | None) -> Log:
     from mavdiag.logs.dataflash import read_dataflash
 
     return read_dataflash(path)
 
 
-def _read_ulog(path: Path, vehicle: int | None) -> Log:
+def _read_ulog(path: Path, vehicle: int | None, profile: str | None) -> Log:
     from mavdiag.logs.ulog import read_ulog
 
     return read_ulog(path)
 
 
-def _read_crazyflie(path: Path, vehicle: int | None) -> Log:
+def _read_crazyflie(path: Path, vehicle: int | None, profile: str | None) -> Log:
     from mavdiag.logs.crazyflie import read_crazyflie
 
     return read_crazyflie(path)
 
 
-def _read_tlog(path: Path, vehicle: int | None) -> Log:
+def _read_tlog(path: Path, vehicle: int | None, profile: str | None) -> Log:
     from mavdiag.logs.tlog import read_tlog
 
-    return read_tlog(path, vehicle)
+    return read_tlog(path, vehicle, profile)
 
 
 _KINDS = (
@@ -77,10 +77,11 @@ _KINDS = (
 )
 
 
-def read_log(path: Path, vehicle: int | None = None) -> Log:
+def read_log(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
     """Read a flight from a .tlog, DataFlash .bin, .ulg or Crazyflie log, chosen by its content.
 
-    vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is.
+    vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is. profile: link
+    profile of a .tlog where its messages do not tell; other kinds know their own.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
     """
     head = read_bytes(path, HEAD_BYTES)
@@ -88,4 +89,4 @@ def read_log(path: Path, vehicle: int | None = None) -> Log:
     if kind is None:
         names = ", ".join(k.name for k in _KINDS)
         raise InputError(f"{path}: not a flight log of a known kind ({names})")
-    return kind.read(path, vehicle)
+    return kind.read(path, vehicle, profile)

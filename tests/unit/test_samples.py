@@ -261,9 +261,23 @@ def test_nothing_in_nothing_out() -> None:
     assert telemetry.series == ()
 
 
-@pytest.mark.parametrize(("autopilot", "name"), [(3, "ardupilot"), (12, "px4"), (0, "qdrone2"), (99, "qdrone2")])
-def test_profile_by_autopilot(autopilot: int, name: str) -> None:
-    assert detect_profile(autopilot).name == name
+@pytest.mark.parametrize(
+    ("autopilot", "imu", "weight", "period_us", "name"),
+    [
+        (3, MessageId.RAW_IMU, 1000, 10_000, "ardupilot"),
+        (3, MessageId.RAW_IMU, 1000, 1_000, "qdrone2"),  # faster than ArduPilot can
+        (0, MessageId.RAW_IMU, 1000, 10_000, "qdrone2"),
+        (3, MessageId.RAW_IMU, 2048, 10_000, "spec"),
+        (12, MessageId.HIGHRES_IMU, 10, 5_000, "px4"),
+        (0, MessageId.HIGHRES_IMU, 10, 5_000, "px4"),
+        (0, MessageId.ATTITUDE, 0, 5_000, "qdrone2"),
+    ],
+)
+def test_profile_by_what_is_sent(autopilot: int, imu: MessageId, weight: int, period_us: int, name: str) -> None:
+    vehicle = Vehicle()
+    frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, autopilot, 0, 0, 4, 3)]
+    frames += [vehicle.frame(imu, period_us * k, 30, -20, -weight) for k in range(20)]
+    assert detect_profile(frames) == name
 
 
 def test_profiles_by_name() -> None:

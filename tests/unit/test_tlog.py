@@ -1,0 +1,118 @@
+"""Telemetry logs made by hand: whole, damaged, of several vehicles, or something else altogether."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavdiag.errors import InputError, UsageError
+from mavdiag.link.codec import UNKNOWN, Encoder
+from mavdiag.link.messages import MavType, MessageId
+from mavdiag.logs import read_log, sha256_of
+from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record
+from mavdiag.quantities import Signal
+
+START_US = 1_763_000_000_000_000
+N = 300
+
+
+def heartbeat(encoder: Encoder, kind: MavType = MavType.QUADROTOR, autopilot: int = 3) -> bytes:
+    return encoder.encode(MessageId.HEARTBEAT, kind, autopilot, 128, 0, 4, 3)
+
+
+def records(sysid: int = 1, n: int = N, scale: int = 1000) -> list[bytes]:
+    """n setpoints and IMU samples at 100 Hz, a heartbeat a second, and messages that nobody asks for."""
+    encoder, found = Encoder(sysid, 1), []
+    for k in range(n):
+        time_us = START_US + 10_000 * k
+        frames = [
+            encoder.encode(MessageId.ATTITUDE_TARGET, 5_000 + 10 * k, 0, (1.0, 0.001 * k, 0.0, 0.0), 0, 0, 0, 0.5),
+            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, k, 0, -scale, -k, 2, 3),
+            encoder.encode(MessageId.SYSTEM_TIME, time_us, 5_000 + 10 * k),
+        ]
+        if k % 100 == 0:
+            frames.append(heartbeat(encoder))
+        found += [tlog_record(time_us, frame) for frame in frames]
+    return found
+
+
+def written(tmp_path: Path, data: bytes) -> Path:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(data)
+    return path
+
+
+def test_a_whole_log_is_read(tmp_path: Path) -> None:
+    data = b"".join(records())
+    log = read_log(written(tmp_path, data))
+    assert (log.name, log.sha256, log.profile) == ("flight.tlog", sha256_of(data), "ardupilot")
+    assert log.started_ns == START_US * 1000
+    rate = log.telemetry.need(Signal.BODY_RATE)
+    assert rate.t_ns.tolist() == [5_000_000_000 + 10_000_000 * k for k in range(N)]
+    assert rate.host_ns.tolist() == [1000 * START_US + 10_000_000 * k for k in range(N)]
+    np.testing.assert_allclose(rate.values[-1], [-0.001 * (N - 1), 0.002, 0.003])
+    assert len(log.telemetry.need(Signal.ATTITUDE_SETPOINT)) == N
+    content = decode_tlog(data)
+    assert (content.records, content.damaged_bytes) == (3 * N + 3, 0)
+    assert content.senders[1, 1].lost == 0
+
+
+def test_the_profile_can_be_told(tmp_path: Path) -> None:
+    path = written(tmp_path, b"".join(records()))
+    assert read_log(path, profile="qdrone2").profile == "qdrone2"
+    with pytest.raises(UsageError, match="betaflight"):
+        read_log(path, profile="betaflight")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_damage_costs_only_the_records_it_hits(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pieces = records()
+    for k in rng.choice(len(pieces), 20, replace=False):
+        harm = bytearray(pieces[k])
+        harm[8 + int(rng.integers(len(harm) - 8))] ^= 1 << int(rng.integers(8))
+        pieces[k] = bytes(harm)
+    data = b"".join(pieces[:100]) + rng.bytes(500) + b"".join(pieces[100:]) + pieces[0][:20]
+    content = decode_tlog(data)
+    known = {msgid: n for msgid, n in content.senders[1, 1].by_message.items() if msgid != UNKNOWN}
+    assert sum(known.values()) == len(pieces) - 20  # a frame whose id was hit counts as one of another dialect
+    assert content.records - len(pieces) + 20 <= 6
+    assert 520 <= content.damaged_bytes <= 520 + 20 * max(map(len, pieces))
+    assert len(read_tlog(written(tmp_path, data)).telemetry.need(Signal.BODY_RATE)) >= N - 20
+
+
+def test_garbage_never_raises() -> None:
+    rng = np.random.default_rng(9)
+    for size in range(0, 3000, 97):
+        content = decode_tlog(rng.bytes(size))
+        assert content.records + content.damaged_bytes >= 0
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "empty"),
+        (b"time,roll,pitch\n1,2,3\n" * 40, "not a flight log"),
+        (b"\xfd" * 500, "no MAVLink frame"),
+        (b"".join(records(n=3)) + bytes(9000), "% of the file is damaged"),
+        (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
+        (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
+        (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one"),
+    ],
+)
+def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        read_log(written(tmp_path, data))
+    assert "\n" not in str(caught.value)
+
+
+def test_one_vehicle_of_several_is_chosen(tmp_path: Path) -> None:
+    path = written(tmp_path, b"".join(records(1, 9) + records(7, 5)))
+    assert len(read_log(path, vehicle=7).telemetry.need(Signal.BODY_RATE)) == 5
+    with pytest.raises(InputError, match="nothing from vehicle 3; there is 1, 7"):
+        read_log(path, vehicle=3)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_log(tmp_path / "absent.tlog")
