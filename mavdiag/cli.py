@@ -5,13 +5,14 @@ from typing import Annotated, NoReturn
 import typer
 
 from mavdiag import __version__, commandline
-from mavdiag.commands import baseline, identify, scan
+from mavdiag.commands import baseline, demo, identify, scan
 
 __all__ = ["app", "main"]
 
 app = commandline.application("Hear a damaged propeller: identify a healthy airframe, judge its flights by it.")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
+app.command("demo")(demo.demo)
 # app.command("inspect")(inspect.inspect)
 app.add_typer(baseline.app, name="baseline")
 

@@ -41,7 +41,18 @@ from mavdiag.signal.gate import GateSpec
 from mavdiag.signal.rates import RateSpec
 from mavdiag.signal.savgol import window_samples
 
-__all__ = ["Flight", "LearnOptions", "LearntFlight", "front_for", "gate_for", "learn", "rows_of"]
+__all__ = [
+    "Flight",
+    "LearnOptions",
+    "LearntFlight",
+    "airborne",
+    "front_for",
+    "gate_for",
+    "learn",
+    "residuals_of",
+    "rows_of",
+    "training_pieces",
+]
 
 FOLDS = 5  # as many models as that share the work of judging flights they did not see (our choice)
 TRAIN_ROWS = 120_000  # two minutes at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
@@ -128,7 +139,7 @@ def learn(flights: Sequence[Flight], options: LearnOptions, *, created: str) -> 
     for flight in flights:
         _check_signals(flight)
     front = front_for(flights, options.window_s)
-    learnt = [_airborne(front, flight) for flight in flights]
+    learnt = [airborne(front, flight) for flight in flights]
     models, monitors = [], []
     for axis in options.axes:
         model, monitor = _learn_axis(learnt, axis, front.align.dt_s, options)
@@ -168,7 +179,8 @@ def _gap_limit(flights: Sequence[Flight]) -> float:
     return max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * period_s)
 
 
-def _airborne(front: Front, flight: Flight) -> LearntFlight:
+def airborne(front: Front, flight: Flight) -> LearntFlight:
+    """The flying part of a flight. Raises InputError if it is under a second."""
     rows = rows_of(front, flight.telemetry)
     judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
     if judged_s < MIN_PIECE_S:
@@ -176,7 +188,7 @@ def _airborne(front: Front, flight: Flight) -> LearntFlight:
     return LearntFlight(flight, rows, judged_s)
 
 
-def _pieces(flight: LearntFlight, axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
+def training_pieces(flight: LearntFlight, axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
     """Unbroken valid stretches of u and y of one axis, long enough to train on."""
     pieces = []
     for rows in flight.rows:
@@ -193,7 +205,7 @@ def _train(flights: Sequence[LearntFlight], axis: Axis, dt_s: float, options: Le
     chosen: list[tuple[FloatArray, FloatArray]] = []
     for flight in flights:
         if sum(len(u) for u, _ in chosen) < TRAIN_ROWS:
-            chosen += _pieces(flight, axis)
+            chosen += training_pieces(flight, axis)
     if not chosen:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     try:
@@ -207,7 +219,8 @@ def _train(flights: Sequence[LearntFlight], axis: Axis, dt_s: float, options: Le
     return model
 
 
-def _residuals(flight: LearntFlight, axis: Axis, model: ArxModel) -> list[ResidualPiece]:
+def residuals_of(flight: LearntFlight, axis: Axis, model: ArxModel) -> list[ResidualPiece]:
+    """Free-run residual of each piece of a flight."""
     pieces, state = [], start()
     for rows in flight.rows:
         state, r = residual(model, axis, state, rows.rates)
@@ -220,13 +233,13 @@ def _unseen_residuals(
 ) -> list[list[ResidualPiece]]:
     """Residuals of every flight by a model of the other folds; by `model` itself if there is only one flight."""
     if len(flights) == 1:
-        return [_residuals(flights[0], axis, model)]
+        return [residuals_of(flights[0], axis, model)]
     folds = min(FOLDS, len(flights))
     models = [
         _train([one for i, one in enumerate(flights) if i % folds != fold], axis, dt_s, options)
         for fold in range(folds)
     ]
-    return [_residuals(flight, axis, models[i % folds]) for i, flight in enumerate(flights)]
+    return [residuals_of(flight, axis, models[i % folds]) for i, flight in enumerate(flights)]
 
 
 def _learn_axis(

@@ -2,6 +2,7 @@
 
 import datetime
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ from mavdiag.diagnose.calibrate import MarginRule
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.storage import save_baseline
 
-__all__ = ["identify"]
+__all__ = ["identify", "make_baseline"]
 
 
 def identify(
@@ -41,9 +42,7 @@ def identify(
         airframe=airframe,
         scope="type" if fleet else "airframe",
     )
-    flights = [_flight(path, vehicle, from_s, to_s) for path in logs]
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    baseline = learn(flights, options, created=now)
+    baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
     save_baseline(output, baseline)
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
@@ -51,9 +50,20 @@ def identify(
         _print(baseline, output)
 
 
-def _flight(path: Path, vehicle: int | None, from_s: float | None, to_s: float | None) -> Flight:
-    log = read_part(path, vehicle, from_s, to_s)
-    return Flight(log.name, log.sha256, log.profile, log.telemetry)
+def make_baseline(
+    logs: Sequence[Path],
+    options: LearnOptions,
+    *,
+    vehicle: int | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> Baseline:
+    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError."""
+    flights = []
+    for path in logs:
+        log = read_part(path, vehicle, from_s, to_s)
+        flights.append(Flight(str(path), log.sha256, log.profile, log.telemetry))
+    return learn(flights, options, created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
 
 
 def _print(baseline: Baseline, path: Path) -> None:
