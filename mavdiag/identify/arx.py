@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import Segment, lag_matrix
+from mavdiag.identify.data import EPSILON, Segment, lag_matrix, triangle
 from mavdiag.identify.model import Order
 from mavdiag.quantities import FloatArray
 
@@ -47,17 +47,16 @@ def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray
     return np.concatenate(([1.0], theta[:na])), np.concatenate((np.zeros(nk), theta[na:]))
 
 
-def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArray]:
+def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
     """Solve Z' Phi theta = Z' target; return theta and the diagonal of (Z' Z)^-1, both (d,).
 
     Z = Phi is least squares. By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at
-    1 kHz are nearly collinear. Raises IdentificationError if the columns do not have full rank.
+    1 kHz are nearly collinear. Raises IdentificationError if a column is nothing but the others to `tolerance`.
     """
     scale = np.linalg.norm(Z, axis=0)
     if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
         raise IdentificationError("a regressor column is zero or overflows; check the input's scale")
     Q, R = np.linalg.qr(Z / scale)
-    tolerance = max(Z.shape) * np.finfo(float).eps
     if np.linalg.matrix_rank(R, rtol=tolerance) < len(scale):
         raise IdentificationError("the regressors are linearly dependent; lower the order or fly a richer input")
     theta: FloatArray = np.linalg.lstsq(Q.T @ (Phi / scale), Q.T @ target, rcond=None)[0] / scale
@@ -71,10 +70,10 @@ def least_squares(segments: tuple[Segment, ...], order: Order) -> Estimate:
     standard_errors = sqrt(diag (Phi' Phi)^-1 e'e/(n - d)); loss V = e'e/n.
     Raises IdentificationError if the regressors are linearly dependent.
     """
-    blocks = [regressors(segment, order) for segment in segments]
-    Phi = np.concatenate([phi for phi, _ in blocks])
-    target = np.concatenate([y for _, y in blocks])
-    theta, spread = solve(Phi, Phi, target)
-    n, d = Phi.shape
+    stacked = np.concatenate([np.column_stack(regressors(segment, order)) for segment in segments])  # [ Phi  y ]
+    n, d = len(stacked), order[0] + order[1]
+    R = triangle(stacked)
+    Phi, target = R[:, :d], R[:, d]
+    theta, spread = solve(Phi, Phi, target, n * EPSILON)
     squares = float(np.sum((target - Phi @ theta) ** 2))
     return Estimate(theta, np.sqrt(spread * squares / (n - d)), squares / n, n)

@@ -10,10 +10,12 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.model import Order
 from mavdiag.quantities import FloatArray
 
-__all__ = ["Records", "Segment", "check_excitation", "lag_matrix", "to_segments"]
+__all__ = ["EPSILON", "Records", "Segment", "check_excitation", "lag_matrix", "to_segments", "triangle"]
 
 Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
 
+BLOCK_ROWS = 256  # rows per block of `triangle`: fits the cache and stays below the size that BLAS threads
+EPSILON = float(np.finfo(np.float64).eps)
 MIN_ROWS_PER_PARAMETER = 10  # our rule of thumb; below it a standard error means little
 
 
@@ -75,6 +77,20 @@ def lag_matrix(x: FloatArray, first_lag: int, count: int, first_row: int) -> Flo
     return np.column_stack([x[first_row - lag : n - lag] for lag in range(first_lag, first_lag + count)])
 
 
+def triangle(rows: FloatArray) -> FloatArray:
+    """R of rows = Q R, (n, c) -> (min(n, c), c): all that a linear fit needs to know of any number of rows.
+
+    Sums of products of columns are those of R's columns, but nothing was squared to get there. In blocks, so that it
+    stays in the cache and in one thread: R of stacked Rs is R of the whole.
+    """
+    n, c = rows.shape
+    whole = n // BLOCK_ROWS
+    if whole < 2:
+        return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+    blocks = np.asarray(np.linalg.qr(rows[: whole * BLOCK_ROWS].reshape(whole, BLOCK_ROWS, c), mode="r"))
+    return triangle(np.concatenate((blocks.reshape(-1, c), rows[whole * BLOCK_ROWS :])))
+
+
 def check_excitation(segments: tuple[Segment, ...], order: Order) -> None:
     """Raise IdentificationError unless u is persistently exciting of order na + nb.
 
@@ -85,7 +101,7 @@ def check_excitation(segments: tuple[Segment, ...], order: Order) -> None:
     # [ u(t) u(t-1) ... u(t-needed+1) ]    (N, needed)
     usable = [segment.u for segment in segments if len(segment) >= needed]
     U = np.concatenate([lag_matrix(u, 0, needed, needed - 1) for u in usable]) if usable else np.zeros((1, needed))
-    rank = int(np.linalg.matrix_rank(np.linalg.qr(U, mode="r"), rtol=max(U.shape) * np.finfo(float).eps))
+    rank = int(np.linalg.matrix_rank(triangle(U), rtol=max(U.shape) * EPSILON))
     if rank < needed:
         raise IdentificationError(
             f"u is persistently exciting of order {rank}, this model needs {needed}: fly sharper or more varied inputs"

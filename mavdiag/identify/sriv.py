@@ -11,16 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressors, solve
-from mavdiag.identify.data import Segment
+from mavdiag.identify.data import EPSILON, Segment, triangle
 from mavdiag.identify.model import Order
 from mavdiag.quantities import FloatArray
 
 __all__ = ["reflect_poles", "sriv"]
 
-MAX_ITERATIONS = 40  # our choice; good data take 3 to 10
-STEP_OVER_ERROR = 1e-3  # converged when no parameter moves more than this share of its standard error ..
-STEP_RELATIVE = 1e-9  # .. or, on data without noise, of itself
-MAX_HALVINGS = 10  # of a step that leaves the unit circle (our choice)
+PATIENCE = 8  # iterations without progress before it gives up; good data settle in 3 to 8 (our choice)
+PROGRESS = 1e-3  # a smaller relative gain in loss is none (our choice)
+SETTLED = 1e-3  # of its standard error is the most that a parameter may still want to move
+NEARLY_SETTLED = 0.1  # the same, where no step lowers the loss any more (the gradient leaves initial states out)
+STEP_RELATIVE = 1e-9  # of the parameter itself counts as settled too: data without noise
+MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
 
 
@@ -37,92 +39,109 @@ def reflect_poles(a: FloatArray) -> FloatArray:
     return np.concatenate((np.real(np.atleast_1d(np.poly(mirrored))), trailing))
 
 
-def _filtered_rows(segment: Segment, order: Order, a: FloatArray, y_sim: FloatArray) -> FloatArray:
-    """The columns [Z, Phi, y] of one segment, (rows, 2 (na + nb) + 1), filtered by 1/A, initial state removed."""
+def _filtered(segment: Segment, order: Order, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Triangle of the columns [Z Phi y] of one segment, 2 (na + nb) + 1 square, filtered by 1/A, free response out."""
     from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
 
     # Phi_f = 1/A [ -y(t-1)     ... -y(t-na)      u(t-nk) ... u(t-nk-nb+1) ]
-    # Z_f   = 1/A [ -y_sim(t-1) ... -y_sim(t-na)  u(t-nk) ... u(t-nk-nb+1) ]
+    # Z_f   = 1/A [ -y_sim(t-1) ... -y_sim(t-na)  u(t-nk) ... u(t-nk-nb+1) ]        y_sim = (B/A) u
     #
     # y(t) = phi(t)' theta + A e(t) holds on every complete row, wherever the segment begins. So rows are formed first
     # and filtered afterwards; what the filter does not know, its state before the first row, adds a free response
-    # F x0 with unknown x0 (na,) to the filtered equation. Projecting the columns of F out leaves the error e itself.
-    Phi, target = regressors(segment, order)
+    # F x0 with unknown x0 (na,) to the filtered equation. Projecting F out leaves the error e itself: in the triangle
+    # of [ F_f Z_f Phi_f y_f ] that is the part below and to the right of F.
+    na = order[0]
+    y_sim = np.asarray(lfilter(b, a, segment.u), dtype=np.float64)
+    Phi, y = regressors(segment, order)
     Z, _ = regressors(Segment(segment.u, y_sim), order)
-    columns = np.column_stack((Z, Phi, target))
-    F = lfilter([1.0], a, np.eye(len(target), len(a) - 1), axis=0)
-    Q, _ = np.linalg.qr(F)
-    filtered = np.asarray(lfilter([1.0], a, columns, axis=0), dtype=np.float64)
-    return filtered - Q @ (Q.T @ filtered)
+    columns = np.vstack((np.eye(na, len(y)), Z.T, Phi.T, y))
+    filtered = np.asarray(lfilter([1.0], a, columns), dtype=np.float64)
+    return triangle(np.ascontiguousarray(filtered.T))[na:, na:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """A stable theta, the SRIV solution `target` that follows from it with its errors, and theta's own loss."""
+    """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
+
+    refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution. Both stand
+    still at the same theta. errors: standard errors of theta. rows: number of residuals behind the loss.
+    """
 
     theta: FloatArray
-    target: FloatArray
+    refined: FloatArray
+    descent: FloatArray
     errors: FloatArray
     loss: float
     rows: int
 
-    @property
-    def settled(self) -> bool:
-        tolerance = np.maximum(STEP_OVER_ERROR * self.errors, STEP_RELATIVE * np.abs(self.theta))
-        return bool(np.all(np.abs(self.target - self.theta) <= tolerance))
+    def settled(self, target: FloatArray, share: float) -> bool:
+        """True if the way to `target` is at most that share of the standard errors, or rounding."""
+        tolerance = np.maximum(share * self.errors, STEP_RELATIVE * np.abs(self.theta))
+        return bool(np.all(np.abs(target - self.theta) <= tolerance))
 
 
 def _evaluate(segments: tuple[Segment, ...], order: Order, theta: FloatArray) -> _Point:
-    """Solve Z_f' Phi_f target = Z_f' y_f with filter and instruments from theta.
+    """Solve Z_f' Phi_f refined = Z_f' y_f with filter and instruments from theta.
 
-    y_f - Phi_f theta is the output error y - y_sim of theta (initial states free) and Z_f its gradient, so a fixed
-    point is where the mean squared output error is stationary, and target - theta is the Gauss-Newton step to it.
+    y_f - Phi_f theta is the output error e = y - y_sim and -Z_f its gradient. So Z_f' e = 0, where SRIV stands still,
+    is where the mean squared output error is stationary, and theta + (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
-    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
-
     a, b = polynomials(theta, order)
-    rows = np.concatenate(
-        [_filtered_rows(one, order, a, np.asarray(lfilter(b, a, one.u), dtype=np.float64)) for one in segments]
-    )
-    n, d = len(rows), len(theta)
+    n, d = sum(len(one) - max(len(a), len(b)) + 1 for one in segments), len(theta)
+    rows = np.concatenate([_filtered(one, order, a, b) for one in segments])
     Z, Phi, y = rows[:, :d], rows[:, d : 2 * d], rows[:, -1]
-    target, spread = solve(Z, Phi, y)
-    squares = float(np.sum((y - Phi @ theta) ** 2))
+    error = y - Phi @ theta
+    refined, _ = solve(Z, Phi, y, n * EPSILON)
+    move, spread = solve(Z, Z, error, n * EPSILON)
+    squares = float(error @ error)
     freedom = max(1, n - d - len(segments) * order[0])
-    return _Point(theta, target, np.sqrt(spread * squares / freedom), squares / n, n)
+    return _Point(theta, refined, theta + move, np.sqrt(spread * squares / freedom), squares / n, n)
 
 
-def _reflected_step(order: Order, point: _Point) -> FloatArray:
-    """`target`, its poles outside the unit circle mirrored to the inside."""
-    return np.concatenate((reflect_poles(polynomials(point.target, order)[0])[1:], point.target[order[0] :]))
+def _refine(segments: tuple[Segment, ...], order: Order, point: _Point) -> tuple[_Point, int, bool]:
+    """SRIV proper: always the full step, unstable poles reflected. The last or else best point, iterations, settled."""
+    best, best_at, iteration = point, 0, 0
+    while iteration < best_at + PATIENCE:
+        if point.settled(point.refined, SETTLED) and point.loss <= best.loss * (1.0 + PROGRESS):
+            return point, iteration, True
+        iteration += 1
+        stable = reflect_poles(polynomials(point.refined, order)[0])
+        point = _evaluate(segments, order, np.concatenate((stable[1:], point.refined[order[0] :])))
+        if point.loss < best.loss * (1.0 - PROGRESS):
+            best, best_at = point, iteration
+    return best, iteration, False
 
 
-def _shortened_step(order: Order, point: _Point) -> FloatArray:
-    """`target`, or as far towards it from theta as keeps the model stable, by halving."""
-    theta = point.target
-    for _ in range(MAX_HALVINGS):
-        if np.all(np.abs(np.roots(polynomials(theta, order)[0])) < 1.0):
-            return theta
-        theta = 0.5 * (point.theta + theta)
-    return point.theta
+def _descend(segments: tuple[Segment, ...], order: Order, point: _Point) -> tuple[_Point, int, bool]:
+    """Gauss-Newton on the same equations: each step halved until the model is stable and better."""
+    for iteration in range(MAX_DESCENT):
+        if point.settled(point.descent, SETTLED):
+            return point, iteration, True
+        for halvings in range(MAX_HALVINGS):
+            theta = point.theta + (point.descent - point.theta) * 0.5**halvings
+            if np.all(np.abs(np.roots(polynomials(theta, order)[0])) < 1.0):
+                better = _evaluate(segments, order, theta)
+                if better.loss < point.loss:
+                    break
+        else:
+            break
+        point = better
+    return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
 
 
 def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     """SRIV estimate over all segments, started from least squares.
 
     standard_errors = sqrt(diag (Z_f' Z_f)^-1 var(e)), right for white output noise. loss: mean squared output error
-    with the initial state of each segment free. A step to an unstable model has its poles reflected; if that does not
-    settle, the loop is run again with such steps cut short. If neither settles, the iterate with the smallest loss is
-    returned and `converged` is False: such data hardly tell the parameters apart.
+    with the initial state of each segment free. If the iteration does not settle, which happens where the order is
+    not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do
+    not settle either: such data, or such an order, hardly tell the parameters apart.
     Raises IdentificationError if they cannot tell them apart at all.
     """
     a, b = polynomials(least_squares(segments, order).theta, order)
-    first = best = _evaluate(segments, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
-    for next_theta in (_reflected_step, _shortened_step):
-        point = first
-        for iteration in range(1, MAX_ITERATIONS + 1):
-            if point.settled:
-                return Estimate(point.theta, point.errors, point.loss, point.rows, iteration)
-            point = _evaluate(segments, order, next_theta(order, point))
-            best = min(best, point, key=lambda one: one.loss)
-    return Estimate(best.theta, best.errors, best.loss, best.rows, MAX_ITERATIONS, converged=False)
+    first = _evaluate(segments, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
+    point, iterations, settled = _refine(segments, order, first)
+    if not settled:
+        point, more, settled = _descend(segments, order, point)
+        iterations += more
+    return Estimate(point.theta, point.errors, point.loss, point.rows, iterations, settled)

@@ -54,7 +54,7 @@ def welch(x: FloatArray, dt_s: float, segment: int = 128) -> Spectrum:
     density: FloatArray = np.moveaxis(power.mean(axis=0), -1, 0) * (dt_s / np.sum(window**2))
     last = -1 if segment % 2 == 0 else None
     density[1:last] *= 2.0  # the negative frequencies, folded; 0 and Nyquist have none
-    frequency: FloatArray = np.fft.rfftfreq(segment, dt_s)
+    frequency = np.fft.rfftfreq(segment, dt_s).astype(np.float64)
     return Spectrum(frequency, density, len(pieces))
 
 

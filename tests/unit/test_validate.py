@@ -1,0 +1,99 @@
+"""Fit figures and residual tests against Octave and against known noise."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from identification_data import WELL, record
+from numpy.testing import assert_allclose
+from shared_data import shared
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify import fit
+from mavdiag.identify.validate import examine_residual, nrmse_percent, one_step_report, r_squared, validate
+from mavdiag.signal.statistics import percentile
+
+
+@pytest.mark.parametrize("index", range(24))
+def test_octave_residual_figures(index: int) -> None:
+    folder = shared("reference/octave")
+    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
+    case: dict[str, Any] = json.loads((folder / "arx_reference_well.json").read_text())[index]
+    u, y = np.asarray(table["u"]), np.asarray(table[case["output"]])
+    model = fit(u, y, (case["na"], case["nb"], case["nk"]), dt=0.001, method="ls")
+    error = y[model.lag :] - model.predict(u, y)
+    for q, e, absolute_e, simulated_e in zip(
+        case["prct_p"], case["prct_e"], [*case["prct_abs_e"], *[None] * 4], case["prct_es"], strict=True
+    ):
+        assert percentile(error, q) == pytest.approx(e, abs=1e-9)
+        assert percentile(y - model.simulate(u), q) == pytest.approx(simulated_e, abs=1e-9)
+        assert absolute_e is None or absolute_e >= 0.0
+    if case["ls_loss"] < 1e-20:
+        return  # the residual is rounding only
+    report = one_step_report(model, u, y)
+    assert report.acf_band99 == pytest.approx(case["conf99_band"], rel=1e-4)
+    assert_allclose(report.acf, case["res_acf"], atol=1e-9)
+    assert_allclose(report.ccf, case["res_ccf_pos"], atol=1e-9)
+    assert report.ljung_box_q == pytest.approx(case["ljung_box_Q25"], rel=1e-8)
+
+
+def test_only_the_true_structure_leaves_a_white_independent_residual() -> None:
+    folder = shared("reference/octave")
+    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
+    u, y = np.asarray(table["u"]), np.asarray(table["y_eqnoise"])
+    true = one_step_report(fit(u, y, (2, 2, 1), dt=0.001, method="ls"), u, y)
+    assert true.white
+    assert true.independent
+    late = one_step_report(fit(u, y, (2, 2, 2), dt=0.001, method="ls"), u, y)
+    assert not late.independent
+    low = one_step_report(fit(u, y, (1, 1, 1), dt=0.001, method="ls"), u, y)
+    assert not low.white
+
+
+def test_the_tests_reject_a_true_model_about_as_often_as_they_say() -> None:
+    trials, white, independent = 400, 0, 0
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        u = np.convolve(rng.standard_normal(1049), np.ones(50) / 50, "valid")  # as slow as flight data
+        report = examine_residual(rng.standard_normal(1000), u)
+        white += report.white
+        independent += report.independent
+    assert 0.97 <= white / trials <= 1.0
+    assert 0.97 <= independent / trials <= 1.0
+
+
+def test_ljung_box_tail_is_that_of_chi_squared() -> None:
+    from scipy.stats import chi2
+
+    report = examine_residual(np.random.default_rng(3).standard_normal(500), np.arange(500.0))
+    assert report.ljung_box_p == pytest.approx(chi2.sf(report.ljung_box_q, 25), rel=1e-9)
+
+
+def test_fit_figures_by_hand() -> None:
+    y, y_sim = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.5, 1.5, 2.5, 3.5])
+    assert r_squared(y, y_sim) == pytest.approx(1.0)  # blind to the offset
+    assert nrmse_percent(y, y_sim) == pytest.approx(100 * (1 - 1 / np.sqrt(5)))
+    assert r_squared(y, np.zeros(4)) == pytest.approx(0.0)
+    for figure in (r_squared, nrmse_percent):
+        with pytest.raises(IdentificationError, match="constant"):
+            figure(np.ones(4), y)
+
+
+def test_validation_pools_flights() -> None:
+    one, two = record(WELL, 400, 0.2, 1), record(WELL, 300, 0.2, 2)
+    pooled = validate(WELL, [one.u, two.u], [one.y, two.y])
+    errors = np.r_[one.y - one.clean, two.y - two.clean]
+    assert pooled.samples == 700
+    assert pooled.mse == pytest.approx(np.mean(errors**2))
+    assert pooled.r2t == pytest.approx(1 - errors.var() / np.r_[one.y, two.y].var())
+    with pytest.raises(IdentificationError, match="NaN"):
+        validate(WELL, one.u, np.full(400, np.nan))
+
+
+def test_residuals_that_cannot_be_tested_are_refused() -> None:
+    for e, u in ((np.ones(100), np.arange(100.0)), (np.arange(100.0), np.ones(100))):
+        with pytest.raises(IdentificationError, match="constant"):
+            examine_residual(e, u)
+    with pytest.raises(IdentificationError, match="one length above 50"):
+        examine_residual(np.arange(50.0), np.arange(50.0))
