@@ -1,0 +1,82 @@
+"""The plant as a process of its own, for tests with other programs. What is started here is ended by its own id."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from mavdiag.link.codec import Encoder
+from mavdiag.link.endpoint import open_endpoint
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
+
+__all__ = ["ALERT", "Alerter", "companion", "flying", "process"]
+
+PATIENCE_S = 60.0  # the first start compiles the plant
+ALERT = "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
+
+
+@contextmanager
+def process(
+    command: Sequence[str], *, cwd: Path | None = None, env: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """A child with its output in one pipe; ended when the block is left."""
+    child = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=cwd,
+        env=env,
+    )
+    try:
+        yield child
+    finally:
+        child.terminate()
+        try:
+            child.communicate(timeout=PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.communicate()
+
+
+@contextmanager
+def flying(*options: str, links: int = 1) -> Iterator[list[str]]:
+    """A plant in flight; gives the addresses at which a client reaches its links (it waits there as `udpin`)."""
+    outs = ["--out", "udpin:127.0.0.1:0"] * links
+    with process([sys.executable, "-m", "sitl_plant", "run", "--json", *outs, *options]) as plant:
+        assert plant.stdout is not None
+        line = plant.stdout.readline()
+        assert line.startswith("{"), f"the plant did not start: {line}"
+        yield [address.replace("udpin", "udpout") for address in json.loads(line)["addresses"]]
+
+
+class Alerter(Protocol):
+    """Something on board that sends `ALERT` when it is told to, and again every so often."""
+
+    def alert(self) -> None: ...
+
+
+class _Companion:
+    def __init__(self, address: str) -> None:
+        self.endpoint = open_endpoint(address)
+        self._encoder = Encoder(1, Component.ONBOARD_COMPUTER)
+
+    def alert(self) -> None:
+        """Hear what came in, say that we are here, and raise the alert."""
+        self.endpoint.receive(0.0)
+        self.endpoint.send(
+            self._encoder.encode(MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, 4, 3)
+        )
+        self.endpoint.send(self._encoder.statustext(Severity.CRITICAL, ALERT))
+
+
+@contextmanager
+def companion(address: str) -> Iterator[Alerter]:
+    """A companion computer, system 1 component 191, that alerts; the detector's process can take its place."""
+    one = _Companion(address)
+    with one.endpoint:
+        yield one
