@@ -1,0 +1,151 @@
+"""The `mavdiag-detector` command (edge): listen to vehicles over MAVLink and say when a propeller is damaged.
+
+Exit codes: 0 stopped by SIGINT or SIGTERM; 2 a wrong option, baseline or address, told in one line on stderr.
+"""
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from detector.config import Settings, load_settings, split_metrics_address
+from detector.daemon import Daemon, Host
+from detector.fitting import ProcessFitter
+from detector.journal import Journal
+from mavdiag import __version__, commandline
+from mavdiag.link.endpoint import open_endpoint
+from mavdiag.storage import load_baseline
+
+if TYPE_CHECKING:
+    from detector.metrics import Metrics
+
+__all__ = ["app", "main"]
+
+app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"mavdiag-detector {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def detect(
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT",
+            help="udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [default: udpin:127.0.0.1:14550]",
+        ),
+    ] = None,
+    baseline: Annotated[Path | None, typer.Option(metavar="FILE", help="Judge by this baseline.")] = None,
+    learn: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Learn a baseline first, from so much healthy flight.")
+    ] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Keep what was learned.")] = None,
+    forward: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ENDPOINT", help="A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
+        ),
+    ] = None,
+    journal: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help="Append every event as a line.")] = None,
+    metrics: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
+    ] = None,
+    vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="Watch this system id only.")] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]"),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Settings; options given here win over it.")
+    ] = None,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
+
+    Needs --baseline FILE or --learn SECONDS. It sends a heartbeat, texts, their figures and stream requests, as
+    component 191 of the vehicle's system; it never arms and never sets a parameter.
+
+    Exit code 0 when stopped, 2 for a wrong option, baseline or address.
+    """
+    settings = load_settings(
+        config,
+        {
+            "connect": connect,
+            "baseline": baseline,
+            "learn": learn,
+            "save": save,
+            "forward": forward or None,
+            "journal": journal,
+            "metrics": metrics,
+            "vehicle": vehicle,
+            "profile": profile,
+        },
+    )
+    _serve(settings)
+
+
+def _serve(settings: Settings) -> None:
+    with ExitStack() as stack:
+        stop = stack.enter_context(_stop_signals())
+        baseline = None if settings.baseline is None else load_baseline(settings.baseline)
+        link = stack.enter_context(open_endpoint(settings.connect))
+        behind = [stack.enter_context(open_endpoint(address)) for address in settings.forward]
+        journal = None if settings.journal is None else stack.enter_context(closing(Journal(settings.journal, _say)))
+        metrics = None if settings.metrics is None else stack.enter_context(closing(_metrics(settings.metrics)))
+        daemon = Daemon(
+            settings,
+            Host(_say),
+            link,
+            behind,
+            baseline=baseline,
+            fitter=ProcessFitter(),
+            journal=journal,
+            metrics=metrics,
+        )
+        daemon.run(stop)
+
+
+def _metrics(address: str) -> "Metrics":
+    from detector.metrics import Metrics  # only if asked for: the import takes its time
+
+    return Metrics(*split_metrics_address(address))
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM end the loop after its tick instead of the process at once."""
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say(text: str) -> None:
+    """One log line on stderr, with the local time. A closed or full stderr must not stop the watch."""
+    stamp = "" if text.startswith("ready") else f"{datetime.now().astimezone():%H:%M:%S} "
+    with contextlib.suppress(OSError):
+        typer.echo(stamp + text, err=True)
+
+
+def main() -> NoReturn:
+    """Entry point of the console script."""
+    commandline.run(app, "mavdiag-detector")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""The session's life as a table: state x trigger -> state.
+
+Two rules keep it honest. Everything that changes a session's state is a row of this table, and this file does not
+know what a session does in a state. A trigger that a state's row does not list is a bug in the caller.
+"""
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+__all__ = ["TABLE", "State", "Trigger", "advance", "diagram"]
+
+
+class State(StrEnum):
+    """Where a session stands. The value is the word for it in texts, journal and metrics."""
+
+    WAITING = "waiting"  # for the streams that are needed, at a rate that will do
+    LEARNING = "learning"  # collecting healthy flight
+    FITTING = "fitting"  # making the baseline from it
+    MONITORING = "monitoring"  # judging, nothing found
+    ALERT = "alert"  # a fault is declared or suspected
+    LOST = "lost"  # the vehicle is not heard
+    FAULTED = "faulted"  # cannot do its work: no heartbeat in this state
+
+
+class Trigger(StrEnum):
+    """What moves a session."""
+
+    READY_TO_LEARN = "streams are there, no baseline yet"
+    READY_TO_JUDGE = "streams are there, the baseline fits"
+    REFUSED = "the baseline does not fit"
+    STREAMS_LOST = "a stream stopped or changed its rate"
+    COLLECTED = "enough healthy flight"
+    FITTED = "a baseline was made"
+    NOT_FITTED = "no baseline can be made"
+    ALARM = "a monitor is above its threshold"
+    QUIET = "no monitor is, for a while"
+    LINK_LOST = "nothing is heard"
+    LINK_BACK = "something is heard"
+    REBOOT = "the vehicle started anew"
+
+
+TABLE: Mapping[State, Mapping[Trigger, State]] = {
+    State.WAITING: {
+        Trigger.READY_TO_LEARN: State.LEARNING,
+        Trigger.READY_TO_JUDGE: State.MONITORING,
+        Trigger.REFUSED: State.FAULTED,
+        Trigger.LINK_LOST: State.LOST,
+        Trigger.REBOOT: State.WAITING,
+    },
+    State.LEARNING: {
+        Trigger.COLLECTED: State.FITTING,
+        Trigger.STREAMS_LOST: State.WAITING,
+        Trigger.LINK_LOST: State.LOST,
+        Trigger.REBOOT: State.WAITING,
+    },
+    # The fit ends within its time limit, one way or the other; what the link does meanwhile is seen to afterwards.
+    State.FITTING: {
+        Trigger.FITTED: State.WAITING,
+        Trigger.NOT_FITTED: State.FAULTED,
+    },
+    State.MONITORING: {
+        Trigger.ALARM: State.ALERT,
+        Trigger.STREAMS_LOST: State.WAITING,
+        Trigger.LINK_LOST: State.LOST,
+        Trigger.REBOOT: State.WAITING,
+    },
+    State.ALERT: {
+        Trigger.QUIET: State.MONITORING,
+        Trigger.STREAMS_LOST: State.WAITING,
+        Trigger.LINK_LOST: State.LOST,
+        Trigger.REBOOT: State.WAITING,
+    },
+    State.LOST: {
+        Trigger.LINK_BACK: State.WAITING,
+    },
+    # Another flight may do what this one could not; a vehicle that was swapped starts anew as well.
+    State.FAULTED: {
+        Trigger.REBOOT: State.WAITING,
+    },
+}
+
+
+def advance(state: State, trigger: Trigger) -> State:
+    """The next state. Raises ValueError for a trigger that the state does not know: a bug.
+
+    >>> advance(State.MONITORING, Trigger.ALARM)
+    <State.ALERT: 'alert'>
+    """
+    try:
+        return TABLE[state][trigger]
+    except KeyError:
+        raise ValueError(f"no transition from {state.name} by {trigger.name}") from None
+
+
+def diagram() -> str:
+    """The table as a Mermaid state diagram, for the documentation."""
+    lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING}"]
+    for state, row in TABLE.items():
+        lines += [f"    {state} --> {target}: {trigger}" for trigger, target in row.items()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,62 @@
+"""What a companion says, as MAVLink: effects to frames. It speaks as component 191 of the vehicle's system."""
+
+from collections.abc import Mapping
+
+from detector.effects import AskInterval, SendFloat, SendText
+from detector.states import State
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
+
+__all__ = ["HEALTH", "Voice"]
+
+MAVLINK_VERSION = 3  # HEARTBEAT.mavlink_version: what pymavlink and the autopilots fill in
+_MS_NS, _MS_TURN = 1_000_000, 1 << 32
+
+# MAV_STATE told in the heartbeat; a faulted session has none, because it sends none.
+_CALIBRATING, _STANDBY, _ACTIVE = 2, 3, 4
+HEALTH: Mapping[State, int] = {
+    State.WAITING: _STANDBY,
+    State.LEARNING: _CALIBRATING,
+    State.FITTING: _CALIBRATING,
+    State.MONITORING: _ACTIVE,
+    State.ALERT: _ACTIVE,
+    State.LOST: _STANDBY,
+}
+
+
+class Voice:
+    """One vehicle's companion, with its own sequence numbers. vehicle: system id."""
+
+    def __init__(self, vehicle: int) -> None:
+        self._vehicle = vehicle
+        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER)
+
+    def heartbeat(self, state: State) -> bytes:
+        """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must not beat."""
+        return self._encoder.encode(
+            MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, HEALTH[state], MAVLINK_VERSION
+        )
+
+    def knock(self) -> bytes:
+        """HEARTBEAT before any vehicle was heard, so that the other end learns where we are."""
+        return self.heartbeat(State.WAITING)
+
+    def text(self, effect: SendText) -> bytes:
+        """STATUSTEXT."""
+        return self._encoder.statustext(effect.severity, effect.text)
+
+    def value(self, effect: SendFloat) -> bytes:
+        """NAMED_VALUE_FLOAT, in the vehicle's own milliseconds."""
+        time_boot_ms = effect.vehicle_ns // _MS_NS % _MS_TURN
+        return self._encoder.encode(MessageId.NAMED_VALUE_FLOAT, time_boot_ms, effect.name, effect.value)
+
+    def request(self, effect: AskInterval) -> bytes:
+        """COMMAND_LONG with MAV_CMD_SET_MESSAGE_INTERVAL."""
+        target = (self._vehicle, Component.AUTOPILOT1)
+        return self._encoder.encode(
+            MessageId.COMMAND_LONG, *target, MavCmd.SET_MESSAGE_INTERVAL, 0, effect.msgid, effect.interval_us
+        )
+
+    def decline(self, command: int, sysid: int, compid: int) -> bytes:
+        """COMMAND_ACK: it takes no commands."""
+        return self._encoder.encode(MessageId.COMMAND_ACK, command, MavResult.UNSUPPORTED, 0, 0, sysid, compid)
