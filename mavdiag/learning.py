@@ -55,7 +55,7 @@ __all__ = [
 ]
 
 FOLDS = 5  # as many models as that share the work of judging flights they did not see (our choice)
-TRAIN_ROWS = 120_000  # two minutes at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
+TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
 MIN_PIECE_S = 1.0  # shorter valid stretches do not train a model (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)

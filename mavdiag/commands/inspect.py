@@ -7,9 +7,8 @@ import numpy as np
 import typer
 
 from mavdiag.commands.listen import hear
-from mavdiag.link.endpoint import is_address
 from mavdiag.logs import Log, read_log
-from mavdiag.quantities import NS_PER_S, Series
+from mavdiag.quantities import NS_PER_S, FloatArray, Series
 
 __all__ = ["inspect"]
 
@@ -20,8 +19,12 @@ def inspect(
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id, where there are several.")] = None,
 ) -> None:
     """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
-    log = hear(source, duration, vehicle) if is_address(source) else read_log(Path(source), vehicle)
+    log = hear(source, duration, vehicle) if _is_address(source) else read_log(Path(source), vehicle)
     _print(log)
+
+
+def _is_address(source: str) -> bool:
+    return source.startswith(("udpin:", "udpout:", "tcp:", "tcpin:", "/dev/"))
 
 
 def _print(log: Log) -> None:
@@ -29,8 +32,8 @@ def _print(log: Log) -> None:
     from rich.table import Table
 
     table = Table(title=f"{log.name}: profile {log.profile}")
-    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range"):
-        table.add_column(heading, justify="right")
+    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range of each column"):
+        table.add_column(heading, justify="right", overflow="fold")
     for series in log.telemetry.series:
         if len(series):
             table.add_row(series.signal, str(len(series)), *_timing(series), _extent(series))
@@ -39,7 +42,7 @@ def _print(log: Log) -> None:
 
 def _timing(series: Series) -> tuple[str, str, str]:
     """Rate by the median step, jitter as the standard deviation of the usual steps, and the longest step."""
-    steps = np.diff(np.unique(series.t_ns)) / NS_PER_S
+    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64) / NS_PER_S
     if len(steps) == 0:
         return "-", "-", "-"
     median = float(np.median(steps))
@@ -49,4 +52,4 @@ def _timing(series: Series) -> tuple[str, str, str]:
 
 def _extent(series: Series) -> str:
     low, high = np.nanmin(series.values, axis=0), np.nanmax(series.values, axis=0)
-    return "  ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
+    return ", ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))

@@ -36,8 +36,7 @@ def _frames(endpoint: Endpoint, duration_s: float) -> list[Frame]:
     frames: list[Frame] = []
     until = time.monotonic() + duration_s
     while (left := until - time.monotonic()) > 0:
-        if not wait([endpoint], min(left, POLL_S)):
-            time.sleep(0)
+        wait([endpoint], min(left, POLL_S))
         for data, host_ns in endpoint.receive(0):
             frames += decoder.feed(data, host_ns)
     return frames
