@@ -12,7 +12,7 @@ from mavdiag.errors import UsageError
 from mavdiag.quantities import FloatArray
 from sitl_plant.vehicle import Vehicle
 
-__all__ = ["Airframe", "Payload", "draw_airframe", "drone", "nominal_airframe"]
+__all__ = ["NO_PAYLOAD", "Airframe", "Payload", "draw_airframe", "drone", "nominal_airframe"]
 
 # The seeds that make drones 1, 2 and 3. Any numbers would do; they are part of the drones' identity.
 DRONE_SEEDS = (20_251, 20_252, 20_253)
@@ -29,6 +29,9 @@ class Payload:
     def __post_init__(self) -> None:
         if not 0.0 <= self.mass_kg <= 1.0:
             raise UsageError(f"payload must be 0 to 1 kg, not {self.mass_kg:g}; T Table 5.1 allows 0.3 kg")
+
+
+NO_PAYLOAD = Payload()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,9 +24,9 @@ EPSILON = 1e-3  # m/s^2: below this the accelerometer has no direction (T Eq 2.3
 
 
 class Estimator(NamedTuple):
-    """Constants. gyro_gain, accel_gain: 1 - exp(-2 pi f dt) of the low-passes; correction: dt / time constant."""
+    """Constants. gyro_filter: 2 pi f [rad/s]; accel_gain: 1 - exp(-2 pi f dt); correction: dt / time constant."""
 
-    gyro_gain: float
+    gyro_filter: float
     accel_gain: float
     correction: float
 
@@ -53,21 +53,23 @@ def advance_estimate(
     estimate: FloatArray,
     accel_filtered: FloatArray,
     estimator: Estimator,
-    gyro: FloatArray,
-    accel: FloatArray,
+    reading: FloatArray,
     yaw_seen: float,
     dt: float,
 ) -> None:
-    """Advance the nine states in place by one sample. gyro, accel: (3,) FRD; yaw_seen: from motion capture [rad].
+    """Advance the nine states in place by one sample.
 
-    eta' = eta + dt * W(eta) rate + (dt / tau) (eta_seen - eta): gyro for the short term, accelerometer and cameras for
-    the long term.
+    reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
+
+    rate'' = w^2 (gyro - rate) - sqrt(2) w rate'                 second-order low-pass: rate and acceleration in one
+    eta'   = W(eta) rate + (eta_seen - eta) / tau                gyro for the short term, accelerometer and cameras
+                                                                 for the long term
     """
     for i in range(3):
-        step = estimator.gyro_gain * (gyro[i] - estimate[3 + i])
-        estimate[3 + i] += step
-        estimate[6 + i] = step / dt
-        accel_filtered[i] += estimator.accel_gain * (accel[i] - accel_filtered[i])
+        stiffness = estimator.gyro_filter * (reading[i] - estimate[3 + i]) - np.sqrt(2.0) * estimate[6 + i]
+        estimate[6 + i] += dt * estimator.gyro_filter * stiffness
+        estimate[3 + i] += dt * estimate[6 + i]
+        accel_filtered[i] += estimator.accel_gain * (reading[3 + i] - accel_filtered[i])
     phi_acc, theta_acc = tilt_from_accel(accel_filtered[0], accel_filtered[1], accel_filtered[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
     p, q, r = estimate[3], estimate[4], estimate[5]

@@ -22,7 +22,7 @@ from mavdiag.quantities import FloatArray
 from sitl_plant.attitude import wrapped
 from sitl_plant.jit import jit
 
-__all__ = ["Controller", "ControlState", "control"]
+__all__ = ["ControlState", "Controller", "control"]
 
 
 class Controller(NamedTuple):

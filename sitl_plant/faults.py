@@ -1,7 +1,7 @@
 """The nine propeller faults of T Tables 3.1-3.3, by code ("F2/SV2").
 
-Physics, from T or estimated from it: thrust loss, drag increase, unbalance and its radius. Unbalance is what T Table 3.2
-*prints*; three slips in it are kept as printed and listed here:
+Physics, from T or estimated from it: thrust loss, drag increase, unbalance and its radius. Unbalance is what T Table
+3.2 *prints*; three slips in T's tables are kept as printed and listed here:
 
     F1/SV3   the distance column says 65/40 mm, the sum uses 65 and 50 mm
     F2/SV3   the printed sum gives 2.970 g mm, the printed result is 2.640 g mm
@@ -10,8 +10,8 @@ Physics, from T or estimated from it: thrust loss, drag increase, unbalance and 
 Phenomenology, **fitted, not derived**: T's own flights show residuals far above what the physics alone gives, since the
 line at one per revolution hardly passes the 0.1 s smoothing window. A damaged propeller is therefore also given a slow
 random fluctuation of its thrust (Ornstein-Uhlenbeck, rms and corner below) and, for cracks, a lag of its thrust. These
-three columns were fitted so that T Fig 5.9, 5.10 and Table 5.2 come out. `phenomenology` scales rms and lag; with 0 only
-the physics is left. Report results for 0, 0.5 and 1.
+three columns were fitted so that T Fig 5.9, 5.10 and Table 5.2 come out. `phenomenology` scales rms and lag; with 0
+only the physics is left. Report results for 0, 0.5 and 1.
 """
 
 import re

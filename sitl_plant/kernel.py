@@ -13,11 +13,11 @@ import numpy as np
 from mavdiag.quantities import FloatArray
 from sitl_plant.attitude import Estimator, advance_estimate
 from sitl_plant.controller import Controller, ControlState, control
-from sitl_plant.dynamics import GRAVITY, RIGID, Body, derivative, rk4_step, rotate_to_body
-from sitl_plant.jit import cached, jit, source_digest
+from sitl_plant.dynamics import RIGID, STAGES, Body, derivative, rk4_step
+from sitl_plant.jit import cached, inline, jit, source_digest
 from sitl_plant.mocap import Mocap, MocapState, deliver_pose, observe
 from sitl_plant.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
-from sitl_plant.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, lever_arm
+from sitl_plant.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, feel
 from sitl_plant.supply import Air, Battery, advance_battery, advance_wind
 from sitl_plant.trajectory import Path, reference
 
@@ -40,7 +40,7 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """All that changes; the arrays are updated in place. rigid: (13,), wrench: (3, 8), estimate: (9,), battery: (2,)."""
+    """All that changes, updated in place. rigid: (13,), wrench: (3, 8), wind: (3,), battery: (2,), estimate: (9,)."""
 
     rigid: FloatArray
     wrench: FloatArray
@@ -78,52 +78,68 @@ class Rows(NamedTuple):
     battery_v: FloatArray
 
 
-@jit
-def _sense(state: State, model: Model, condition: SensorCondition, normals: FloatArray, dx: FloatArray) -> None:
-    """Read the IMU at the present state. dx: (13,) scratch."""
-    x = state.rigid
-    derivative(x, state.wrench[2], model.body, state.wind, dx)
-    force, truth = np.empty(3), np.empty(CHANNELS)
-    force[0], force[1], force[2] = rotate_to_body(x[6:10], dx[3], dx[4], dx[5] - GRAVITY)
-    truth[:3] = x[10:13]
-    lever_arm(dx, x, force, model.imu.position, truth[3:])
-    advance_imu(state.imu, model.imu, condition, truth, normals, model.dt)
+class Scratch(NamedTuple):
+    """Arrays that one step needs and the next forgets. work: (5, 13), truth: (6,), path: (8,), command: (n,)."""
+
+    work: FloatArray
+    truth: FloatArray
+    path: FloatArray
+    command: FloatArray
+
+
+@inline
+def _sense(
+    state: State, model: Model, condition: SensorCondition, noise: Noise, row: int, step: int, scratch: Scratch
+) -> None:
+    """Read the IMU, and receive what the cameras saw."""
+    derivative(state.rigid, state.wrench, STAGES - 1, model.body, state.wind, scratch.work, 0)
+    feel(state.rigid, scratch.work, model.imu.position, scratch.truth)
+    advance_imu(state.imu, model.imu, condition, scratch.truth, noise.imu, row, model.dt)
+    deliver_pose(state.mocap, model.mocap, step)
+
+
+@inline
+def _decide(state: State, model: Model, t: float, scratch: Scratch) -> None:
+    """Estimate the attitude and pass the cascade once."""
+    advance_estimate(
+        state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
+    )
+    reference(model.path, t, scratch.path)
+    control(
+        state.control, model.controller, scratch.path, state.mocap.pose, state.mocap.velocity, state.estimate, model.dt
+    )
 
 
 @jit
-def _decide(state: State, model: Model, t: float, path: FloatArray) -> None:
-    """Estimate the attitude and pass the cascade once. path: (8,) scratch."""
-    gyro, accel = state.imu.reading[:3], state.imu.reading[3:]
-    advance_estimate(state.estimate, state.accel_filtered, model.estimator, gyro, accel, state.mocap.pose[3], model.dt)
-    reference(model.path, t, path)
-    control(state.control, model.controller, path, state.mocap.pose, state.mocap.velocity, state.estimate, model.dt)
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+    """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
+    for i in range(len(source)):
+        rows[row, i] = source[i]
 
 
-@jit
+@inline
 def _record(state: State, row: int, rows: Rows) -> None:
-    rows.setpoint[row] = state.control.setpoint
-    rows.rate_setpoint[row] = state.control.rate
+    _copy(state.control.setpoint, rows.setpoint, row)
+    _copy(state.control.rate, rows.rate_setpoint, row)
+    _copy(state.imu.reading, rows.imu, row)
+    _copy(state.estimate, rows.attitude, row)
+    _copy(state.rigid, rows.rigid, row)
+    _copy(state.rotors.speed, rows.rotor_speed, row)
+    _copy(state.control.duty, rows.duty, row)
     rows.thrust[row] = state.control.wrench[0]
-    rows.imu[row] = state.imu.reading
-    rows.attitude[row] = state.estimate
-    rows.rigid[row] = state.rigid
-    rows.rotor_speed[row] = state.rotors.speed
-    rows.duty[row] = state.control.duty
     rows.battery_v[row] = state.battery[0]
 
 
-@jit
-def _move(
-    state: State, model: Model, condition: Condition, noise: Noise, row: int, command: FloatArray, work: FloatArray
-) -> None:
-    """Advance noise, rotors, body and battery by one step. command: (n,), work: (5, 13), scratch."""
-    advance_wind(state.wind, model.air, noise.wind[row])
-    advance_noise(state.rotors, model.rotors, condition, noise.rotors[row])
-    for i in range(len(command)):
+@inline
+def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
+    """Advance wind, noise, rotors, body and battery by one step under the new command."""
+    advance_wind(state.wind, model.air, noise.wind, row)
+    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
+    for i in range(len(scratch.command)):
         full = model.battery.speed_per_volt * state.battery[0]
-        command[i] = full * state.control.duty[i] * condition.speed_gain[i]
-    advance_rotors(state.rotors, model.rotors, condition, command, model.dt, state.wrench)
-    rk4_step(state.rigid, state.wrench, model.body, state.wind, work, model.dt)
+        scratch.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+    advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
+    rk4_step(state.rigid, state.wrench, model.body, state.wind, scratch.work, model.dt)
     advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
@@ -144,25 +160,24 @@ def _compiled_for(digest: int) -> Fly:
         noise: Noise,
         rows: Rows,
     ) -> int:
-        work, dx, path, command = np.empty((5, RIGID)), np.empty(RIGID), np.empty(8), np.empty(len(rows.duty[0]))
+        scratch = Scratch(np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(8), np.empty(len(state.rotors.speed)))
         frame = 0
         for row in range(count):
             step = first + row
-            _sense(state, model, sensors, noise.imu[row], dx)
             if step % model.mocap.period == 0:
-                observe(state.mocap, model.mocap, state.rigid, step, noise.markers[frame], noise.occlusion[frame])
+                observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
                 frame += 1
-            deliver_pose(state.mocap, model.mocap, step)
-            _decide(state, model, step * model.dt, path)
+            _sense(state, model, sensors, noise, row, step, scratch)
+            _decide(state, model, step * model.dt, scratch)
             _record(state, row, rows)
-            _move(state, model, condition, noise, row, command, work)
+            _move(state, model, condition, noise, row, scratch)
         return digest
 
     return fly
 
 
 fly: Fly = _compiled_for(source_digest())
-"""fly(first, count, model, condition, sensors, state, noise, rows): steps first .. first + count - 1; step 0 is at t = 0.
+"""fly(first, count, model, condition, sensors, state, noise, rows): steps first .. first + count - 1, step 0 at t = 0.
 
 `state` is updated in place and `rows` filled from row 0. Returns the digest of the sources it was compiled from.
 """

@@ -5,6 +5,7 @@ is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix. The e
 from above and the eigenvector from the adjugate (D. Theobald, Acta Cryst. A61 (2005) 478-480).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,8 @@ class Mocap(NamedTuple):
 class MocapState(NamedTuple):
     """queue: (latency + 1, 4) poses under way, nan where there is none. pose: (4,), velocity: (3,) as last received.
 
-    A pose is position_N of the geometric centre and yaw. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or 0;
-    fit: (7,) position and q_NB fitted to them.
+    A pose is position_N of the geometric centre and yaw. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or
+    0; fit: (13,) state row fitted to them, rates zero.
     """
 
     queue: FloatArray
@@ -53,9 +54,9 @@ class MocapState(NamedTuple):
 
 @jit
 def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray) -> bool:
-    """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, if under three are seen.
+    """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, below three.
 
-    model, seen: (m, 3) in body and world axes. fit: (7,) position of the model's origin, then q_NB (w, x, y, z).
+    model, seen: (m, 3) in body and world axes. fit: (13,) a state row; position of the model's origin and q_NB are set.
     """
     count = visible.sum()
     if count < 3:
@@ -74,8 +75,8 @@ def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatA
                 S[a, b] += p_a * (seen[i, b] - q_mean[b])
     K = np.zeros((4, 4))
     _horn_matrix(S, K)
-    _leading_eigenvector(K, bound, fit[3:])
-    turned = rotate_to_world(fit[3:], p_mean[0], p_mean[1], p_mean[2])
+    _leading_eigenvector(K, bound, fit[6:10])
+    turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
     for a in range(3):
         fit[a] = q_mean[a] - turned[a]
     return True
@@ -133,29 +134,33 @@ def _cofactor(M: FloatArray, row: int, column: int) -> float:
         - M[i, b] * (M[j, a] * M[k, c] - M[j, c] * M[k, a])
         + M[i, c] * (M[j, a] * M[k, b] - M[j, b] * M[k, a])
     )
-    return -minor if (row + column) % 2 else minor
+    return float(-minor if (row + column) % 2 else minor)
 
 
 @jit
-def yaw_of(q: FloatArray) -> float:
-    """Yaw [rad] of q_NB (w, x, y, z)."""
-    return float(np.arctan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])))
+def yaw_of(state: FloatArray) -> float:
+    """Yaw [rad] of the attitude in a state row."""
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 @jit
 def observe(
-    state: MocapState, mocap: Mocap, x: FloatArray, step: int, normals: FloatArray, uniforms: FloatArray
+    state: MocapState, mocap: Mocap, x: FloatArray, step: int, normals: FloatArray, uniforms: FloatArray, frame: int
 ) -> None:
-    """Take a frame of the vehicle in rigid state x and put its pose under way. normals: (m, 3), uniforms: (m,)."""
+    """Take a frame of the vehicle with state row x and put its pose under way.
+
+    normals: (frames, m, 3) and uniforms: (frames, m), of which row `frame` is used.
+    """
     for i in range(len(mocap.markers)):
         r = mocap.markers[i]
-        place = rotate_to_world(x[6:10], r[0] + mocap.centre[0], r[1] + mocap.centre[1], r[2] + mocap.centre[2])
+        place = rotate_to_world(x, r[0] + mocap.centre[0], r[1] + mocap.centre[1], r[2] + mocap.centre[2])
         for a in range(3):
-            state.seen[i, a] = x[a] + place[a] + mocap.noise * normals[i, a]
-        state.visible[i] = 1 if uniforms[i] >= mocap.occlusion else 0
+            state.seen[i, a] = x[a] + place[a] + mocap.noise * normals[frame, i, a]
+        state.visible[i] = 1 if uniforms[frame, i] >= mocap.occlusion else 0
     if fit_pose(mocap.markers, state.seen, state.visible, state.fit):
         slot = state.queue[(step + mocap.latency) % (mocap.latency + 1)]
-        slot[0], slot[1], slot[2], slot[3] = state.fit[0], state.fit[1], state.fit[2], yaw_of(state.fit[3:])
+        slot[0], slot[1], slot[2], slot[3] = state.fit[0], state.fit[1], state.fit[2], yaw_of(state.fit)
 
 
 @jit

@@ -40,7 +40,7 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         imu=_imu(airframe, centre_of_gravity),
         mocap=_mocap(vehicle, centre_of_gravity),
         estimator=Estimator(
-            gyro_gain=1.0 - _decay(vehicle.control.gyro_filter_hz),
+            gyro_filter=2.0 * math.pi * vehicle.control.gyro_filter_hz,
             accel_gain=1.0 - _decay(vehicle.control.accel_filter_hz),
             correction=STEP_S / vehicle.control.complementary_s,
         ),
@@ -60,7 +60,8 @@ def body_with_payload(airframe: Airframe, payload: Payload) -> tuple[Body, Float
     inertia = np.diag(airframe.inertia_kg_m2)
     inertia = inertia + own.mass_kg * extra / mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
     centre = airframe.centre_of_gravity_m + extra / mass * apart
-    return Body(mass, inertia, np.linalg.inv(inertia), own.drag_n_s_m, own.hub_moment_n_s), centre
+    hub_moment = own.hub_moment_n_s * len(airframe.vehicle.rotors)
+    return Body(mass, inertia, np.asarray(np.linalg.inv(inertia), dtype=np.float64), own.drag_n_s_m, hub_moment), centre
 
 
 def _decay(corner_hz: float) -> float:
@@ -150,7 +151,7 @@ def _controller(vehicle: Vehicle) -> Controller:
                 inertia * [control.rate_d, control.rate_d, 0],
             ]
         ),
-        mixer=np.linalg.pinv(allocation(vehicle)),
+        mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=_full_thrust(vehicle),
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=control.tilt_limit_rad,
@@ -170,7 +171,7 @@ def _controller(vehicle: Vehicle) -> Controller:
 
 
 def initial_state(model: Model, azimuth: FloatArray) -> State:
-    """Hover at the first point of the path, level and nearly trimmed. azimuth: (n,) of the rotors at the start [rad]."""
+    """Hover at the first point of the path, level, nearly in trim. azimuth: (n,) of the rotors at the start [rad]."""
     n = len(azimuth)
     start = np.zeros(8)
     reference(model.path, -1.0, start)
@@ -199,7 +200,7 @@ def initial_state(model: Model, azimuth: FloatArray) -> State:
             velocity=np.zeros(3),
             seen=np.zeros((markers, 3)),
             visible=np.zeros(markers, dtype=np.int64),
-            fit=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+            fit=np.zeros(RIGID),
         ),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),

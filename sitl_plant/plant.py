@@ -13,10 +13,10 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.quantities import FloatArray, IntArray
-from sitl_plant.airframe import Airframe, Payload, drone
+from sitl_plant.airframe import NO_PAYLOAD, Airframe, Payload, drone
 from sitl_plant.faults import parse_fault
 from sitl_plant.injections import Injection, rotor_condition, sensor_condition
-from sitl_plant.kernel import Model, Noise, Rows, State, fly
+from sitl_plant.kernel import Model, Noise, Rows, fly
 from sitl_plant.parameters import STEP_S, initial_state, make_model
 from sitl_plant.trajectory import Shape, path
 from sitl_plant.vehicle import qdrone2
@@ -49,7 +49,7 @@ class PlantConfig:
     injections: tuple[Injection, ...] = ()
     wind_m_s: float = 0.0
     wind_towards_rad: float = math.pi / 4
-    payload: Payload = Payload()
+    payload: Payload = NO_PAYLOAD
     seed: int = 0
     airframe: Airframe | None = None
 

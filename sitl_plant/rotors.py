@@ -13,12 +13,11 @@ blade, so the two torques oppose each other as T 5.5.2 says. The phase is carrie
 per revolution (167 Hz in hover) has its true amplitude U w^2 / m in the acceleration.
 """
 
+import math
 from typing import NamedTuple
 
-import numpy as np
-
 from mavdiag.quantities import FloatArray
-from sitl_plant.dynamics import STAGES
+from sitl_plant.dynamics import STAGES, WRENCH
 from sitl_plant.jit import jit
 
 __all__ = ["Condition", "RotorState", "Rotors", "advance_noise", "advance_rotors"]
@@ -65,18 +64,18 @@ class RotorState(NamedTuple):
 
 
 @jit
-def advance_noise(state: RotorState, rotors: Rotors, condition: Condition, normals: FloatArray) -> None:
-    """Advance the Ornstein-Uhlenbeck noises by one step, exactly. normals: (2 n,) standard normal numbers.
+def advance_noise(state: RotorState, rotors: Rotors, condition: Condition, normals: FloatArray, row: int) -> None:
+    """Advance the Ornstein-Uhlenbeck noises by one step, exactly. normals: (steps, 2 n), of which `row` is used.
 
     x' = a x + sqrt(1 - a^2) n has unit variance at every corner frequency.
     """
     n = len(state.speed)
     a = rotors.noise_decay
-    b = np.sqrt(1.0 - a * a)
+    b = math.sqrt(1.0 - a * a)
     for i in range(n):
-        state.noise[i] = a * state.noise[i] + b * normals[i]
+        state.noise[i] = a * state.noise[i] + b * normals[row, i]
         c = condition.fluctuation_decay[i]
-        state.fluctuation[i] = c * state.fluctuation[i] + np.sqrt(1.0 - c * c) * normals[n + i]
+        state.fluctuation[i] = c * state.fluctuation[i] + math.sqrt(1.0 - c * c) * normals[row, n + i]
 
 
 @jit
@@ -87,11 +86,13 @@ def advance_rotors(
 
     wrench: (3, 8), rows as in `sitl_plant.dynamics`; overwritten.
     """
-    wrench[:, :] = 0.0
+    for stage in range(STAGES):
+        for k in range(WRENCH):
+            wrench[stage, k] = 0.0
     for i in range(len(state.speed)):
         start, lag, azimuth = state.speed[i], rotors.lag[i], state.azimuth[i]
         excess = start - command[i]
-        half = np.exp(-0.5 * dt / lag)
+        half = math.exp(-0.5 * dt / lag)
         decay = 1.0
         noise = 1.0 + rotors.noise_rms * state.noise[i]
         gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])
@@ -101,10 +102,10 @@ def advance_rotors(
             theta = azimuth + command[i] * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
             lift = rotors.thrust_coefficient[i] * speed * speed * noise
             thrust = _lagged(state.thrust[i], lift * gain, condition.thrust_lag[i], 0.5 * stage * dt)
-            _add_rotor(wrench[stage], rotors, condition, i, speed, theta, thrust, lift)
+            _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
-        state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta % (2.0 * np.pi), thrust
+        state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta % (2.0 * math.pi), thrust
 
 
 @jit
@@ -112,12 +113,13 @@ def _lagged(before: float, target: float, lag: float, span: float) -> float:
     """First-order lag of thrust after `span` seconds; no lag at all if it is zero."""
     if lag <= 0.0:
         return target
-    return target + (before - target) * np.exp(-span / lag)
+    return target + (before - target) * math.exp(-span / lag)
 
 
 @jit
 def _add_rotor(
-    row: FloatArray,
+    wrench: FloatArray,
+    stage: int,
     rotors: Rotors,
     condition: Condition,
     i: int,
@@ -127,20 +129,15 @@ def _add_rotor(
     lift: float,
 ) -> None:
     """Add rotor i at azimuth theta to a wrench row."""
-    sign = rotors.sign[i]
-    cosine, sine = np.cos(theta), sign * np.sin(theta)
-    U, d = condition.unbalance[i], condition.lift_offset[i]
-    squared = speed * speed
-    f_x = (cosine * U[0] - sine * U[1]) * squared
-    f_y = (sine * U[0] + cosine * U[1]) * squared
-    x = rotors.hub[i, 0] + cosine * d[0] - sine * d[1]
-    y = rotors.hub[i, 1] + sine * d[0] + cosine * d[1]
-    z = rotors.hub[i, 2]
-    row[0] += f_x
-    row[1] += f_y
-    row[2] -= thrust
-    row[3] += -y * thrust - z * f_y
-    row[4] += x * thrust + z * f_x
-    row[5] += rotors.hub[i, 0] * f_y - rotors.hub[i, 1] * f_x
-    row[5] -= sign * lift * condition.drag_gain[i] * rotors.torque_per_thrust
-    row[6] += rotors.inertia * sign * speed
+    sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
+    cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
+    u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]
+    d_x, d_y = condition.lift_offset[i, 0], condition.lift_offset[i, 1]
+    f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
+    wrench[stage, 0] += f_x
+    wrench[stage, 1] += f_y
+    wrench[stage, 2] -= thrust
+    wrench[stage, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
+    wrench[stage, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
+    wrench[stage, 5] += x * f_y - y * f_x - sign * lift * condition.drag_gain[i] * rotors.torque_per_thrust
+    wrench[stage, 6] += rotors.inertia * sign * speed

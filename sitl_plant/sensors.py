@@ -6,25 +6,27 @@
 Gyro and accelerometer pass the same second-order Butterworth low-pass, so that they share one delay.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mavdiag.quantities import FloatArray
+from sitl_plant.dynamics import GRAVITY, rotate_to_body
 from sitl_plant.jit import jit
 
-__all__ = ["CHANNELS", "Imu", "ImuState", "SensorCondition", "advance_imu", "butterworth", "lever_arm"]
+__all__ = ["CHANNELS", "Imu", "ImuState", "SensorCondition", "advance_imu", "butterworth", "feel"]
 
 CHANNELS = 6  # gyro x, y, z [rad/s], accelerometer x, y, z [m/s^2]
 
 
 class Imu(NamedTuple):
-    """Constants. position: (3,) from the centre of gravity. bias, noise: (6,), noise as rms per sample. filter: (5,)."""
+    """Constants. position: (3,) from the centre of gravity. bias, noise: (6,), noise as rms per sample."""
 
     position: FloatArray
     bias: FloatArray
     noise: FloatArray
-    filter: FloatArray
+    filter: tuple[float, float, float, float, float]
 
 
 class SensorCondition(NamedTuple):
@@ -44,46 +46,44 @@ class ImuState(NamedTuple):
     reading: FloatArray
 
 
-def butterworth(corner_hz: float, dt_s: float) -> FloatArray:
-    """Second-order Butterworth low-pass by the bilinear transform with prewarping: (5,) = b0, b1, b2, a1, a2.
+def butterworth(corner_hz: float, dt_s: float) -> tuple[float, float, float, float, float]:
+    """Second-order Butterworth low-pass by the bilinear transform with prewarping: b0, b1, b2, a1, a2 (a0 = 1).
 
-    Raises nothing; a corner at or above the Nyquist frequency is held at 0.499 of the sample rate.
+    A corner at or above the Nyquist frequency is held at 0.499 of the sample rate.
     """
-    k = np.tan(np.pi * min(corner_hz * dt_s, 0.499))
-    a0 = 1.0 + np.sqrt(2.0) * k + k * k
-    return np.array([k * k, 2.0 * k * k, k * k, 2.0 * (k * k - 1.0), 1.0 - np.sqrt(2.0) * k + k * k]) / a0
+    k = math.tan(math.pi * min(corner_hz * dt_s, 0.499))
+    a0 = 1.0 + math.sqrt(2.0) * k + k * k
+    b0 = k * k / a0
+    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0
 
 
 @jit
-def lever_arm(dx: FloatArray, x: FloatArray, force: FloatArray, r: FloatArray, out: FloatArray) -> None:
-    """Specific force (3,) at a point r of the body (FRD, from the centre of gravity) into `out`.
+def feel(x: FloatArray, dx: FloatArray, position: FloatArray, truth: FloatArray) -> None:
+    """What ideal sensors at `position` read, into truth (6,): body rates and specific force.
 
-    force: (3,) specific force at the centre of gravity. x, dx: state row and its derivative.
+    x: (13,) state row. dx: (k, 13), its derivative in row 0. position: (3,) FRD, from the centre of gravity.
     """
-    p, q, s = x[10], x[11], x[12]
-    dp, dq, ds = dx[10], dx[11], dx[12]
-    v_x, v_y, v_z = q * r[2] - s * r[1], s * r[0] - p * r[2], p * r[1] - q * r[0]
-    out[0] = force[0] + dq * r[2] - ds * r[1] + q * v_z - s * v_y
-    out[1] = force[1] + ds * r[0] - dp * r[2] + s * v_x - p * v_z
-    out[2] = force[2] + dp * r[1] - dq * r[0] + p * v_y - q * v_x
+    p, q, r = x[10], x[11], x[12]
+    dp, dq, dr = dx[0, 10], dx[0, 11], dx[0, 12]
+    r_x, r_y, r_z = position[0], position[1], position[2]
+    f_x, f_y, f_z = rotate_to_body(x, dx[0, 3], dx[0, 4], dx[0, 5] - GRAVITY)
+    v_x, v_y, v_z = q * r_z - r * r_y, r * r_x - p * r_z, p * r_y - q * r_x  # omega × position
+    truth[0], truth[1], truth[2] = p, q, r
+    truth[3] = f_x + dq * r_z - dr * r_y + q * v_z - r * v_y
+    truth[4] = f_y + dr * r_x - dp * r_z + r * v_x - p * v_z
+    truth[5] = f_z + dp * r_y - dq * r_x + p * v_y - q * v_x
 
 
 @jit
 def advance_imu(
-    state: ImuState,
-    imu: Imu,
-    condition: SensorCondition,
-    truth: FloatArray,
-    normals: FloatArray,
-    dt: float,
+    state: ImuState, imu: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray, row: int, dt: float
 ) -> None:
-    """Read the sensors once. truth, normals: (6,). The reading is left in `state.reading`."""
+    """Read the sensors once. truth: (6,), normals: (steps, 6). The reading is left in `state.reading`."""
     b0, b1, b2, a1, a2 = imu.filter
     for i in range(CHANNELS):
-        noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i])
         state.drifted[i] += condition.drift[i] * dt
-        value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i]
-        value += noise * normals[i]
+        noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i]) * normals[row, i]
+        value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
         # Direct form II, transposed.
         result = b0 * value + state.memory[i, 0]
         state.memory[i, 0] = b1 * value - a1 * result + state.memory[i, 1]

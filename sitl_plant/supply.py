@@ -43,8 +43,11 @@ def advance_battery(state: FloatArray, battery: Battery, speed: FloatArray, dt: 
 
 
 @jit
-def advance_wind(wind: FloatArray, air: Air, normals: FloatArray) -> None:
-    """Advance the wind (3,) by one step: an Ornstein-Uhlenbeck gust about the mean, exact for any step."""
+def advance_wind(wind: FloatArray, air: Air, normals: FloatArray, row: int) -> None:
+    """Advance the wind (3,) by one step: an Ornstein-Uhlenbeck gust about the mean, exact for any step.
+
+    normals: (steps, 3), of which `row` is used.
+    """
     for i in range(3):
         gust = wind[i] - air.mean[i]
-        wind[i] = air.mean[i] + air.decay * gust + air.gust_rms * np.sqrt(1.0 - air.decay**2) * normals[i]
+        wind[i] = air.mean[i] + air.decay * gust + air.gust_rms * np.sqrt(1.0 - air.decay**2) * normals[row, i]
