@@ -10,6 +10,7 @@ Everything is a value: state in, state out; cutting the samples into other piece
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,7 +38,7 @@ REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so t
 SETTLE_NS = 2 * NS_PER_S  # how long the delay of a clock is watched before a second clock is laid over the first
 
 EPOCH_NS = 1_000_000_000 * NS_PER_S  # stamps from here on (year 2001) are unix time, earlier ones time since boot
-HIGHEST_NS = 1 << 62  # nanoseconds (year 2116): garbage beyond is held here so that sums stay in 64 bits
+HIGHEST_NS = (1 << 62) - 1  # year 2116: garbage beyond is held here, so that a stamp and an offset fit 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +54,7 @@ US_32 = Counter(1_000, 1 << 32)  # SERVO_OUTPUT_RAW.time_usec: wraps after 71.6 
 US_64 = Counter(1_000, 0)  # time_usec: since boot or since 1970
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """Where one message's counter stood last. raw: the count as sent; turns: how often it has wrapped."""
 
     raw: int
@@ -62,16 +62,16 @@ class Reading:
     host_ns: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class Run(NamedTuple):
     """Samples of one message whose counter went on regularly.
 
-    clock_ns: (n,) the message's own clock [ns], wraps undone; host_ns: (n,) when received [ns].
-    on_epoch: the samples carry unix time, rather than time since boot. reading: where the counter stands now.
+    clock_ns: (n,) the message's own clock [ns], wraps undone; host_ns: (n,) when received [ns]. latest_ns: the highest
+    of clock_ns. on_epoch: they are unix time, rather than time since boot. reading: where the counter stands now.
     """
 
     clock_ns: IntArray
     host_ns: IntArray
+    latest_ns: int
     on_epoch: bool
     reading: Reading
 
@@ -89,9 +89,15 @@ def unwrap(counter: Counter, last: Reading | None, raw: IntArray, host_ns: IntAr
     start, end = since * counter.tick_ns + ahead_ns, final * counter.tick_ns + ahead_ns
     on_epoch = start >= EPOCH_NS
     steady = 0 <= since <= first and end - start < WRAP_SLACK_NS  # so that no single step can be out of bounds
-    if steady and on_epoch == (end >= EPOCH_NS) and np.minimum.reduce(raw[1:] - raw[:-1], initial=0) >= 0:
-        return Run(raw * counter.tick_ns + ahead_ns, host_ns, on_epoch, Reading(final, turns, int(host_ns[-1])))
+    if steady and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS) and _ascends(raw):
+        clock_ns = raw * counter.tick_ns
+        reading = Reading(final, turns, int(host_ns[-1]))
+        return Run(clock_ns + ahead_ns if ahead_ns else clock_ns, host_ns, end, on_epoch, reading)
     return _unwrap_step_by_step(counter, last, np.clip(raw, 0, HIGHEST_NS // counter.tick_ns), host_ns)
+
+
+def _ascends(raw: IntArray) -> bool:
+    return len(raw) == 1 or bool(np.logical_and.reduce(raw[1:] >= raw[:-1]))
 
 
 def changed_clock(counter: Counter, last: Reading, raw: int) -> bool:
@@ -114,9 +120,10 @@ def _unwrap_step_by_step(counter: Counter, last: Reading | None, raw: IntArray, 
     broken = (step * counter.tick_ns < -LATE_NS) | (unexplained_ns > slack_ns) | (epoch != on_epoch)
     n = int(np.argmax(broken)) if broken.any() else len(raw)
     if n == 0:
-        return Run(clock_ns[:0], host_ns[:0], on_epoch, before)
+        return Run(clock_ns[:0], host_ns[:0], 0, on_epoch, before)
     turns = (int(count[n - 1]) - int(raw[n - 1])) // counter.turn if counter.turn else 0
-    return Run(clock_ns[:n], host_ns[:n], on_epoch, Reading(int(raw[n - 1]), turns, int(host_ns[n - 1])))
+    reading = Reading(int(raw[n - 1]), turns, int(host_ns[n - 1]))
+    return Run(clock_ns[:n], host_ns[:n], int(clock_ns[:n].max()), on_epoch, reading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,15 +170,23 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     if timeline.on_epoch is None:
         timeline = _begun(timeline, runs[0])
     boot, epoch = timeline.delays
-    delays = _watched(boot, runs, on_epoch=False), _watched(epoch, runs, on_epoch=True)
-    times = [_times(timeline, delays, run) for run in runs]
-    known_ns, received_ns = timeline.t_ns, timeline.host_ns
-    for run, t_ns in zip(runs, times, strict=True):
+    received_ns, known_ns = timeline.host_ns, timeline.t_ns
+    boot = _watched(boot, runs, received_ns, on_epoch=False)
+    epoch = _watched(epoch, runs, received_ns, on_epoch=True)
+    lag_ns = epoch.least_ns - boot.least_ns if boot and epoch else 0
+    times = []
+    for run in runs:
+        offset_ns, held_back = timeline.base_ns, 0
+        if run.on_epoch != timeline.on_epoch:
+            offset_ns += lag_ns if run.on_epoch else -lag_ns
+            held_back = _unsettled(boot, epoch, run)
+        offset_ns = min(max(offset_ns, -HIGHEST_NS), HIGHEST_NS)
+        t_ns = run.clock_ns[held_back:] + offset_ns if offset_ns or held_back else run.clock_ns
+        if len(t_ns) and (known_ns is None or run.latest_ns + offset_ns > known_ns):
+            known_ns = run.latest_ns + offset_ns
         received_ns = max(received_ns, run.reading.host_ns)
-        if len(t_ns):
-            latest = int(t_ns.max())
-            known_ns = latest if known_ns is None else max(known_ns, latest)
-    return Timeline(timeline.on_epoch, timeline.base_ns, delays, known_ns, received_ns, timeline.reboots), times
+        times.append(t_ns)
+    return Timeline(timeline.on_epoch, timeline.base_ns, (boot, epoch), known_ns, received_ns, timeline.reboots), times
 
 
 def _begun(timeline: Timeline, first: Run) -> Timeline:
@@ -181,24 +196,24 @@ def _begun(timeline: Timeline, first: Run) -> Timeline:
     return replace(timeline, on_epoch=first.on_epoch, base_ns=resume_ns - int(first.clock_ns[0]))
 
 
-def _watched(delay: Delay | None, runs: Sequence[Run], *, on_epoch: bool) -> Delay | None:
+def _watched(delay: Delay | None, runs: Sequence[Run], received_ns: int, *, on_epoch: bool) -> Delay | None:
+    """The least delay of one clock, with these runs; once settled it stays."""
+    if delay is not None and received_ns >= delay.settled_ns:
+        return delay
     own = [run for run in runs if run.on_epoch == on_epoch]
     if not own:
         return delay
-    if delay is None:
-        delay = Delay(min(int(run.host_ns[0]) for run in own), HIGHEST_NS)
-    first_ns, least_ns, until_ns = delay.first_host_ns, delay.least_ns, delay.settled_ns
+    first_ns = min(int(run.host_ns[0]) for run in own) if delay is None else delay.first_host_ns
+    least_ns = HIGHEST_NS if delay is None else delay.least_ns
     for run in own:
-        if run.host_ns[0] < until_ns:
-            least_ns = min(least_ns, int((run.host_ns - run.clock_ns)[run.host_ns < until_ns].min()))
-    return delay if least_ns == delay.least_ns else Delay(first_ns, least_ns)
+        early = run.host_ns < first_ns + SETTLE_NS
+        if early[0]:
+            least_ns = min(least_ns, int((run.host_ns - run.clock_ns)[early].min()))
+    return Delay(first_ns, least_ns)
 
 
-def _times(timeline: Timeline, delays: tuple[Delay | None, Delay | None], run: Run) -> IntArray:
-    if run.on_epoch == timeline.on_epoch:
-        return run.clock_ns + timeline.base_ns
-    reference, other = delays[not run.on_epoch], delays[run.on_epoch]
-    if reference is None or other is None:
-        return run.clock_ns[:0]
-    start = int(np.searchsorted(run.host_ns, max(reference.settled_ns, other.settled_ns)))
-    return run.clock_ns[start:] + (timeline.base_ns + other.least_ns - reference.least_ns)
+def _unsettled(boot: Delay | None, epoch: Delay | None, run: Run) -> int:
+    """How many of the run's samples came before both clocks were known."""
+    if boot is None or epoch is None:
+        return len(run.clock_ns)
+    return int(np.searchsorted(run.host_ns, max(boot.settled_ns, epoch.settled_ns)))

@@ -7,7 +7,7 @@ for each signal in them. Everything is in the body frame FRD already: MAVLink ha
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,7 @@ RADS_PER_RPM = 2 * pi / 60
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class Part(NamedTuple):
     """One signal of a block.
 
     values: (n, k), in the signal's unit. meant: (n,) which rows carry it, None for all. finite: surely without NaN.

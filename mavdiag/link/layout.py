@@ -127,18 +127,19 @@ def _codes(wire_format: str) -> tuple[str, ...]:
 
 def _fit(code: str, value: Argument) -> FieldValue:
     """The nearest value that the field can hold. Raises ValueError or TypeError if there is none (a NaN integer)."""
-    if code.endswith("s"):
-        if isinstance(value, str):
-            return cut(value, int(code[:-1]))
-        if isinstance(value, bytes):
-            return value
-        raise TypeError(f"text wanted, not {value!r}")
-    number = cast(float, value)  # anything else raises TypeError in the comparison
-    if code in _INTEGERS:
-        lowest, highest = _INTEGERS[code]
-        return round(min(max(number, lowest), highest))
-    within = min(max(number, -FLOAT32_MAX), FLOAT32_MAX)
-    return within if code == "f" and math.isfinite(number) else number
+    limits = _INTEGERS.get(code)
+    if limits is not None:
+        number = cast(float, value)  # anything else raises TypeError in the comparison
+        return limits[0] if number < limits[0] else limits[1] if number > limits[1] else round(number)
+    if code in ("f", "d"):
+        number = cast(float, value)
+        within = min(max(number, -FLOAT32_MAX), FLOAT32_MAX)
+        return within if code == "f" and math.isfinite(number) else number
+    if isinstance(value, str):
+        return cut(value, int(code[:-1]))
+    if isinstance(value, bytes):
+        return value
+    raise TypeError(f"text wanted, not {value!r}")
 
 
 def cut(text: str, size: int) -> bytes:

@@ -7,9 +7,11 @@ What a message means is in `conversion`, when it was is in `clock`; here they ar
 into blocks does not matter.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +25,9 @@ from mavdiag.quantities import IntArray, Series, Signal, Telemetry
 __all__ = ["Converter", "SampleState", "by_vehicle", "joined"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
-SMALL_BLOCK = 256  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
+SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
+
+AUTOPILOT = int(Component.AUTOPILOT1)
 
 _host_ns = itemgetter(5)  # of a Frame
 
@@ -69,8 +73,7 @@ def joined(pieces: Sequence[Telemetry]) -> Telemetry:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Group:
+class _Group(NamedTuple):
     """The frames of one message in a block, and what they become. run: None for a message without a time of its own."""
 
     source: Source
@@ -97,34 +100,32 @@ class Converter:
 
     def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival."""
-        wanted, pieces, at = self.wanted, [], 0
-        own = [frame for frame in frames if frame[0] in wanted and frame[2] == Component.AUTOPILOT1]
-        size = len(own)
-        while at < len(own):
-            block = own[at : at + size]
-            state, telemetry, done = self._stretch(state, block)
+        state, telemetry, done = self._stretch(state, frames)
+        if done == len(frames):
+            return state, telemetry
+        pieces, size = [telemetry], SMALL_BLOCK
+        while done < len(frames):
+            block = frames[done : done + size]
+            state, telemetry, more = self._stretch(state, block)
             pieces.append(telemetry)
-            size = 2 * size if done == len(block) else SMALL_BLOCK
-            at += done
+            done, size = done + more, 2 * size if more == len(block) else SMALL_BLOCK
         return state, joined(pieces)
 
     def _stretch(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry, int]:
         """Convert frames up to where a counter breaks off; says how many. If it is none, the break is now behind."""
-        members: dict[int, list[Frame]] = {}
+        wanted = self.wanted
+        members: defaultdict[int, list[Frame]] = defaultdict(list)
         for frame in frames:
-            msgid = frame[0]
-            if msgid in members:
-                members[msgid].append(frame)
-            else:
-                members[msgid] = [frame]
+            if frame[0] in wanted and frame[2] == AUTOPILOT:
+                members[frame[0]].append(frame)
         groups = {msgid: self._group(state, msgid, own) for msgid, own in members.items()}
-        broken = [members[g.source.message][len(g.run.clock_ns)] for g in groups.values() if g.run and not g.regular]
+        broken = [members[m][len(g.run.clock_ns)] for m, g in groups.items() if g.run and not g.regular]
         if not broken:
             return *self._converted(state, frames, groups), len(frames)
-        done = next(k for k, frame in enumerate(frames) if any(frame is other for other in broken))
-        if done:
-            return self._stretch(state, frames[:done])
-        return self._restarted(state, frames[0].msgid, groups[frames[0].msgid]), Telemetry(), 0
+        first = next(k for k, frame in enumerate(frames) if any(frame is other for other in broken))
+        if any(frame[0] in wanted and frame[2] == AUTOPILOT for frame in frames[:first]):
+            return self._stretch(state, frames[:first])
+        return self._restarted(state, frames[first].msgid, groups[frames[first].msgid]), Telemetry(), first
 
     def _group(self, state: SampleState, msgid: int, members: list[Frame]) -> _Group:
         source = self._sources[msgid]
@@ -151,12 +152,13 @@ class Converter:
         if len(runs) < len(groups):
             when |= _times_without_stamp(state.timeline.t_ns, frames, when, groups.keys() - runs.keys())
         series, dropped = [], state.dropped
-        for msgid, group in groups.items():
-            for part in group.source.convert(self.profile, group.record):
-                one, unsound = _series(part, when[msgid], group.host_ns)
-                dropped += unsound
-                if len(one):
-                    series.append(one)
+        with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
+            for msgid, group in groups.items():
+                for part in group.source.convert(self.profile, group.record):
+                    one, unsound = _series(part, when[msgid], group.host_ns)
+                    dropped += unsound
+                    if len(one):
+                        series.append(one)
         readings = {**state.readings, **{msgid: run.reading for msgid, run in runs.items()}}
         return SampleState(timeline, readings, dropped), Telemetry(tuple(series))
 
@@ -168,7 +170,8 @@ def _times_without_stamp(
 
     known_ns: the latest time before the block. when: the times of its other messages. missing: the messages to place.
     """
-    ids = np.fromiter((frame[0] for frame in frames), np.int64, len(frames))
+    own = (frame[0] if frame[2] == AUTOPILOT else -1 for frame in frames)
+    ids = np.fromiter(own, np.int64, len(frames))
     latest = np.full(len(frames), UNSTAMPED if known_ns is None else known_ns)
     for msgid, t_ns in when.items():
         rows = np.flatnonzero(ids == msgid)
