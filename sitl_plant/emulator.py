@@ -19,7 +19,7 @@ from sitl_plant.flavours import Flavour
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 from sitl_plant.schedule import Schedule
 from sitl_plant.sensed import Sensed, Sensing
-from sitl_plant.stream import Streamer
+from sitl_plant.stream import Message, Streamer
 
 __all__ = ["SYSID", "FlightReport", "Link", "fly"]
 
@@ -55,10 +55,10 @@ class Link:
         self.endpoint = endpoint
         self.schedule = Schedule(flavour.rates_hz(rate_hz), flavour.ceiling_hz)
         self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
-        self._streamer = Streamer(flavour, self.schedule, self._encoder)
+        self._streamer = Streamer(flavour, self.schedule)
         self._decoder = Decoder()
         self._voices: dict[tuple[int, int], Encoder] = {}
-        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._waiting: deque[Message] = deque()
 
     def hear(self) -> list[Frame]:
         """What came in since the last time."""
@@ -70,9 +70,10 @@ class Link:
 
     def send_due(self, t_ns: int) -> int:
         """Send what is due at flight time `t_ns`; returns how many messages that were."""
-        waiting, send, sent = self._waiting, self.endpoint.send, 0
-        while waiting and waiting[0][0] <= t_ns:
-            send(waiting.popleft()[1])
+        waiting, send, encode, sent = self._waiting, self.endpoint.send, self._encoder.encode_wire, 0
+        while waiting and waiting[0].t_ns <= t_ns:
+            _, msgid, fields = waiting.popleft()
+            send(encode(msgid, fields))
             sent += 1
         return sent
 

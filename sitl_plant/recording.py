@@ -1,12 +1,12 @@
 """A flight as a .tlog file, as fast as it goes: each message after its own time."""
 
-import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Component
+from mavdiag.logs.tlog import tlog_record
 from sitl_plant.emulator import SYSID
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
@@ -24,26 +24,26 @@ def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples]
     """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
     plant, sensing = Plant(plan.config), Sensing(plan.flavour, plan.config.seed)
     schedule = Schedule(plan.flavour.rates_hz(plan.rate_hz), plan.flavour.ceiling_hz)
-    streamer = Streamer(plan.flavour, schedule, Encoder(SYSID, Component.AUTOPILOT1))
+    streamer, encode = Streamer(plan.flavour, schedule), Encoder(SYSID, Component.AUTOPILOT1).encode_wire
     left = max(1, round(duration_s * 1e9 / STEP_NS))
     while left > 0:
         samples = plant.advance(min(BLOCK_STEPS, left))
         left -= len(samples)
         watch(samples)
-        yield from streamer.step(sensing.step(samples))
+        for t_ns, msgid, fields in streamer.step(sensing.step(samples)):
+            yield t_ns, encode(msgid, fields)
 
 
 def record_flight(path: Path, plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> int:
-    """Write a flight to a .tlog file (unix microseconds, big-endian, before each frame); returns its message count.
+    """Write a flight to a .tlog file; returns its message count.
 
     Raises UsageError if the file cannot be written.
     """
-    stamp = struct.Struct(">Q").pack
     messages = 0
     try:
         with path.open("wb") as file:
             for t_ns, frame in recorded(plan, duration_s, watch):
-                file.write(stamp(EPOCH_US + t_ns // 1000) + frame)
+                file.write(tlog_record(EPOCH_US + t_ns // 1000, frame))
                 messages += 1
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}; choose another file") from error

@@ -1,23 +1,24 @@
-"""From what the autopilot knows to MAVLink frames: each message of the schedule, made from the sample it is due at.
+"""From what the autopilot knows to MAVLink messages: each one of the schedule, made from the sample it is due at.
 
-A block of samples becomes columns in the units of each message, whole arrays at a time; only the last step, packing,
-goes message by message.
+A block of samples becomes columns in the units of each message, whole arrays at a time. A message gets its sequence
+number only when it is sent, because an answer may overtake it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import repeat
-from typing import TypeAlias
+from operator import itemgetter
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.link.codec import Encoder, FieldValue, wire_fields
+from mavdiag.link.codec import FieldValue, wire_fields
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.quantities import FloatArray, IntArray
 from sitl_plant.flavours import Flavour
 from sitl_plant.schedule import Schedule
 from sitl_plant.sensed import Sensed
 
-__all__ = ["Streamer"]
+__all__ = ["Message", "Streamer"]
 
 Column: TypeAlias = FloatArray | IntArray | int | float  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
@@ -31,25 +32,29 @@ HEALTH = 0x1 | 0x2 | 0x8000 | 0x100000 | 0x200000 | 0x2000000 | 0x10000000 | 0x4
 FULL_V, EMPTY_V = 16.8, 14.0  # of a 4S battery: what "100 %" and "0 %" mean (estimate)
 
 
+class Message(NamedTuple):
+    """A message to be sent at flight time t_ns. fields: as `Encoder.encode_wire` takes them."""
+
+    t_ns: int
+    msgid: int
+    fields: tuple[FieldValue, ...]
+
+
 class Streamer:
-    """The sending half of the emulated autopilot, for one link.
+    """The sending half of the emulated autopilot, for one link."""
 
-    encoder: numbers the messages of this link; the link's answers must use the same one.
-    """
+    def __init__(self, flavour: Flavour, schedule: Schedule) -> None:
+        self._flavour, self._schedule = flavour, schedule
 
-    def __init__(self, flavour: Flavour, schedule: Schedule, encoder: Encoder) -> None:
-        self._flavour, self._schedule, self._encoder = flavour, schedule, encoder
-
-    def step(self, sensed: Sensed) -> list[tuple[int, bytes]]:
-        """The frames of a block in order of time, each with the flight time [ns] it is due at."""
-        messages: list[tuple[int, int, tuple[FieldValue, ...]]] = []
+    def step(self, sensed: Sensed) -> list[Message]:
+        """The messages of a block in order of time."""
+        messages: list[Message] = []
         for msgid, rows in self._schedule.due(sensed.samples.t_ns):
             columns = _BUILDERS[msgid](sensed, rows, self._flavour)
-            t_ns = sensed.samples.t_ns[rows].tolist()
-            messages += zip(t_ns, repeat(msgid), _wire_rows(msgid, len(rows), columns), strict=False)
-        messages.sort(key=lambda message: message[0])  # stable: messages of one instant keep the schedule's order
-        encode = self._encoder.encode_wire
-        return [(t_ns, encode(msgid, fields)) for t_ns, msgid, fields in messages]
+            fields = _wire_rows(msgid, len(rows), columns)
+            messages += map(Message, sensed.samples.t_ns[rows].tolist(), repeat(msgid), fields)
+        messages.sort(key=itemgetter(0))  # stable: messages of one instant keep the schedule's order
+        return messages
 
 
 def _wire_rows(msgid: int, n: int, columns: Columns) -> list[tuple[FieldValue, ...]]:

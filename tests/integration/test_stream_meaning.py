@@ -33,10 +33,12 @@ def cut(samples: PlantSamples, first: int, last: int) -> PlantSamples:
 
 def streamed(profile: str, blocks: Sequence[int] = (N,)) -> list[tuple[int, bytes]]:
     flavour = FLAVOURS[profile]
-    streamer = Streamer(flavour, Schedule(flavour.rates_hz(None), flavour.ceiling_hz), Encoder(1, 1))
-    sensing, first, frames = Sensing(flavour, seed=3), 0, []
+    streamer = Streamer(flavour, Schedule(flavour.rates_hz(None), flavour.ceiling_hz))
+    sensing, encode, first = Sensing(flavour, seed=3), Encoder(1, 1).encode_wire, 0
+    frames: list[tuple[int, bytes]] = []
     for n in blocks:
-        frames += streamer.step(sensing.step(cut(flight(), first, first + n)))
+        messages = streamer.step(sensing.step(cut(flight(), first, first + n)))
+        frames += [(message.t_ns, encode(message.msgid, message.fields)) for message in messages]
         first += n
     return frames
 

@@ -1,0 +1,125 @@
+"""The run loop over in-memory links, as fast as it goes: what is said, answered and passed on."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
+from mavdiag.link.endpoint import MemoryEndpoint, memory_pair
+from mavdiag.link.messages import MavCmd, MessageId, Severity
+from sitl_plant.emulator import FlightReport, Link, fly
+from sitl_plant.flavours import FLAVOURS
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+
+FLAVOUR = FLAVOURS["qdrone2"]
+
+
+class Client:
+    """The far end of one of the plant's links."""
+
+    def __init__(self, endpoint: MemoryEndpoint, sysid: int, compid: int) -> None:
+        self.endpoint = endpoint
+        self.encoder = Encoder(sysid, compid)
+        self.decoder = Decoder()
+        self.frames: list[Frame] = []
+
+    def say(self, *frame: bytes) -> None:
+        for one in frame:
+            self.endpoint.send(one)
+
+    def heartbeat(self) -> None:
+        self.say(self.encoder.encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3))
+
+    def hear(self) -> list[Frame]:
+        for data, host_ns in self.endpoint.receive(0.0):
+            self.frames += self.decoder.feed(data, host_ns)
+        return self.frames
+
+
+@pytest.fixture
+def table() -> Iterator[tuple[list[Link], list[Client]]]:
+    """Two links with a client at the far end of each: a ground station and a companion computer."""
+    with ExitStack() as stack:
+        pairs = [memory_pair() for _ in range(2)]
+        for near, far in pairs:
+            stack.enter_context(near)
+            stack.enter_context(far)
+        links = [Link(near, FLAVOUR, 200.0) for near, _ in pairs]
+        yield links, [Client(pairs[0][1], 255, 190), Client(pairs[1][1], 1, 191)]
+
+
+def flown(
+    links: list[Link],
+    duration_s: float | None,
+    watch: Callable[[PlantSamples], None] = lambda samples: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> FlightReport:
+    plant = Plant(PlantConfig(seed=11))
+    return fly(plant, FLAVOUR, links, duration_s=duration_s, speed=None, stop=stop, watch=watch)
+
+
+def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link], list[Client]]) -> None:
+    links, clients = table
+    report = flown(links, 2.0)
+    for client in clients:
+        counts = Counter(frame.msgid for frame in client.hear())
+        assert counts[MessageId.RAW_IMU] == counts[MessageId.ATTITUDE_TARGET] == 400
+        assert counts[MessageId.HEARTBEAT] == 2
+        assert client.decoder.senders[1, 1].lost == 0
+    assert report.messages == sum(len(client.frames) for client in clients)
+    assert (report.flown_s, report.dropped, report.heard) == (2.0, 0, 0)
+
+
+def test_an_answer_comes_on_the_link_that_asked_and_in_its_numbering(table: tuple[list[Link], list[Client]]) -> None:
+    links, (station, companion) = table
+    station.say(
+        station.encoder.encode(
+            MessageId.COMMAND_LONG, 1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, MessageId.RAW_IMU, 100_000.0
+        )
+    )
+    report = flown(links, 2.0)
+    counts = Counter(frame.msgid for frame in station.hear())
+    assert counts[MessageId.COMMAND_ACK] == 1
+    assert counts[MessageId.RAW_IMU] == pytest.approx(20, abs=1 + 200 * 0.2)  # the first block was at 200 Hz
+    assert station.decoder.senders[1, 1].lost == 0
+    untouched = Counter(frame.msgid for frame in companion.hear())
+    assert untouched[MessageId.RAW_IMU] == 400
+    assert untouched[MessageId.COMMAND_ACK] == 0
+    assert report.heard == 1
+
+
+def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list[Client]]) -> None:
+    links, (station, companion) = table
+    station.heartbeat()
+    companion.say(*(companion.encoder.statustext(Severity.CRITICAL, f"PROP FAULT r{rotor}") for rotor in (1, 2)))
+    flown(links, 0.5)
+    passed = [frame for frame in station.hear() if frame.compid == 191]
+    assert [decode_statustext(frame).text for frame in passed] == ["PROP FAULT r1", "PROP FAULT r2"]
+    assert station.decoder.senders[1, 191].lost == 0
+    assert not [frame for frame in companion.hear() if frame.compid == 191]
+    assert [frame.sysid for frame in companion.frames if frame.sysid == 255] == []  # heard before the companion was
+
+
+def test_a_flight_ends_when_it_is_told_to(table: tuple[list[Link], list[Client]]) -> None:
+    links, _ = table
+    seen: list[int] = []
+    report = flown(links, None, watch=lambda s: seen.append(int(s.t_ns[-1])), stop=lambda: len(seen) >= 3)
+    assert report.flown_s == pytest.approx((seen[-1] + 1_000_000) * 1e-9)
+    assert len(seen) == 3
+
+
+def test_a_duration_is_met_to_the_millisecond(table: tuple[list[Link], list[Client]]) -> None:
+    links, (station, _) = table
+    assert flown(links, 0.4321).flown_s == pytest.approx(0.433)
+    place = field_index(MessageId.RAW_IMU, "time_usec")
+    stamps = [frame.fields[place] for frame in station.hear() if frame.msgid == MessageId.RAW_IMU]
+    assert stamps[-1] == 430_000
+
+
+def test_nobody_listening_is_no_trouble(table: tuple[list[Link], list[Client]]) -> None:
+    links, clients = table
+    clients[0].endpoint.close()
+    report = flown(links, 0.5)
+    assert report.dropped == report.messages / 2
