@@ -96,7 +96,7 @@ def run(
         plant = Plant(plan.config)
         stop = stack.enter_context(_stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace else None))
+        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace == 1.0 else None))
         report = fly(plant, plan.flavour, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 

@@ -12,6 +12,8 @@ __all__ = ["DEFAULT_INTERVAL", "NEVER", "Schedule"]
 
 DEFAULT_INTERVAL, NEVER = 0, -1  # what SET_MESSAGE_INTERVAL means by these two intervals
 
+_NO_ROWS = np.empty(0, dtype=np.int64)
+
 
 @dataclass(slots=True)
 class _Beat:
@@ -24,10 +26,13 @@ class _Beat:
 
     def rows(self, t_ns: IntArray) -> IntArray:
         """The first sample at or after each beat; several beats between two samples give one row."""
-        passed = (t_ns - self.origin_ns) // self.period_ns + 1
-        new = np.diff(passed, prepend=self.beats) > 0
-        self.beats = int(passed[-1])
-        return np.flatnonzero(new)
+        beats = (int(t_ns[-1]) - self.origin_ns) // self.period_ns + 1
+        if beats == self.beats:
+            return _NO_ROWS
+        passed = np.empty(len(t_ns) + 1, dtype=np.int64)  # beats so far: before the block, and at each of its samples
+        passed[0], passed[1:] = self.beats, (t_ns - self.origin_ns) // self.period_ns + 1
+        self.beats = beats
+        return np.flatnonzero(passed[1:] > passed[:-1])
 
     def restart(self, period_ns: int, now_ns: int) -> None:
         self.period_ns, self.origin_ns, self.beats = period_ns, now_ns, 0
