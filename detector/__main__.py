@@ -24,7 +24,7 @@ from mavdiag.storage import load_baseline
 if TYPE_CHECKING:
     from detector.metrics import Metrics
 
-__all__ = ["app", "main"]
+__all__ = ["app", "detect", "main"]
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
 

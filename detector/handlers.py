@@ -26,11 +26,11 @@ PROGRESS_STEP = 25  # percent of learning between two texts
 
 def _waiting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
     baseline, lack = state.baseline, hindrance(state.streams, spec.min_rate_hz)
-    refusal = None
-    if baseline is not None:
-        period_s = baseline.link.dt_s if lack else state.streams.gyro.period_s or 0.0
+    refusal = None if baseline is None else _mismatch(spec, baseline, baseline.link.dt_s)
+    if baseline is not None and refusal is None and lack is None:
+        period_s = state.streams.gyro.period_s or 0.0
         refusal = _mismatch(spec, baseline, period_s)
-        if refusal and not lack and spec.negotiate and in_hand(state.negotiation, spec.profile.imu):
+        if refusal and spec.negotiate and in_hand(state.negotiation, spec.profile.imu):
             lack, refusal = Hindrance(Reason.OTHER_RATE, f"({1 / period_s:.0f} Hz)"), None
     if refusal is not None:
         return _off(state, Trigger.REFUSED, refusal)
@@ -39,9 +39,17 @@ def _waiting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
     if baseline is None:
         state, changed = move(state, Trigger.READY_TO_LEARN)
         return state, (changed,)
+    return _begin(state, baseline, now)
+
+
+def _begin(state: SessionState, baseline: Baseline, now: Instant) -> Next:
+    """Judge by the baseline, or go on with it."""
     judge = state.judge
     if judge is None or judge.baseline is not baseline:
-        chain = chain_of(baseline)
+        try:
+            chain = chain_of(baseline)
+        except BaselineError as error:
+            return _off(state, Trigger.REFUSED, str(error))
         judge = Judge(baseline, chain, chain.start(), now)
     state, changed = move(replace(state, judge=replace(judge, judged=now)), Trigger.READY_TO_JUDGE)
     return state, (changed,)
@@ -100,7 +108,7 @@ def _judging(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
         return state, (changed, *(() if alarm is None or judge is None else (ended_notice(alarm, judge),)))
     judge, findings = judge_step(judge, inbox.telemetry, now)
     alarm = alarmed(state.alarm, judge, findings, spec.suspect, now)
-    twins, floats = tell(state.twins, findings, now)
+    twins, floats = tell(state.twins, judge.chain.watches, findings, now)
     state = replace(state, judge=judge, twins=twins, alarm=alarm)
     state, more = _alert(spec, state, judge, alarm, now) if alarm else _quiet(state, judge, now)
     return state, (*recorded(findings), *floats, *more)

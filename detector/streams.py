@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.quantities import NS_PER_S, Instant, IntArray, Series, Signal, Telemetry
-from mavdiag.signal.align import measure_grid
+from mavdiag.signal.align import NATIVE_TOLERANCE
 from mavdiag.signal.gate import GateSpec
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
 
 SILENT_S = 2.0  # without a sample for so long, a stream is gone (our choice)
 MEASURE_S = 2.0  # vehicle time over which a rate is measured (our choice)
-_ENOUGH = 20  # gyro samples that `measure_grid` asks for
+_MOST = 100_000  # samples that are kept of one measurement
 
 
 class Reason(StrEnum):
@@ -38,7 +38,7 @@ class Reason(StrEnum):
     MEASURING = "measuring the rates"
     SLOW_GYRO = "gyro rate too low"
     SLOW_SETPOINTS = "set-point rate too low"
-    OTHER_RATE = "gyro rate not the baseline's"
+    OTHER_RATE = "rate not the baseline's"
     NOT_ARMED = "not armed"
     NOT_AIRBORNE = "not airborne"
     GAPS = "gaps in the streams"
@@ -144,17 +144,19 @@ def _metered(meter: Meter, series: Series | None, now: Instant) -> Meter:
     t_ns = np.concatenate((meter.t_ns, series.t_ns))
     meter = replace(meter, seen=now, t_ns=t_ns, samples=meter.samples + len(series))
     if t_ns[-1] - t_ns[0] < MEASURE_S * NS_PER_S:
-        # A clock that jumps back starts the measurement anew; so does a stream of nothing but one stamp.
-        return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] else meter
+        # A clock that jumps back starts the measurement anew; so does one that stands still.
+        return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] or len(t_ns) > _MOST else meter
     return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns))
 
 
 def _period_s(t_ns: IntArray) -> float | None:
-    """Period of a stream: of the regular steps, so that losses do not stretch it; of a slow one the median step."""
-    t = np.unique(t_ns)
-    if len(t) < 2:
+    """Period of a stream: the mean of its regular steps, as `measure_grid` takes it, so that losses do not stretch it.
+
+    A stream without regular steps has at least a median one.
+    """
+    steps = np.diff(np.unique(t_ns)).astype(np.float64)
+    if len(steps) == 0:
         return None
-    if len(t) < _ENOUGH:
-        return float(np.median(np.diff(t))) / NS_PER_S
-    series = Series(Signal.BODY_RATE, t, t, np.zeros((len(t), 1)))
-    return measure_grid(Telemetry((series,)))[0]
+    median = float(np.median(steps))
+    regular = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
+    return float(np.mean(regular) if len(regular) else median) / NS_PER_S

@@ -1,0 +1,195 @@
+"""A vehicle and its session on a virtual clock: flights made beforehand, fed chunk by chunk, everything kept."""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from scipy.signal import lfilter
+
+from detector import session
+from detector.effects import Effect, SendText, StateChanged
+from detector.negotiate import Ack
+from detector.states import State
+from detector.values import Inbox, Learned, LearningFailed, SessionSpec, SessionState
+from mavdiag.baseline import (
+    Airframe,
+    AxisModel,
+    Baseline,
+    GateLimits,
+    LatencyMonitor,
+    Link,
+    Provenance,
+    SourceLog,
+    Window,
+    sealed,
+)
+from mavdiag.diagnose.calibrate import MarginRule
+from mavdiag.link.profiles import PROFILES
+from mavdiag.quantities import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.signal.align import Grid
+
+__all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
+
+RATE_HZ = 100
+A = np.array([1.0, -0.8])  # a rate loop of 45 ms at 100 Hz, gain 1
+B = np.array([0.0, 0.2])
+NOISE = 0.01  # rad/s, white
+MARGIN, FML_S = 0.02, 0.3  # about 4 sd of the smoothed noise; far longer than any run that it makes
+
+
+@cache
+def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) set-points [rad], smooth random steps, and the rates [rad/s] that the airframe answers with."""
+    n, rng = seconds * RATE_HZ, np.random.default_rng(seed)
+    steps = np.repeat(rng.normal(0, 0.1, (n // 50 + 1, 3)), 50, axis=0)[:n]
+    setpoint = np.asarray(lfilter([0.01], np.poly([0.9, 0.9]), steps, axis=0), dtype=np.float64)
+    clean = np.asarray(lfilter(B, A, np.gradient(setpoint, 1 / RATE_HZ, axis=0), axis=0), dtype=np.float64)
+    return setpoint, clean + NOISE * rng.standard_normal((n, 3))
+
+
+def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> Baseline:
+    """A baseline that knows the made airframe exactly."""
+    models = tuple(
+        AxisModel(
+            axis=axis,
+            order=(1, 1, 1),
+            method="sriv",
+            a=tuple(A.tolist()),
+            b=tuple(B.tolist()),
+            standard_errors=(0.001, 0.001),
+            r2t=0.99,
+            nrmse_fit=0.9,
+            mse=1e-4,
+            rows=6000,
+        )
+        for axis in axes
+    )
+    monitors = tuple(
+        LatencyMonitor(
+            axis=axis,
+            margin_rad_s=MARGIN,
+            margin_rule=MarginRule.PERCENTILE_90,
+            fml_s=FML_S,
+            longest_run_s=(FML_S,),
+            false_alarms_per_flight=0.5,
+        )
+        for axis in axes
+    )
+    gate = GateLimits(min_height_m=None, min_thrust=0.1, need_armed=True, trim_start_s=0.0, trim_end_s=0.0)
+    return sealed(
+        Baseline(
+            airframe=Airframe(name="made", scope="airframe"),
+            link=Link(profile=profile, dt_s=1 / rate_hz, grid=Grid.NATIVE, max_gap_s=0.035, gate=gate),
+            window=Window(samples=11, order=2),
+            models=models,
+            monitors=monitors,
+            healthy_hours=1.0,
+            provenance=Provenance(
+                logs=(SourceLog(name="made", sha256="0" * 64, judged_s=3600.0),), created="2026-01-01", tool="test"
+            ),
+        )
+    )
+
+
+@dataclass
+class Story:
+    """One session and its vehicle. `fly` lets time pass; `told` keeps every effect with the time it came at [s]."""
+
+    spec: SessionSpec = field(default_factory=lambda: SessionSpec(PROFILES["qdrone2"], learn_s=20.0))
+    seconds: int = 120
+    seed: int = 1
+    chunk_s: float = 0.1
+    state: SessionState = field(init=False)
+    told: list[tuple[float, Effect]] = field(default_factory=list)
+    passed: int = 0  # samples' worth of time
+    reboots: int = 0
+
+    def __post_init__(self) -> None:
+        self.state = session.start(self.spec, self.now)
+
+    @property
+    def now(self) -> Instant:
+        return Instant(round(1e12) + self.passed * NS_PER_S // RATE_HZ)
+
+    @property
+    def s(self) -> float:
+        return self.passed / RATE_HZ
+
+    def fly(
+        self,
+        seconds: float,
+        *,
+        push: float = 0.0,
+        armed: bool = True,
+        thrust: float = 0.5,
+        without: tuple[Signal, ...] = (),
+        every: int = 1,
+    ) -> list[Effect]:
+        """Let the vehicle send for a while. push [rad/s]: added to the roll rate; every: sends each such sample."""
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        for _ in range(round(seconds * RATE_HZ / chunk)):
+            telemetry = self._chunk(chunk, push, armed, thrust, every)
+            kept = Telemetry(tuple(one for one in telemetry.series if one.signal not in without))
+            self.passed += chunk
+            self.give(Inbox(kept, heard=True, reboots=self.reboots))
+        return [effect for _, effect in self.told[before:]]
+
+    def silence(self, seconds: float) -> list[Effect]:
+        """Let time pass without a word from the vehicle."""
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        for _ in range(round(seconds * RATE_HZ / chunk)):
+            self.passed += chunk
+            self.give(Inbox(reboots=self.reboots))
+        return [effect for _, effect in self.told[before:]]
+
+    def give(self, inbox: Inbox) -> list[Effect]:
+        """One step."""
+        self.state, effects = session.step(self.spec, self.state, inbox, self.now)
+        self.told += [(self.s, effect) for effect in effects]
+        return list(effects)
+
+    def answer(self, outcome: Learned | LearningFailed) -> list[Effect]:
+        return self.give(Inbox(heard=True, reboots=self.reboots, outcome=outcome))
+
+    def acknowledge(self, ack: Ack) -> list[Effect]:
+        return self.give(Inbox(heard=True, reboots=self.reboots, acks=(ack,)))
+
+    def at(self, state: State) -> bool:
+        """Whether it stands there now."""
+        return self.state.state is state
+
+    @property
+    def texts(self) -> list[str]:
+        return [effect.text for _, effect in self.told if isinstance(effect, SendText)]
+
+    @property
+    def states(self) -> list[State]:
+        """The way it went."""
+        return [effect.new for _, effect in self.told if isinstance(effect, StateChanged)]
+
+    def _chunk(self, n: int, push: float, armed: bool, thrust: float, every: int) -> Telemetry:
+        setpoint, rate = _attitude_and_rate(self.seconds, self.seed)
+        rows = slice(self.passed, self.passed + n, every)
+        t_ns = NS_PER_S + np.arange(self.passed, self.passed + n, every, dtype=np.int64) * (NS_PER_S // RATE_HZ)
+
+        def made(signal: Signal, values: FloatArray) -> Series:
+            return Series(signal, t_ns, t_ns, values)
+
+        k = len(t_ns)
+        return Telemetry(
+            (
+                made(Signal.ATTITUDE_SETPOINT, setpoint[rows]),
+                made(Signal.BODY_RATE, rate[rows] + np.array([push, 0.0, 0.0])),
+                made(Signal.THRUST_SETPOINT, np.full((k, 1), thrust)),
+                made(Signal.ARMED, np.full((k, 1), float(armed))),
+            )
+        )
+
+
+def outcome_of(story: Story) -> Learned:
+    """What a fit of the made flight would give."""
+    return Learned(replace_profile(baseline_for(), story.spec.profile.name))
+
+
+def replace_profile(baseline: Baseline, profile: str) -> Baseline:
+    return sealed(baseline.model_copy(update={"link": baseline.link.model_copy(update={"profile": profile})}))

@@ -1,0 +1,335 @@
+"""What a session does, told as stories on a virtual clock."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+from made_session import FML_S, Story, baseline_for, outcome_of
+
+from detector import session
+from detector.effects import (
+    AskInterval,
+    BaselineLearned,
+    Effect,
+    EventClosed,
+    EventOpened,
+    Learn,
+    SendFloat,
+    SendText,
+    StateChanged,
+)
+from detector.negotiate import Ack
+from detector.states import State
+from detector.values import Learned, LearningFailed, SessionSpec
+from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
+from mavdiag.link.profiles import PROFILES
+from mavdiag.quantities import Axis, Signal
+
+QDRONE2 = PROFILES["qdrone2"]
+
+
+def watching(**changes: object) -> Story:
+    """A session with a baseline, already monitoring."""
+    spec = SessionSpec(QDRONE2, baseline_for())
+    story = Story(replace(spec, **changes) if changes else spec)  # type: ignore[arg-type]  # of mixed types by nature
+    story.fly(5.0)
+    assert story.at(State.MONITORING)
+    return story
+
+
+def texts(effects: list[Effect]) -> list[str]:
+    return [effect.text for effect in effects if isinstance(effect, SendText)]
+
+
+def test_it_learns_then_watches_then_alerts_and_says_when_it_clears() -> None:
+    story = Story()
+    effects = story.fly(26.0)
+    job = next(effect for effect in effects if isinstance(effect, Learn))
+    assert len(job.telemetry.need(Signal.BODY_RATE)) == pytest.approx(20 * 100, abs=10)
+    assert job.profile == "qdrone2"
+    story.answer(outcome_of(story))
+    story.fly(10.0)
+    story.fly(8.0, push=0.5)
+    story.fly(10.0)
+    assert story.states == [
+        State.LEARNING,
+        State.FITTING,
+        State.WAITING,
+        State.MONITORING,
+        State.ALERT,
+        State.MONITORING,
+    ]
+    fault = next(text for text in story.texts if "FAULT" in text)
+    assert fault.startswith("PROP FAULT roll FSD 0.3")
+    assert fault.endswith(">FML 0.30s")
+    assert any(text.startswith("PROP clear after ") for text in story.texts)
+    assert any(isinstance(effect, BaselineLearned) for _, effect in story.told)
+
+
+def test_the_progress_of_learning_is_said_in_quarters() -> None:
+    story = Story()
+    story.fly(25.0)
+    assert [text for text in story.texts if "learning" in text] == [f"PROP learning {p}%" for p in (0, 25, 50, 75)]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ({"armed": False}, "not armed"),
+        ({"thrust": 0.05}, "not airborne"),
+    ],
+)
+def test_learning_pauses_on_the_ground_and_says_why(words: dict[str, float], reason: str) -> None:
+    story = Story()
+    story.fly(10.0)
+    before = story.state.collection.seconds
+    story.fly(10.0, **words)  # type: ignore[arg-type]  # the options have two types
+    assert story.state.collection.seconds == before
+    assert f"PROP learning 25%: {reason}" in story.texts
+    assert story.state.reason.endswith(reason)
+    story.fly(13.0)
+    assert story.at(State.FITTING)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"without": (Signal.ATTITUDE_SETPOINT,)}, "no attitude set-points"),
+        ({"without": (Signal.BODY_RATE,)}, "no gyro"),
+        ({"every": 5}, "gyro rate too low (20 Hz)"),
+    ],
+)
+def test_it_waits_for_what_it_needs_and_names_it(options: dict[str, object], reason: str) -> None:
+    story = Story()
+    story.fly(6.0, **options)  # type: ignore[arg-type]  # the options have several types
+    assert story.at(State.WAITING)
+    assert story.state.reason == reason
+    assert f"PROP waiting: {reason}" in story.texts
+
+
+def test_a_reboot_during_learning_starts_it_anew() -> None:
+    story = Story()
+    story.fly(12.0)
+    assert story.state.collection.seconds > 5
+    story.reboots = 1
+    effects = story.fly(0.1)
+    assert "PROP vehicle rebooted, starting anew" in texts(effects)
+    assert story.state.collection.seconds == 0
+    story.fly(26.0)
+    assert story.at(State.FITTING)
+
+
+def test_a_reboot_in_an_alert_ends_its_events_and_the_watch_goes_on() -> None:
+    story = watching()
+    story.fly(3.0, push=0.5)
+    assert story.at(State.ALERT)
+    story.reboots = 1
+    effects = story.fly(0.1, push=0.5)
+    assert [e.event.end_ns for e in effects if isinstance(e, EventClosed)] == [None]
+    assert story.at(State.WAITING)
+    story.fly(5.0)
+    assert story.at(State.MONITORING)
+
+
+def test_a_lost_link_is_said_and_so_is_its_return() -> None:
+    story = watching()
+    effects = story.silence(4.0)
+    assert story.at(State.LOST)
+    assert "PROP link lost" in texts(effects)
+    assert session.healthy(story.state)
+    effects = story.fly(4.0)
+    assert any(text.startswith("PROP link back after 4") for text in texts(effects))
+    assert story.at(State.MONITORING)
+
+
+def test_an_alert_outlives_no_lost_link() -> None:
+    story = watching()
+    story.fly(3.0, push=0.5)
+    effects = story.silence(10.0)
+    assert not [text for text in texts(effects) if "FAULT" in text]
+    assert any(text.startswith("PROP alert unjudged") for text in texts(effects))
+    effects = story.fly(10.0)
+    assert [e.event.end_ns is not None for e in effects if isinstance(e, EventClosed)] == [True]
+    assert story.at(State.MONITORING)
+
+
+def test_learning_goes_on_where_it_was_after_a_lost_link() -> None:
+    story = Story()
+    story.fly(12.0)
+    before = story.state.collection.seconds
+    story.silence(10.0)
+    assert story.at(State.LOST)
+    story.fly(3.0)
+    assert story.at(State.LEARNING)
+    assert story.state.collection.seconds >= before
+
+
+def test_a_baseline_of_another_profile_is_refused_by_name_and_the_heartbeat_stops() -> None:
+    story = Story(SessionSpec(PROFILES["px4"], baseline_for("qdrone2")))
+    effects = story.fly(0.1)
+    assert story.at(State.FAULTED)
+    assert story.state.reason.startswith("link.profile: ")
+    assert not session.healthy(story.state)
+    said = [effect for effect in effects if isinstance(effect, SendText)]
+    assert [one.severity for one in said] == [Severity.WARNING]
+    assert said[0].text.startswith("PROP OFF: link.profile: ")
+    assert len(said[0].text) <= 50
+
+
+def test_another_rate_is_asked_for_before_the_baseline_is_refused() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for(rate_hz=50.0)))
+    story.fly(15.0)
+    assert story.at(State.WAITING)
+    assert story.state.reason == "rate not the baseline's (100 Hz)"
+    asked = [effect for _, effect in story.told if isinstance(effect, AskInterval)]
+    assert AskInterval(MessageId.RAW_IMU, 20_000) in asked
+    story.fly(30.0)
+    assert story.at(State.FAULTED)
+    assert story.state.reason.startswith("link.dt_s: ")
+    requests = [at for at, effect in story.told if isinstance(effect, AskInterval)]
+    assert len(requests) == 5
+    assert min(b - a for a, b in itertools.pairwise(requests)) >= 5.0
+
+
+def test_another_rate_is_refused_at_once_where_asking_is_not_allowed() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for(rate_hz=50.0), negotiate=False))
+    story.fly(4.0)
+    assert story.at(State.FAULTED)
+    assert not [effect for _, effect in story.told if isinstance(effect, AskInterval)]
+
+
+def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
+    story = Story()
+    effects = story.fly(3.0, without=(Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE))
+    assert [e for e in effects if isinstance(e, AskInterval)] == [
+        AskInterval(MessageId.ATTITUDE_TARGET, 1000),
+        AskInterval(MessageId.RAW_IMU, 1000),
+    ]
+    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED))
+    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED))
+    story.fly(6.0)
+    assert "PROP got ATTITUDE_TARGET 100, RAW_IMU 100" in story.texts
+
+
+def test_a_denied_stream_is_not_asked_for_again() -> None:
+    story = Story()
+    without = (Signal.ATTITUDE_SETPOINT,)
+    story.fly(3.0, without=without)
+    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED))
+    story.fly(60.0, without=without)
+    assert len([effect for _, effect in story.told if isinstance(effect, AskInterval)]) == 1
+    assert any("ATTITUDE_TARGET: the autopilot answered DENIED" in str(effect) for _, effect in story.told)
+
+
+def test_failed_learning_is_off_until_the_vehicle_starts_anew() -> None:
+    story = Story()
+    story.fly(26.0)
+    story.answer(LearningFailed("roll: the input is not exciting enough"))
+    assert story.at(State.FAULTED)
+    assert "PROP OFF: cannot learn: roll: the input is not e.." in story.texts
+    story.fly(30.0)
+    assert story.at(State.FAULTED)
+    story.reboots = 1
+    story.fly(5.0)
+    assert story.at(State.LEARNING)
+    assert session.healthy(story.state)
+
+
+def test_a_landed_vehicle_is_said_to_be_idle_not_healthy() -> None:
+    story = watching()
+    story.fly(6.0, armed=False)
+    assert story.at(State.MONITORING)
+    assert "PROP monitoring roll: not armed" in story.texts
+
+
+def test_an_alert_that_ends_on_the_ground_is_not_called_cleared() -> None:
+    story = watching()
+    story.fly(3.0, push=0.5)
+    effects = story.fly(8.0, armed=False)
+    assert story.at(State.MONITORING)
+    assert any(text.startswith("PROP alert unjudged, max FSD") for text in texts(effects))
+    assert not any(text.startswith("PROP clear") for text in texts(effects))
+
+
+def test_the_alert_is_repeated_with_the_largest_fsd_so_far() -> None:
+    story = watching()
+    story.fly(1.0, push=0.5)
+    story.fly(12.0, push=0.5)
+    alerts = [(at, e) for at, e in story.told if isinstance(e, SendText) and e.severity is Severity.CRITICAL]
+    assert len(alerts) == 3
+    assert {round(b[0] - a[0], 1) for a, b in itertools.pairwise(alerts)} == {5.0}
+    longest = [float(e.text.split("FSD ")[1].split("s")[0]) for _, e in alerts]
+    assert longest == sorted(longest)
+    assert longest[-1] > 9.0
+
+
+def test_a_monitor_named_as_suspect_only_warns() -> None:
+    story = watching(suspect=("latency.roll",))
+    effects = story.fly(2.0, push=0.5)
+    said = [effect for effect in effects if isinstance(effect, SendText)]
+    assert [one.severity for one in said] == [Severity.WARNING]
+    assert said[0].text.startswith("PROP suspect roll FSD")
+
+
+def test_every_event_is_opened_and_closed_once() -> None:
+    story = watching()
+    story.fly(2.0, push=0.5)
+    story.fly(3.0)
+    opened = [effect.event for _, effect in story.told if isinstance(effect, EventOpened)]
+    closed = [effect.event for _, effect in story.told if isinstance(effect, EventClosed)]
+    assert [e.start_ns for e in opened] == [e.start_ns for e in closed]
+    assert len(closed) == 1
+    assert closed[0].statistic == pytest.approx(2.0, abs=0.1)
+    assert closed[0].threshold == FML_S
+
+
+def test_an_event_that_is_open_at_the_end_is_told_with_its_end_unseen() -> None:
+    story = watching()
+    story.fly(2.0, push=0.5)
+    [closed] = session.finish(story.state)
+    assert isinstance(closed, EventClosed)
+    assert closed.event.end_ns is None
+    assert closed.event.statistic > 1.5
+
+
+def test_the_twins_come_five_times_a_second_and_carry_the_figures() -> None:
+    story = watching()
+    story.fly(2.0, push=0.5)
+    floats = [(at, e) for at, e in story.told if isinstance(e, SendFloat) and at > 6.0]
+    assert {e.name for _, e in floats} == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
+    times = sorted({at for at, _ in floats})
+    assert {round(b - a, 2) for a, b in itertools.pairwise(times)} == {0.2}
+    last = {e.name: e.value for _, e in floats}
+    assert last["PF_RES"] == pytest.approx(0.5, abs=0.1)
+    assert last["PF_FML"] == FML_S
+    assert last["PF_FSD"] > FML_S
+
+
+def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
+    found = []
+    for chunk_s in (0.02, 0.1, 0.5):
+        story = Story(SessionSpec(QDRONE2, baseline_for(axes=(Axis.ROLL, Axis.PITCH))), chunk_s=chunk_s)
+        story.fly(10.0)
+        story.fly(3.0, push=0.5)
+        story.fly(7.0)
+        found.append([e.event for _, e in story.told if isinstance(e, EventClosed)])
+    assert found[0] == found[1] == found[2]
+    assert len(found[0]) == 1
+
+
+def test_an_hour_of_healthy_flight_is_quiet() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for()), seconds=3700, chunk_s=1.0)
+    story.fly(3600.0)
+    assert story.states == [State.MONITORING]
+    assert not [effect for _, effect in story.told if isinstance(effect, EventOpened)]
+    assert story.state.judge is not None
+    assert story.state.judge.judged_s > 3590
+    assert len(story.texts) < 15  # one every five minutes
+
+
+def test_a_learned_baseline_that_does_not_fit_after_all_is_refused() -> None:
+    story = Story()
+    story.fly(26.0)
+    story.answer(Learned(baseline_for("ardupilot")))  # not what the link speaks
+    story.fly(1.0)
+    assert [change.new for _, change in story.told if isinstance(change, StateChanged)][-1] is State.FAULTED

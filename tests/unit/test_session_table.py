@@ -1,0 +1,52 @@
+"""The table of states: closed, reachable, and drawn as it is."""
+
+from pathlib import Path
+
+import pytest
+
+from detector.handlers import HANDLERS
+from detector.states import TABLE, State, Trigger, advance, diagram
+from detector.voice import HEALTH
+
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "detector-states.md"
+
+
+def test_every_state_has_a_row_and_a_handler() -> None:
+    assert set(TABLE) == set(State) == set(HANDLERS)
+
+
+def test_every_trigger_moves_something() -> None:
+    assert {trigger for row in TABLE.values() for trigger in row} == set(Trigger)
+
+
+def test_every_state_can_be_reached_and_left() -> None:
+    reached, fresh = {State.WAITING}, {State.WAITING}
+    while fresh:
+        fresh = {target for state in fresh for target in TABLE[state].values()} - reached
+        reached |= fresh
+    assert reached == set(State)
+    for state in State:
+        assert set(TABLE[state].values()) - {state}, f"{state} is a dead end"
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("trigger", Trigger)
+def test_only_what_the_table_lists_is_a_transition(state: State, trigger: Trigger) -> None:
+    if trigger in TABLE[state]:
+        assert advance(state, trigger) is TABLE[state][trigger]
+    else:
+        with pytest.raises(ValueError, match=f"no transition from {state.name}"):
+            advance(state, trigger)
+
+
+def test_an_alert_is_raised_from_monitoring_only_and_a_fault_of_ours_ends_by_a_reboot_only() -> None:
+    assert {state for state, row in TABLE.items() if State.ALERT in row.values()} == {State.MONITORING}
+    assert set(TABLE[State.FAULTED]) == {Trigger.REBOOT}
+
+
+def test_every_state_but_faulted_has_a_heartbeat() -> None:
+    assert set(HEALTH) == set(State) - {State.FAULTED}
+
+
+def test_the_documented_picture_is_the_table() -> None:
+    assert diagram() in PICTURE.read_text(), "run `python docs/draw_detector_states.py`"
