@@ -14,8 +14,9 @@ from sitl_plant.vehicle import Vehicle
 
 __all__ = ["NO_PAYLOAD", "Airframe", "Payload", "draw_airframe", "drone", "nominal_airframe"]
 
-# The seeds that make drones 1, 2 and 3. Any numbers would do; they are part of the drones' identity.
-DRONE_SEEDS = (20_251, 20_252, 20_253)
+# The seeds that make drones 1, 2 and 3: of n, n + 10, n + 20, ... the first with every draw within 1.5 standard
+# deviations and the battery gain within 1.2 %, so that the three are ordinary specimens.
+DRONE_SEEDS = (41, 252, 53)
 AGED_DRONE = 1
 
 
