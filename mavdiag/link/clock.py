@@ -176,12 +176,13 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     lag_ns = epoch.least_ns - boot.least_ns if boot and epoch else 0
     times = []
     for run in runs:
-        offset_ns, held_back = timeline.base_ns, 0
+        t_ns, offset_ns = run.clock_ns, timeline.base_ns
         if run.on_epoch != timeline.on_epoch:
             offset_ns += lag_ns if run.on_epoch else -lag_ns
-            held_back = _unsettled(boot, epoch, run)
-        offset_ns = min(max(offset_ns, -HIGHEST_NS), HIGHEST_NS)
-        t_ns = run.clock_ns[held_back:] + offset_ns if offset_ns or held_back else run.clock_ns
+            t_ns = t_ns[_unsettled(boot, epoch, run) :]
+        if offset_ns:
+            offset_ns = min(max(offset_ns, -HIGHEST_NS), HIGHEST_NS)
+            t_ns = t_ns + offset_ns
         if len(t_ns) and (known_ns is None or run.latest_ns + offset_ns > known_ns):
             known_ns = run.latest_ns + offset_ns
         received_ns = max(received_ns, run.reading.host_ns)

@@ -4,7 +4,7 @@ A converter sees the payloads of one message as a record array with the columns 
 for each signal in them. Everything is in the body frame FRD already: MAVLink has it so.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from math import pi
 from typing import Any, NamedTuple, TypeAlias
@@ -44,9 +44,13 @@ Converter: TypeAlias = Callable[[Profile, Record], tuple[Part, ...]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """One message that a profile listens to. counter: how it counts time in the column `time`, None for no time."""
+    """One message that a profile listens to, and the signals in it.
+
+    counter: how it counts time in the column `time`, None for no time. dtype: the columns that `convert` reads.
+    """
 
     message: MessageId
+    signals: frozenset[Signal]
     counter: Counter | None
     time: str
     dtype: np.dtype[np.void]
@@ -73,12 +77,18 @@ _ANGLE_TERMS = _angle_terms()
 
 def euler_angles(q: FloatArray) -> FloatArray:
     """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4) of any length but zero; NaN for zero."""
+    return _euler_angles(q)[0]
+
+
+def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
+    """The same, and whether no quaternion is zero."""
     terms = (q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
     terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
     angles: FloatArray = np.arctan2(terms[:, :3], terms[:, 3:6])
-    if not terms[:, 6].all():
-        angles[terms[:, 6] == 0.0] = np.nan
-    return angles
+    if terms[:, 6].all():
+        return angles, True
+    angles[terms[:, 6] == 0.0] = np.nan
+    return angles, False
 
 
 def _has(record: Record, column: str) -> bool:
@@ -87,17 +97,17 @@ def _has(record: Record, column: str) -> bool:
 
 def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
     target = record["q"].astype(np.float64)  # q, body rates and thrust lie side by side
-    angles, rates, thrust = euler_angles(target[:, :4]), target[:, 4:7], target[:, 7:]
     finite = bool(np.isfinite(target).all())
+    angles, whole = _euler_angles(target[:, :4])
     mask = record["type_mask"]
     attitude = rate = throttle = None
     if mask.any():
         attitude, rate = mask & TargetMask.ATTITUDE == 0, mask & BODY_RATE_BITS == 0
         throttle = mask & TargetMask.THROTTLE == 0
     return (
-        Part(Signal.ATTITUDE_SETPOINT, angles, attitude),  # NaN where q is zero
-        Part(Signal.RATE_SETPOINT, rates, rate, finite),
-        Part(Signal.THRUST_SETPOINT, thrust, throttle, finite),
+        Part(Signal.ATTITUDE_SETPOINT, angles, attitude, finite and whole),
+        Part(Signal.RATE_SETPOINT, target[:, 4:7], rate, finite),
+        Part(Signal.THRUST_SETPOINT, target[:, 7:], throttle, finite),
     )
 
 
@@ -142,11 +152,12 @@ def _actuator_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 def _span(profile: Profile, raw: Record) -> FloatArray:
     low, high = profile.actuator_span
-    return np.clip((raw[:, : profile.rotors] - low) / (high - low), 0.0, 1.0)
+    share: FloatArray = (raw[:, : profile.rotors] - low) * (1.0 / (high - low))
+    return np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def _vibration(profile: Profile, record: Record) -> tuple[Part, ...]:
-    return (Part(Signal.VIBRATION, record["vibration_x"].astype(np.float64)),) if profile.vibration else ()
+    return (Part(Signal.VIBRATION, record["vibration_x"].astype(np.float64)),)
 
 
 def _rotor_speed(profile: Profile, record: Record) -> tuple[Part, ...]:
@@ -157,51 +168,55 @@ def _rotor_speed(profile: Profile, record: Record) -> tuple[Part, ...]:
 def _source(
     message: MessageId,
     convert: Converter,
+    signals: tuple[Signal, ...],
     columns: tuple[tuple[str, int], ...],
     time: tuple[str, Counter] | None = None,
 ) -> Source:
     name, counter = time or ("", None)
     dtype = record_dtype(message, *((name, 1),) if counter else (), *columns)
-    return Source(message, counter, name, dtype, convert)
+    return Source(message, frozenset(signals), counter, name, dtype, convert)
 
 
-_BOOT_MS, _USEC = ("time_boot_ms", MS_32), ("time_usec", US_64)
+_BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
+_TARGET = (Signal.ATTITUDE_SETPOINT, Signal.RATE_SETPOINT, Signal.THRUST_SETPOINT)
+_MOTION = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE)
 _VECTORS = (("xacc", 3), ("xgyro", 3))
+_VECTORS_ID = (*_VECTORS, ("id", 1))
+_SERVOS = (("servo1_raw", 8), ("port", 1))
 _SOURCES = {
     source.message: source
     for source in (
-        _source(MessageId.ATTITUDE_TARGET, _attitude_target, (("q", 8), ("type_mask", 1)), _BOOT_MS),
-        _source(MessageId.RAW_IMU, _imu, (*_VECTORS, ("id", 1)), _USEC),
-        _source(MessageId.SCALED_IMU, _imu, _VECTORS, _BOOT_MS),
-        _source(MessageId.SCALED_IMU2, _imu, _VECTORS, _BOOT_MS),
-        _source(MessageId.SCALED_IMU3, _imu, _VECTORS, _BOOT_MS),
-        _source(MessageId.HIGHRES_IMU, _imu, (*_VECTORS, ("id", 1)), _USEC),
-        _source(MessageId.ATTITUDE, _attitude, (("roll", 3),), _BOOT_MS),
-        _source(MessageId.LOCAL_POSITION_NED, _local_position, (("z", 1),), _BOOT_MS),
-        _source(MessageId.SYS_STATUS, _sys_status, (("voltage_battery", 1),)),
-        _source(MessageId.HEARTBEAT, _heartbeat, (("type", 1), ("base_mode", 1))),
-        _source(
-            MessageId.SERVO_OUTPUT_RAW,
-            _servo_outputs,
-            (("servo1_raw", 8), ("port", 1)),
-            ("time_usec", US_32),
-        ),
-        _source(MessageId.ACTUATOR_OUTPUT_STATUS, _actuator_outputs, (("actuator", 32),), _USEC),
-        _source(MessageId.VIBRATION, _vibration, (("vibration_x", 3),), _USEC),
-        _source(MessageId.ESC_STATUS, _rotor_speed, (("rpm", 4), ("index", 1)), _USEC),
-        _source(MessageId.ESC_TELEMETRY_1_TO_4, _rotor_speed, (("rpm", 4),)),
+        _source(MessageId.ATTITUDE_TARGET, _attitude_target, _TARGET, (("q", 8), ("type_mask", 1)), _BOOT_MS),
+        _source(MessageId.RAW_IMU, _imu, _MOTION, _VECTORS_ID, _USEC),
+        _source(MessageId.SCALED_IMU, _imu, _MOTION, _VECTORS, _BOOT_MS),
+        _source(MessageId.SCALED_IMU2, _imu, _MOTION, _VECTORS, _BOOT_MS),
+        _source(MessageId.SCALED_IMU3, _imu, _MOTION, _VECTORS, _BOOT_MS),
+        _source(MessageId.HIGHRES_IMU, _imu, _MOTION, _VECTORS_ID, _USEC),
+        _source(MessageId.ATTITUDE, _attitude, (Signal.ATTITUDE,), (("roll", 3),), _BOOT_MS),
+        _source(MessageId.LOCAL_POSITION_NED, _local_position, (Signal.HEIGHT,), (("z", 1),), _BOOT_MS),
+        _source(MessageId.SYS_STATUS, _sys_status, (Signal.VOLTAGE,), (("voltage_battery", 1),)),
+        _source(MessageId.HEARTBEAT, _heartbeat, (Signal.ARMED,), (("type", 1), ("base_mode", 1))),
+        _source(MessageId.SERVO_OUTPUT_RAW, _servo_outputs, (Signal.ACTUATOR,), _SERVOS, _USEC_32),
+        _source(MessageId.ACTUATOR_OUTPUT_STATUS, _actuator_outputs, (Signal.ACTUATOR,), (("actuator", 32),), _USEC),
+        _source(MessageId.VIBRATION, _vibration, (Signal.VIBRATION,), (("vibration_x", 3),), _USEC),
+        _source(MessageId.ESC_STATUS, _rotor_speed, (Signal.ROTOR_SPEED,), (("rpm", 4), ("index", 1)), _USEC),
+        _source(MessageId.ESC_TELEMETRY_1_TO_4, _rotor_speed, (Signal.ROTOR_SPEED,), (("rpm", 4),)),
     )
 }
-_EVERY_PROFILE = (
-    MessageId.ATTITUDE,
-    MessageId.LOCAL_POSITION_NED,
-    MessageId.SYS_STATUS,
-    MessageId.HEARTBEAT,
-    MessageId.VIBRATION,
-)
 
 
-def sources(profile: Profile) -> tuple[Source, ...]:
-    """The messages that a profile listens to, each once."""
-    chosen = (profile.setpoint, profile.imu, *_EVERY_PROFILE, profile.actuator, profile.rotor_speed)
-    return tuple(_SOURCES[message] for message in dict.fromkeys(chosen))
+def sources(profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> tuple[Source, ...]:
+    """The messages that a profile listens to for these signals, each once."""
+    chosen = [
+        profile.setpoint,
+        profile.imu,
+        MessageId.ATTITUDE,
+        MessageId.LOCAL_POSITION_NED,
+        MessageId.SYS_STATUS,
+        MessageId.HEARTBEAT,
+        profile.actuator,
+        profile.rotor_speed,
+    ]
+    if profile.vibration:
+        chosen.append(MessageId.VIBRATION)
+    return tuple(_SOURCES[message] for message in chosen if not _SOURCES[message].signals.isdisjoint(signals))

@@ -255,6 +255,13 @@ def test_frames_of_several_vehicles_are_told_apart() -> None:
     assert {sysid: len(own) for sysid, own in by_vehicle(frames).items()} == {1: 2, 2: 1}
 
 
+def test_only_the_signals_of_interest_are_read() -> None:
+    converter = Converter(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
+    assert converter.wanted == {MessageId.RAW_IMU, MessageId.VIBRATION}
+    _, telemetry = converter.step(SampleState(), flight())
+    assert {series.signal for series in telemetry.series} == {Signal.BODY_RATE, Signal.SPECIFIC_FORCE}
+
+
 def test_nothing_in_nothing_out() -> None:
     state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), [])
     assert state == SampleState()
