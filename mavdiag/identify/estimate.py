@@ -9,18 +9,28 @@ from mavdiag.identify.arx import Estimate, least_squares, polynomials
 from mavdiag.identify.data import Records, Segment, check_excitation, to_segments
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.identify.sriv import sriv
-from mavdiag.identify.validate import nrmse_percent, r_squared
+from mavdiag.identify.validate import free_run, nrmse_percent, r_squared
 from mavdiag.quantities import FloatArray
 
 __all__ = ["fit"]
 
 
-def fit(u: Records, y: Records, order: Order = (2, 2, 1), *, dt: float, method: Method | str = Method.SRIV) -> ArxModel:
+def fit(
+    u: Records,
+    y: Records,
+    order: Order = (2, 2, 1),
+    *,
+    dt: float,
+    method: Method | str = Method.SRIV,
+    settle_s: float = 0.0,
+) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
     u, y: (n,) each, or sequences of such arrays, one per flight: their rows are stacked and none reaches from one
     flight into the next. order: (na, nb, nk). dt: sample time [s]. method: "sriv" (default; unbiased with noise on
-    the output) or "ls" (the thesis's least squares). Offsets are not removed.
+    the output) or "ls" (the thesis's least squares). Offsets are not removed. settle_s: seconds at the start of each
+    record that r2t, nrmse_fit, mse and yic leave out, because the simulation starts from rest and a record that is cut
+    out of a flight does not; the estimate itself uses every row and, by SRIV, leaves initial states free.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -40,10 +50,12 @@ def fit(u: Records, y: Records, order: Order = (2, 2, 1), *, dt: float, method: 
     segments = to_segments(u, y, order)
     check_excitation(segments, order)
     estimate = sriv(segments, order) if method == Method.SRIV else least_squares(segments, order)
-    return _graded(estimate, segments, order, dt, Method(method))
+    return _graded(estimate, segments, order, dt, Method(method), settle_s)
 
 
-def _graded(estimate: Estimate, segments: tuple[Segment, ...], order: Order, dt: float, method: Method) -> ArxModel:
+def _graded(
+    estimate: Estimate, segments: tuple[Segment, ...], order: Order, dt: float, method: Method, settle_s: float
+) -> ArxModel:
     """The estimate as a model with its fit figures; refuses an unstable one."""
     a, b = polynomials(estimate.theta, order)
     bare = ArxModel(a, b, dt, order, method)
@@ -52,8 +64,7 @@ def _graded(estimate: Estimate, segments: tuple[Segment, ...], order: Order, dt:
             f"the identified model is unstable (pole radius {np.abs(bare.poles[0]):.4f}); lower the order, use sriv, "
             "or record more excited flight"
         )
-    y = np.concatenate([segment.y for segment in segments])
-    y_sim = np.concatenate([bare.simulate(segment.u) for segment in segments])
+    y, y_sim = free_run(bare, segments, settle_s)
     d, n, loss = len(estimate.theta), estimate.rows, estimate.loss
     return ArxModel(
         a,
@@ -68,7 +79,7 @@ def _graded(estimate: Estimate, segments: tuple[Segment, ...], order: Order, dt:
         yic=_young_criterion(estimate, float(np.var(y - y_sim) / np.var(y))),
         aic=_log(loss) + 2 * d / n,
         fpe=loss * (1 + d / n) / (1 - d / n),
-        samples=len(y),
+        samples=sum(len(segment) for segment in segments),
         iterations=estimate.iterations,
         converged=estimate.converged,
     )

@@ -52,10 +52,10 @@ class ArxModel:
     """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5.
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
-    order: (na, nb, nk). standard_errors: (na + nb,) of a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown; they hold for
-    white noise (in the equation for LS, on the output for SRIV) and are too small for filtered, coloured noise.
+    order: (na, nb, nk). standard_errors: (na + nb,) of a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown. Those of SRIV
+    hold for output noise of any colour; those of LS for white noise in the equation, and say nothing of its bias.
 
-    Fit on the training data, nan where unknown. With e_sim = y - simulate(u), pooled over all segments:
+    Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
     r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent].
     mse: mean e_sim^2. yic: Young's information criterion, ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)).
     aic: ln V + 2d/n and fpe: V (1 + d/n)/(1 - d/n) for d = na + nb parameters and n residuals, where V is the mean

@@ -13,6 +13,7 @@ import numpy as np
 from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressors, solve
 from mavdiag.identify.data import EPSILON, Segment, triangle
 from mavdiag.identify.model import Order
+from mavdiag.identify.uncertainty import coloured_errors
 from mavdiag.quantities import FloatArray
 
 __all__ = ["reflect_poles", "sriv"]
@@ -64,7 +65,7 @@ class _Point:
     """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
 
     refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution. Both stand
-    still at the same theta. errors: standard errors of theta. rows: number of residuals behind the loss.
+    still at the same theta. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
     """
 
     theta: FloatArray
@@ -132,7 +133,7 @@ def _descend(segments: tuple[Segment, ...], order: Order, point: _Point) -> tupl
 def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     """SRIV estimate over all segments, started from least squares.
 
-    standard_errors = sqrt(diag (Z_f' Z_f)^-1 var(e)), right for white output noise. loss: mean squared output error
+    standard_errors: right for output noise of any colour, see `uncertainty`. loss: mean squared output error
     with the initial state of each segment free. If the iteration does not settle, which happens where the order is
     not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do
     not settle either: such data, or such an order, hardly tell the parameters apart.
@@ -144,4 +145,5 @@ def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     if not settled:
         point, more, settled = _descend(segments, order, point)
         iterations += more
-    return Estimate(point.theta, point.errors, point.loss, point.rows, iterations, settled)
+    errors = coloured_errors(segments, order, point.theta)
+    return Estimate(point.theta, errors, point.loss, point.rows, iterations, settled)

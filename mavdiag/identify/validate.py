@@ -7,7 +7,7 @@ from statistics import NormalDist
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import Records, to_segments
+from mavdiag.identify.data import Records, Segment, to_segments
 from mavdiag.identify.model import ArxModel
 from mavdiag.quantities import FloatArray
 
@@ -15,6 +15,7 @@ __all__ = [
     "ResidualReport",
     "Validation",
     "examine_residual",
+    "free_run",
     "nrmse_percent",
     "one_step_report",
     "r_squared",
@@ -57,15 +58,28 @@ class Validation:
     samples: int
 
 
-def validate(model: ArxModel, u: Records, y: Records) -> Validation:
+def free_run(model: ArxModel, segments: tuple[Segment, ...], settle_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """Measured and simulated output of all segments, each from rest and without its first `settle_s` [s], (n,) both.
+
+    Raises IdentificationError if nothing is left.
+    """
+    if not 0.0 <= settle_s < math.inf:
+        raise IdentificationError(f"the settling time must be 0 or more, not {settle_s} s")
+    skip = round(settle_s / model.dt)
+    y = np.concatenate([segment.y[skip:] for segment in segments])
+    if len(y) == 0:
+        raise IdentificationError(f"no record is longer than the settling time of {settle_s} s; lower it")
+    return y, np.concatenate([model.simulate(segment.u)[skip:] for segment in segments])
+
+
+def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> Validation:
     """Simulate the model on flights it was not trained on, each from rest, and pool the errors (T 5.3, 5.4).
 
-    u, y: one record each, (n,), or one per flight. Raises IdentificationError on data that do not pair up, hold NaN,
-    are constant, or are too short.
+    u, y: one record each, (n,), or one per flight. settle_s: seconds at the start of each that are left out, for
+    records that begin in motion. Raises IdentificationError on data that do not pair up, hold NaN, are constant, or
+    are too short.
     """
-    segments = to_segments(u, y, model.order)
-    measured = np.concatenate([segment.y for segment in segments])
-    simulated = np.concatenate([model.simulate(segment.u) for segment in segments])
+    measured, simulated = free_run(model, to_segments(u, y, model.order), settle_s)
     mse = float(np.mean((measured - simulated) ** 2))
     return Validation(r_squared(measured, simulated), nrmse_percent(measured, simulated), mse, len(measured))
 

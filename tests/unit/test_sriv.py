@@ -11,6 +11,7 @@ from shared_data import shared
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.sriv import reflect_poles
 from mavdiag.identify.validate import examine_residual, nrmse_percent
+from mavdiag.signal.savgol import smooth
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,24 @@ def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> Non
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
     # 60 trials: the rms of a parameter has a standard deviation of 0.09
     assert np.all((rms > 0.7) & (rms < 1.3)), rms
+
+
+@pytest.mark.parametrize(("window", "hold"), [(1, 400), (5, 3), (101, 400)])
+def test_standard_errors_hold_behind_a_smoothing_filter(window: int, hold: int) -> None:
+    # The white-noise formula is wrong by a factor of 6 at 101 samples.
+    slow = ArxModel(
+        np.array([1.0, -1.98, 0.9805]), np.array([0.0, -0.0059, 0.0061]), 0.001, (2, 2, 1), Method.PUBLISHED
+    )
+    normalised = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(15_000 // hold), hold)
+        clean = slow.simulate(u)
+        y = clean + 0.2 * clean.std() * rng.standard_normal(len(u))
+        found = fit(smooth(u, window, min(2, window - 1)), smooth(y, window, min(2, window - 1)), dt=0.001)
+        normalised.append((found.theta - slow.theta) / found.standard_errors)
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    assert np.all((rms > 0.6) & (rms < 1.5)), rms
 
 
 def test_flights_that_begin_in_motion_do_not_bias_it() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from identification_data import WELL, record
+from identification_data import ROLL, WELL, record
 from numpy.testing import assert_allclose
 from shared_data import shared
 
@@ -89,6 +89,21 @@ def test_validation_pools_flights() -> None:
     assert pooled.r2t == pytest.approx(1 - errors.var() / np.r_[one.y, two.y].var())
     with pytest.raises(IdentificationError, match="NaN"):
         validate(WELL, one.u, np.full(400, np.nan))
+
+
+def test_records_that_begin_in_motion_may_settle_first() -> None:
+    data = record(ROLL, 12_000, 0.0, 3)
+    top = int(np.argmax(np.abs(data.y[:4000])))
+    u, y = data.u[top : top + 8000], data.y[top : top + 8000]
+    assert validate(ROLL, u, y).r2t < 0.99
+    assert validate(ROLL, u, y, settle_s=5.0).r2t > 0.9999  # five time constants of the pole 0.9985 are 3.3 s
+    found = fit(u, y, dt=0.001, settle_s=5.0)
+    assert found.r2t > 0.9999
+    assert found.samples == 8000
+    assert_allclose(found.theta, fit(u, y, dt=0.001).theta)
+    for settle_s, match in ((8.0, "lower it"), (-1.0, "0 or more"), (float("nan"), "0 or more")):
+        with pytest.raises(IdentificationError, match=match):
+            validate(ROLL, u, y, settle_s)
 
 
 def test_residuals_that_cannot_be_tested_are_refused() -> None:
