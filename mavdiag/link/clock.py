@@ -21,6 +21,7 @@ __all__ = [
     "US_32",
     "US_64",
     "Counter",
+    "Delay",
     "Reading",
     "Run",
     "Timeline",

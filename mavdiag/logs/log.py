@@ -15,7 +15,8 @@ class Log:
     """One vehicle's flight as a file tells it.
 
     name: what to call it in a report (the file's name). sha256: of the whole file, hexadecimal.
-    profile: the link profile its signals follow, a key of `mavdiag.link.PROFILES`, or `crazyflie`.
+    profile: the link profile that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or the reader's own
+    name for a kind of log that is no link.
     started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
     """
 
