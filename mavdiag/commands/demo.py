@@ -2,26 +2,20 @@
 
 import json
 import os
-import re
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mavdiag import __version__
-from mavdiag.commands.children import Child, child, run_child
-from mavdiag.commands.ground import GroundStation, Heard
+from mavdiag.commands.children import run_child
 from mavdiag.commands.identify import make_baseline
+from mavdiag.commands.loop import POLL_S, Flight, Loop, Outcome, closed_loop
 from mavdiag.commands.options import AxisChoice
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import UsageError
 from mavdiag.learning import LearnOptions
-from mavdiag.link.endpoint import open_endpoint
-from mavdiag.link.messages import Severity
 from mavdiag.storage import load_baseline, save_baseline
 
 __all__ = ["demo"]
@@ -29,36 +23,6 @@ __all__ = ["demo"]
 HEALTHY_FLIGHTS = 60  # one false alarm in 61 flights of equal length, METHOD section 4
 HEALTHY_S = 40.0
 ONSET_SHARE = 0.4  # of the flight
-READY_S = 20.0
-POLL_S = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What the ground station saw. Times in seconds of flight; detected_s is None if nothing was alerted in time."""
-
-    onset_s: float
-    texts: tuple[Heard, ...]
-
-    @property
-    def alerts(self) -> tuple[Heard, ...]:
-        """Declared faults."""
-        return tuple(one for one in self.texts if one.severity <= Severity.CRITICAL)
-
-    @property
-    def false_alarms(self) -> int:
-        """Faults that were declared before there was one."""
-        return sum(one.t_s < self.onset_s for one in self.alerts)
-
-    @property
-    def detected_s(self) -> float | None:
-        """When the fault was first alerted."""
-        return next((one.t_s for one in self.alerts if one.t_s >= self.onset_s), None)
-
-    @property
-    def good(self) -> bool:
-        """Alerted after the onset, and silent before."""
-        return self.detected_s is not None and self.false_alarms == 0
 
 
 def demo(
@@ -80,9 +44,9 @@ def demo(
     if not as_json:
         typer.echo(f"baseline {reference}: margin {monitor.margin_rad_s:.4f} rad/s, FML {monitor.fml_s:.3f} s")
     onset_s = round(ONSET_SHARE * duration, 1)
-    with _vehicle_and_detector(reference, fault, rotor, onset_s, duration, seed) as (plant, station):
-        _watch(plant, station, onset_s, duration, quiet=as_json)
-    outcome = Outcome(onset_s, tuple(station.texts))
+    with closed_loop(Flight(duration, fault, rotor, onset_s, seed), reference) as loop:
+        _watch(loop, onset_s, duration, quiet=as_json)
+    outcome = Outcome(onset_s, tuple(loop.station.texts))
     _tell(outcome, as_json)
     raise typer.Exit(0 if outcome.good else 1)
 
@@ -114,36 +78,16 @@ def _record(folder: Path, first: int, count: int) -> None:
     )  # fmt: skip
 
 
-@contextmanager
-def _vehicle_and_detector(
-    baseline: Path, fault: str, rotor: int, onset_s: float, duration_s: float, seed: int
-) -> Iterator[tuple[Child, GroundStation]]:
-    with (
-        open_endpoint("udpin:127.0.0.1:0") as endpoint,
-        child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline)) as detector,
-    ):
-        line = detector.wait_for("ready", READY_S)
-        heard = re.search(r"udpin:([\d.]+:\d+)", line)
-        if heard is None:
-            raise LinkError(f"the detector did not say where it listens: {line}")
-        with child(
-            "sitl_plant", "run", "--out", f"udpout:{heard[1]}", "--out", endpoint.address.replace("udpin", "udpout"),
-            "--fault", fault, "--rotor", str(rotor), "--onset", f"{onset_s:g}", "--duration", f"{duration_s:g}",
-            "--seed", str(seed),
-        ) as plant:  # fmt: skip
-            plant.wait_for("flies", READY_S)
-            yield plant, GroundStation(endpoint)
-
-
-def _watch(plant: Child, station: GroundStation, onset_s: float, duration_s: float, *, quiet: bool) -> None:
+def _watch(loop: Loop, onset_s: float, duration_s: float, *, quiet: bool) -> None:
     """Listen until the flight is over, showing it if there is somebody to show it to."""
     from mavdiag.commands.display import Display
 
     with Display(onset_s, duration_s, quiet=quiet) as display:
-        while plant.running:
-            station.listen(POLL_S)
-            display.show(station)
-    station.listen(POLL_S)
+        while loop.plant.running:
+            loop.station.listen(POLL_S)
+            display.show(loop.station)
+        loop.station.listen(POLL_S)
+        display.show(loop.station)
 
 
 def _tell(outcome: Outcome, as_json: bool) -> None:

@@ -1,0 +1,105 @@
+"""The main job in real time over MAVLink UDP: nine faults, and healthy flight, by the thesis rule.
+
+    python benchmarks/loopback.py [--healthy-flights 20] [--healthy-minutes 10] [--seed 0] [--at-once 2]
+
+FML is the maximum of the healthy flights (fast-recorded, drone 1). Each fault on rotor 1 sets in at 10 s of its flight
+and must be alerted over MAVLink within 60 s. Then drone 1 flies healthy; its alarms stand beside the 1/(n+1) that the
+rule costs per flight of equal length. The detector's CPU share and the datagrams it lost are its own report.
+"""
+
+import argparse
+import re
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from mavdiag.commands.children import run_child
+from mavdiag.commands.identify import make_baseline
+from mavdiag.commands.loop import POLL_S, Flight, Outcome, closed_loop
+from mavdiag.learning import LearnOptions
+from mavdiag.quantities import Axis
+from mavdiag.storage import save_baseline
+
+FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))
+ONSET_S, WITHIN_S = 10.0, 60.0
+HEALTHY_FLIGHT_S = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One flight. cpu: the detector's share of a core in percent; lost: datagrams that it did not read in time."""
+
+    outcome: Outcome
+    cpu: float
+    lost: int
+
+
+def learn(folder: Path, flights: int, seed: int) -> Path:
+    """A baseline from fast-recorded healthy flights."""
+    run_child(
+        "sitl_plant", "record", "-o", str(folder / "h.tlog"), "--flights", str(flights), "--seed", str(seed),
+        "--duration", f"{HEALTHY_FLIGHT_S:g}",
+    )  # fmt: skip
+    path = folder / "baseline.json"
+    save_baseline(path, make_baseline(sorted(folder.glob("*.tlog")), LearnOptions(axes=(Axis.ROLL,))))
+    return path
+
+
+def fly(flight: Flight, baseline: Path) -> Result:
+    """One flight in real time; a fault's ends when it is alerted."""
+    with closed_loop(flight, baseline) as loop:
+        while loop.plant.running:
+            loop.station.listen(POLL_S)
+            outcome = Outcome(flight.onset_s, tuple(loop.station.texts))
+            if flight.fault and outcome.detected_s is not None:
+                break
+        loop.plant.end()
+        loop.station.listen(POLL_S)
+        loop.detector.end()
+        words = " ".join(loop.detector.lines)
+    cpu, lost = re.search(r"([\d.]+) % CPU", words), re.search(r"(\d+) datagrams overflowed", words)
+    return Result(
+        Outcome(flight.onset_s, tuple(loop.station.texts)),
+        float(cpu[1]) if cpu else float("nan"),
+        int(lost[1]) if lost else -1,
+    )
+
+
+def main() -> None:
+    """Learn, fly, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--healthy-flights", type=int, default=20)
+    parser.add_argument("--healthy-minutes", type=float, default=10.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--at-once", type=int, default=2)
+    arguments = parser.parse_args()
+    flights = [Flight(ONSET_S + WITHIN_S, code, 1, ONSET_S, 500 + arguments.seed + i) for i, code in enumerate(FAULTS)]
+    healthy = Flight(60 * arguments.healthy_minutes, seed=900 + arguments.seed)
+    table = Table(title=f"loopback at 1 kHz, FML from {arguments.healthy_flights} healthy flights")
+    for heading in ("flight", "alerted after s", "alarms before onset", "detector CPU %", "datagrams lost"):
+        table.add_column(heading, justify="right")
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.at_once) as pool:
+        baseline = learn(Path(folder), arguments.healthy_flights, 100 + arguments.seed)
+        results = list(pool.map(partial(fly, baseline=baseline), [healthy, *flights]))
+    for flight, result in zip(flights, results[1:], strict=True):
+        found = result.outcome.detected_s
+        latency = "missed" if found is None else f"{found - flight.onset_s:.2f}"
+        table.add_row(flight.fault, latency, str(result.outcome.false_alarms), f"{result.cpu:.1f}", str(result.lost))
+    console = Console(width=120)
+    console.print(table)
+    first = results[0]
+    declared = [one for one in first.outcome.texts if one in first.outcome.alerts]
+    expected = 60 * arguments.healthy_minutes / HEALTHY_FLIGHT_S / (arguments.healthy_flights + 1)
+    console.print(
+        f"healthy: {len(declared)} alert texts in {arguments.healthy_minutes:g} minutes "
+        f"({expected:.2f} alarmed flights expected by 1/(n+1)); detector {first.cpu:.1f} % CPU, {first.lost} lost"
+    )
+
+
+if __name__ == "__main__":
+    main()
