@@ -18,9 +18,10 @@ Severity (T 5.5.3, Fig 5.12): per type, a line of peak/margin on unbalance. T fi
 F1 and F2. A new peak is weighed against what the line predicts for each severity, with the line's own uncertainty; on
 a flat or uncertain line no severity reaches 60 %, and it stays unknown.
 
-**Price.** On simulated flights of one aircraft the plane names the type in about 0.8 of the cases and one of nine
-type-severity pairs in about 0.4 (METHOD section 4): a hint for the mechanic, no diagnosis. It knows only the types that
-it was shown, and a plane from three flights a type refuses little and is sure of little.
+**Price.** On 72 simulated flights of the nine faults with their fitted term (`benchmarks/thesis_plane.py`), each judged
+by a plane of the others, 54 types were named rightly, 9 wrongly, 9 not at all, and no severity was ever certain enough:
+the highest excess of one flight scatters more than the severities differ. A hint for the mechanic, no diagnosis. The
+plane knows only the types that it was shown, and with three flights a type it refuses little and is sure of little.
 """
 
 import math
