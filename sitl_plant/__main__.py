@@ -112,6 +112,7 @@ def record(
     phenomenology: Phenomenology = 1.0,
     rate: Rate = None,
     duration: Annotated[float, typer.Option(metavar="S", help="Flight time.")] = 60.0,
+    flights: Annotated[int, typer.Option(help="Record so many flights, to FILE-000.tlog and on, seed by seed.")] = 1,
     seed: Seed = 0,
     wind: Wind = 0.0,
     payload: PayloadKg = 0.0,
@@ -119,13 +120,20 @@ def record(
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
-    plan = flight_plan(drone, trajectory, fault, rotor, onset, phenomenology, rate, seed, wind, payload, profile)
     if not duration > 0.0:
         raise UsageError(f"duration must be positive, not {duration:g}")
-    with _truth_file(truth) as lines:
-        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
-        messages = record_flight(output, plan, duration, watch)
-    typer.echo(f"{output}: {duration:g} s of flight, {messages} messages")
+    if flights < 1 or (flights > 1 and truth is not None):
+        raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
+    for number in range(flights):
+        path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
+        own_seed = seed + number
+        plan = flight_plan(
+            drone, trajectory, fault, rotor, onset, phenomenology, rate, own_seed, wind, payload, profile
+        )
+        with _truth_file(truth) as lines:
+            watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
+            messages = record_flight(path, plan, duration, watch)
+        typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
 @contextmanager
