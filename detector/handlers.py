@@ -95,7 +95,7 @@ def _fitting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
     if isinstance(outcome, LearningFailed):
         return _off(state, Trigger.NOT_FITTED, f"cannot learn: {outcome.reason}")
     baseline = outcome.baseline
-    fml_s = max(monitor.fml_s for monitor in baseline.monitors)
+    fml_s = max((monitor.fml_s for monitor in baseline.monitors if monitor.kind == "latency"), default=0.0)
     state, changed = move(replace(state, baseline=baseline), Trigger.FITTED)
     return state, (changed, BaselineLearned(baseline), Notice(Kind.LEARNED, (figure(fml_s),)))
 
@@ -144,7 +144,8 @@ def _quiet(state: SessionState, judge: Judge, now: Instant) -> Next:
     if now - judge.judged >= IDLE_S:
         gate = judge.chain.front.gate
         why = f": {(on_ground(state.streams, gate) or Hindrance(Reason.GAPS)).text}"
-    axes = ", ".join(dict.fromkeys(monitor.axis.value for monitor in judge.baseline.monitors))
+    watched = (watch.monitor.axis for watch in judge.chain.watches)
+    axes = ", ".join(dict.fromkeys(axis.value for axis in watched if axis is not None))
     return replace(state, reason=f"{axes}{why}"), (Notice(Kind.MONITORING, (axes, why), why),)
 
 

@@ -41,7 +41,7 @@ class Reason(StrEnum):
     OTHER_RATE = "rate not the baseline's"
     NOT_ARMED = "not armed"
     NOT_AIRBORNE = "not airborne"
-    GAPS = "gaps in the streams"
+    GAPS = "gaps in the data"
 
 
 @dataclass(frozen=True, slots=True)

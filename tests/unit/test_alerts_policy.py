@@ -61,7 +61,12 @@ def test_the_end_of_an_alert_is_never_cut_either() -> None:
 @pytest.mark.parametrize("reason", Reason)
 def test_a_reason_is_never_cut(reason: Reason) -> None:
     """With its figure, or after the longest progress or axes that it can follow."""
-    words = {Kind.WAITING: (f"{reason} (1000 Hz)",), Kind.LEARNING: ("75", f": {reason}")}
+    words = {
+        Kind.WAITING: (f"{reason} (1000 Hz)",),
+        Kind.LEARNING: ("75", f": {reason}"),
+    }
+    if reason in (Reason.NOT_ARMED, Reason.NOT_AIRBORNE, Reason.GAPS):
+        words[Kind.MONITORING] = ("roll, pitch, yaw", f": {reason}")
     for kind, parts in words.items():
         assert not Notice(kind, parts).text.endswith(".."), kind
 

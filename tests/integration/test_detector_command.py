@@ -1,0 +1,255 @@
+"""The command as a user meets it: a process, its exit codes, its one-line errors, and real sockets."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from made_session import baseline_for
+from made_vehicle import MadeVehicle
+
+from detector.fitting import FittingJob, Outcome, ProcessFitter
+from detector.values import Learned, LearningFailed
+from mavdiag.link.codec import Decoder, decode_statustext
+from mavdiag.link.endpoint import Endpoint, open_endpoint
+from mavdiag.link.messages import MessageId
+from mavdiag.quantities import Telemetry
+from mavdiag.storage import save_baseline
+
+COMMAND = [sys.executable, "-m", "detector"]
+PATIENCE_S = 30.0
+READY_S = 1.0
+HEAVY = {
+    "numba",
+    "matplotlib",
+    "control",
+    "pandas",
+    "scipy.signal",
+    "scipy.stats",
+    "prometheus_client",
+    "sitl_plant",
+    "rich",
+}
+
+
+def ran(*options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *options], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+@contextmanager
+def running(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The daemon, once it is ready; with its first line."""
+    child = subprocess.Popen([*COMMAND, *options], stderr=subprocess.PIPE, text=True)
+    try:
+        assert child.stderr is not None
+        yield child, child.stderr.readline()
+    finally:
+        if child.poll() is None:
+            child.terminate()
+        child.communicate(timeout=PATIENCE_S)
+
+
+def port_of(line: str) -> int:
+    found = re.search(r"ready: \w+:127\.0\.0\.1:(\d+)", line)
+    assert found, line
+    return int(found[1])
+
+
+def ended(child: subprocess.Popen[str], number: int) -> tuple[int, str]:
+    child.send_signal(number)
+    _, rest = child.communicate(timeout=PATIENCE_S)
+    return child.returncode, rest
+
+
+def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str) -> list[str]:
+    """Fly in real time until a text with these words comes back."""
+    decoder, texts = Decoder({MessageId.STATUSTEXT}), list[str]()
+    give_up = time.monotonic() + PATIENCE_S
+    while time.monotonic() < give_up and not any(words in text for text in texts):
+        for frame in vehicle.samples(2):
+            endpoint.send(frame)
+        time.sleep(0.02)
+        for data, host_ns in endpoint.receive(0.0):
+            texts += [decode_statustext(frame).text for frame in decoder.feed(data, host_ns)]
+    return texts
+
+
+def test_help_names_every_option_of_the_contract() -> None:
+    text = ran("--help").stdout
+    for option in (
+        "connect",
+        "baseline",
+        "learn",
+        "save",
+        "forward",
+        "journal",
+        "metrics",
+        "vehicle",
+        "profile",
+        "config",
+    ):
+        assert f"--{option}" in text
+
+
+def test_version() -> None:
+    assert ran("--version").stdout.startswith("mavdiag-detector ")
+
+
+def test_importing_the_command_brings_nothing_heavy() -> None:
+    code = "import sys, detector.__main__; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not HEAVY & set(run.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "name a --baseline FILE, or --learn SECONDS"),
+        (("--learn", "10", "--baseline", "b.json"), "not both"),
+        (("--learn", "ten"), "Invalid value for '--learn'"),
+        (("--lern", "10"), "No such option: --lern"),
+        (("--baseline", "absent.json"), "absent.json: no such file; make a baseline with `mavdiag identify`"),
+        (("--baseline", os.devnull), "not a baseline"),
+        (("--learn", "10", "--connect", "udp:1"), "malformed address 'udp:1'"),
+        (("--learn", "10", "--connect", "/dev/absent,57600"), "no such device"),
+        (
+            ("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--journal", "absent/j.jsonl"),
+            "choose another --journal file",
+        ),
+        (("--learn", "10", "--config", "absent.toml"), "absent.toml: cannot be read"),
+        (("--learn", "10", "--vehicle", "300"), "vehicle: "),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_exit_code_2(options: tuple[str, ...], words: str) -> None:
+    run = ran(*options)
+    assert run.returncode == 2
+    assert words in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+    assert run.stderr.startswith("mavdiag-detector: ")
+    assert run.stdout == ""
+
+
+def test_a_busy_port_is_one_line_and_exit_code_2() -> None:
+    with open_endpoint("udpin:127.0.0.1:0") as taken:
+        run = ran("--learn", "10", "--connect", taken.address)
+    assert run.returncode == 2
+    assert run.stderr.splitlines() == [
+        f"mavdiag-detector: {taken.address}: the port is busy: stop the program that holds it, or name another port"
+    ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, tmp_path: Path) -> None:
+    journal = tmp_path / "j.jsonl"
+    with running("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--journal", str(journal)) as (child, first):
+        assert port_of(first) > 0
+        code, rest = ended(child, number)
+    assert code == 0
+    assert len(rest.splitlines()) == 1
+    assert "stopped after" in rest
+    assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "stop"]
+
+
+def test_a_baseline_and_a_configuration_file_are_taken(tmp_path: Path) -> None:
+    save_baseline(tmp_path / "b.json", baseline_for())
+    config = tmp_path / "detector.toml"
+    config.write_text(f'baseline = "{tmp_path}/b.json"\nconnect = "tcpin:127.0.0.1:0"\n')
+    with running("--config", str(config)) as (_, first):
+        assert port_of(first) > 0
+        assert "watching by its baseline" in first
+
+
+def test_a_fit_in_a_process_of_its_own_comes_back_with_its_reason() -> None:
+    fitter, done = ProcessFitter(), list[tuple[int, Outcome]]()
+    fitter.begin(FittingJob(3, "made", "qdrone2", Telemetry()))
+    give_up = time.monotonic() + PATIENCE_S
+    while not done and time.monotonic() < give_up:
+        done = fitter.poll()
+        time.sleep(0.02)
+    [(vehicle, outcome)] = done
+    assert vehicle == 3
+    assert isinstance(outcome, LearningFailed)
+    assert "no body rate in the data" in outcome.reason
+    assert not isinstance(outcome, Learned)
+
+
+def test_a_fit_that_takes_too_long_has_failed() -> None:
+    fitter, done = ProcessFitter(limit_s=0.0), list[tuple[int, Outcome]]()
+    fitter.begin(FittingJob(3, "made", "qdrone2", Telemetry()))
+    give_up = time.monotonic() + PATIENCE_S
+    while not done and time.monotonic() < give_up:
+        done = fitter.poll()
+        time.sleep(0.02)
+    [(_, outcome)] = done
+    assert isinstance(outcome, LearningFailed)
+    assert "took too long" in outcome.reason
+
+
+@pytest.mark.realtime
+def test_it_is_ready_within_a_second() -> None:
+    spans = []
+    for _ in range(3):
+        since = time.monotonic()
+        with running("--learn", "10", "--connect", "udpin:127.0.0.1:0") as (_, first):
+            spans.append(time.monotonic() - since)
+            assert first.startswith("ready: ")
+    assert min(spans) < READY_S, spans
+
+
+@pytest.mark.realtime
+def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> None:
+    save_baseline(tmp_path / "b.json", baseline_for())
+    with open_endpoint("udpin:127.0.0.1:0") as free:
+        metrics = free.address.removeprefix("udpin:")
+    options = ("--baseline", str(tmp_path / "b.json"), "--connect", "udpin:127.0.0.1:0", "--metrics", metrics)
+    with running(*options) as (child, first):
+        with open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:
+            vehicle = MadeVehicle(1)
+            until(far, vehicle, "monitoring")
+            vehicle.turning = 0.5
+            texts = until(far, vehicle, "FAULT")
+            with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5.0) as page:
+                figures = page.read().decode()
+        code, rest = ended(child, signal.SIGINT)
+    assert texts[-1].startswith("PROP FAULT roll FSD 0.3")
+    assert 'mavdiag_events_total{monitor="latency",vehicle="1"} 1.0' in figures
+    assert 'mavdiag_state{state="monitoring",vehicle="1"}' in figures
+    assert code == 0
+    assert " 0 lost on the way" in rest
+
+
+@pytest.mark.realtime
+def test_over_udp_it_learns_from_the_plant_and_finds_its_fault(tmp_path: Path) -> None:
+    """The plant as a process, real time, 1 kHz: 12 s of learning, then a strong fault."""
+    saved = tmp_path / "learned.json"
+    options = ("--learn", "12", "--save", str(saved), "--connect", "udpin:127.0.0.1:0")
+    with running(*options, "--journal", str(tmp_path / "j.jsonl")) as (child, first):
+        plant = subprocess.run(
+            [
+                *(sys.executable, "-m", "sitl_plant", "run", "--out", f"udpout:127.0.0.1:{port_of(first)}"),
+                *("--duration", "40", "--fault", "F2/SV3", "--onset", "30", "--seed", "3"),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=120.0,
+            check=False,
+        )
+        code, rest = ended(child, signal.SIGTERM)
+    assert plant.returncode == 0, plant.stderr
+    assert code == 0
+    assert saved.exists()
+    assert "0 datagrams overflowed here" in rest
+    assert " 0 lost on the way" in rest
+    lines = [json.loads(line) for line in (tmp_path / "j.jsonl").read_text().splitlines()]
+    alerts = [line for line in lines if line["kind"] == "text" and line["severity"] == 2]
+    assert alerts, "nothing was alerted"
+    events = [line for line in lines if line["kind"] == "event" and line["t_s"] > 30.0]
+    assert events

@@ -1,0 +1,148 @@
+"""A made vehicle on an in-memory link, and a daemon on a virtual clock that hears it."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from detector.config import Settings
+from detector.daemon import Daemon, Host
+from detector.fitting import FittingJob, Outcome
+from detector.journal import Journal
+from mavdiag.baseline import Baseline
+from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.endpoint import Endpoint, MemoryEndpoint, memory_pair
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
+from mavdiag.quantities import NS_PER_S
+
+__all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost"]
+
+START_NS = 1000 * NS_PER_S
+RATE_HZ = 100
+TICK_S = 0.04
+
+
+class VirtualHost(Host):
+    """Clocks that stand still until they are moved; log lines are kept."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        super().__init__(self.lines.append)
+        self.ns = START_NS
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def utc(self) -> datetime:
+        return datetime(2026, 5, 1, tzinfo=UTC) + timedelta(seconds=(self.ns - START_NS) / NS_PER_S)
+
+    def cpu_s(self) -> float:
+        return 0.0
+
+    def sleep(self, span_s: float) -> None:
+        self.ns += round(span_s * NS_PER_S)
+
+
+class FakeFitter:
+    """Answers every job with what it was given, two looks later."""
+
+    def __init__(self, outcome: Outcome | None = None) -> None:
+        self.outcome = outcome
+        self.jobs: list[FittingJob] = []
+        self._waiting: list[tuple[int, int]] = []
+        self.closed = False
+
+    def begin(self, job: FittingJob) -> None:
+        self.jobs.append(job)
+        self._waiting.append((2, job.vehicle))
+
+    def poll(self) -> list[tuple[int, Outcome]]:
+        self._waiting = [(looks - 1, vehicle) for looks, vehicle in self._waiting]
+        done = [(vehicle, self.outcome) for looks, vehicle in self._waiting if looks <= 0 and self.outcome is not None]
+        self._waiting = [one for one in self._waiting if one[0] > 0]
+        return done
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class MadeVehicle:
+    """Sends heartbeats and the two main streams, hovering with random set-points it follows at once."""
+
+    def __init__(self, sysid: int, autopilot: Autopilot = Autopilot.GENERIC) -> None:
+        self.encoder = Encoder(sysid, Component.AUTOPILOT1)
+        self.sysid, self._autopilot = sysid, autopilot
+        self._rng = np.random.default_rng(sysid)
+        self.sent = 0  # samples
+        self.armed = True
+        self.turning = 0.0  # rad/s about roll that no set-point asked for
+
+    def heartbeat(self) -> bytes:
+        mode = ModeFlag.SAFETY_ARMED if self.armed else 0
+        return self.encoder.encode(MessageId.HEARTBEAT, MavType.QUADROTOR, self._autopilot, mode, 0, 4, 3)
+
+    def samples(self, count: int) -> list[bytes]:
+        """The next samples of both streams, with a heartbeat every second."""
+        frames: list[bytes] = []
+        for _ in range(count):
+            if self.sent % RATE_HZ == 0:
+                frames.append(self.heartbeat())
+            t_ms = 5000 + self.sent * 1000 // RATE_HZ
+            frames.append(self.encoder.encode(MessageId.ATTITUDE_TARGET, t_ms, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5))
+            gyro = self._rng.normal([1e3 * self.turning, 0.0, 0.0], 5.0).tolist()  # mrad/s
+            frames.append(self.encoder.encode(MessageId.RAW_IMU, 1000 * t_ms, 0, 0, -1000, *gyro))
+            self.sent += 1
+        return frames
+
+
+@dataclass
+class Bench:
+    """A daemon on a memory link. far: the vehicle's end; behind: the far ends of the links behind the daemon."""
+
+    settings: Settings
+    baseline: Baseline | None = None
+    fitter: FakeFitter = field(default_factory=FakeFitter)
+    journal: Path | None = None
+    links_behind: int = 0
+    host: VirtualHost = field(default_factory=VirtualHost)
+    vehicles: list[MadeVehicle] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        near, self.far = memory_pair(clock=self.host.now_ns)
+        pairs = [memory_pair(clock=self.host.now_ns) for _ in range(self.links_behind)]
+        self.behind: list[MemoryEndpoint] = [far for _, far in pairs]
+        self.open: list[Endpoint] = [near, self.far, *(end for pair in pairs for end in pair)]
+        self.file = None if self.journal is None else Journal(self.journal, self.host.say)
+        self.daemon = Daemon(
+            self.settings,
+            self.host,
+            near,
+            [near for near, _ in pairs],
+            baseline=self.baseline,
+            fitter=self.fitter,
+            journal=self.file,
+        )
+        self.daemon.begin()
+
+    def run(self, seconds: float) -> None:
+        """Let time pass in ticks; every vehicle sends."""
+        for _ in range(round(seconds / TICK_S)):
+            for vehicle in self.vehicles:
+                for frame in vehicle.samples(round(TICK_S * RATE_HZ)):
+                    self.far.send(frame)
+            self.host.sleep(TICK_S)
+            self.daemon.tick()
+
+    def close(self) -> None:
+        self.daemon.end()
+        if self.file is not None:
+            self.file.close()
+        for end in self.open:
+            end.close()
+
+
+def heard(endpoint: Endpoint) -> list[Frame]:
+    """What waits at an endpoint."""
+    decoder = Decoder()
+    return [frame for data, host_ns in endpoint.receive(0.0) for frame in decoder.feed(data, host_ns)]
