@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import EPSILON, Segment, lag_matrix, triangle
+from mavdiag.identify.data import EPSILON, Segment, lag_matrix, numerical_rank, triangle
 from mavdiag.identify.model import Order
 from mavdiag.quantities import FloatArray
 
@@ -57,7 +57,7 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
     if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
         raise IdentificationError("a regressor column is zero or overflows; check the input's scale")
     Q, R = np.linalg.qr(Z / scale)
-    if np.linalg.matrix_rank(R, rtol=tolerance) < len(scale):
+    if numerical_rank(R, tolerance) < len(scale):
         raise IdentificationError("the regressors are linearly dependent; lower the order or fly a richer input")
     theta: FloatArray = np.linalg.lstsq(Q.T @ (Phi / scale), Q.T @ target, rcond=None)[0] / scale
     inverse = np.linalg.inv(R) / scale[:, None]

@@ -10,7 +10,16 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify.model import Order
 from mavdiag.quantities import FloatArray
 
-__all__ = ["EPSILON", "Records", "Segment", "check_excitation", "lag_matrix", "to_segments", "triangle"]
+__all__ = [
+    "EPSILON",
+    "Records",
+    "Segment",
+    "check_excitation",
+    "lag_matrix",
+    "numerical_rank",
+    "to_segments",
+    "triangle",
+]
 
 Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
 
@@ -91,6 +100,12 @@ def triangle(rows: FloatArray) -> FloatArray:
     return triangle(np.concatenate((blocks.reshape(-1, c), rows[whole * BLOCK_ROWS :])))
 
 
+def numerical_rank(A: FloatArray, tolerance: float) -> int:
+    """Number of singular values of A above `tolerance` times the largest."""
+    singular = np.linalg.svd(A, compute_uv=False)
+    return int(np.sum(singular > tolerance * singular[0]))
+
+
 def check_excitation(segments: tuple[Segment, ...], order: Order) -> None:
     """Raise IdentificationError unless u is persistently exciting of order na + nb.
 
@@ -101,7 +116,7 @@ def check_excitation(segments: tuple[Segment, ...], order: Order) -> None:
     # [ u(t) u(t-1) ... u(t-needed+1) ]    (N, needed)
     usable = [segment.u for segment in segments if len(segment) >= needed]
     U = np.concatenate([lag_matrix(u, 0, needed, needed - 1) for u in usable]) if usable else np.zeros((1, needed))
-    rank = int(np.linalg.matrix_rank(triangle(U), rtol=max(U.shape) * EPSILON))
+    rank = numerical_rank(triangle(U), max(U.shape) * EPSILON)
     if rank < needed:
         raise IdentificationError(
             f"u is persistently exciting of order {rank}, this model needs {needed}: fly sharper or more varied inputs"
