@@ -1,0 +1,144 @@
+"""The innovation monitor: against scipy's filters, a known system, and what it must ignore."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+
+from mavdiag.diagnose.events import Reading
+from mavdiag.diagnose.monitors.base import Rows
+from mavdiag.diagnose.monitors.innovation import Innovation, InnovationSpec, fit, judgeable
+from mavdiag.diagnose.monitors.made_rows import made_rows
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.quantities import FloatArray
+
+DT_S = 0.01
+
+
+def read(spec: InnovationSpec, rows: Rows) -> Reading:
+    monitor = Innovation(spec)
+    return monitor.step(monitor.start(), rows)[1]
+
+
+def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bias: float = 0.0) -> Rows:
+    """A gyro that follows the commanded rate, with process noise of `noise` rad/s."""
+    rng = np.random.default_rng(seed)
+    angle = np.asarray(lfilter([0.02], [1, -0.98], np.repeat(rng.normal(0, busy, (n // 100, 3)), 100, axis=0), axis=0))
+    wanted = np.gradient(angle, DT_S, axis=0)
+    rate = np.asarray(lfilter([0, 0.3], [1, -0.7], wanted, axis=0))
+    rate += np.asarray(lfilter([1], [1, -0.7], noise * rng.standard_normal((n, 3)), axis=0))
+    return made_rows(n, DT_S, setpoint=angle, rate=rate + bias)
+
+
+def test_the_level_is_that_of_textbook_filters() -> None:
+    rows, spec = responding(3000, 1), fit([[responding(6000, 2)]])
+    reading = read(spec, rows)
+    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    z = []
+    for k in range(3):
+        y, u = rows.block.rate[t, k] - spec.mean[k], rows.rates.u[:, k]
+        e = lfilter([1, *spec.a[k]], [1], y) - lfilter([0, *spec.b[k]], [1], u)
+        alpha = 1 - np.exp(-DT_S / 0.35)
+        busy = lfilter([alpha], [1, alpha - 1], u**2)
+        z.append(e / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
+    square = np.mean(np.square(z), axis=0)
+    expected = [np.sqrt(square[i - 99 : i + 1].mean()) for i in range(103, len(t))]
+    assert np.flatnonzero(reading.valid).tolist() == list(range(103, len(t)))
+    np.testing.assert_allclose(reading.statistic[reading.valid], expected, rtol=1e-9)
+
+
+def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
+    rows = responding(6000, 3)
+    spec = fit([[rows]])
+    t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
+    for k in range(3):
+        y, u = rows.block.rate[t, k], rows.rates.u[:, k]
+        y = y - spec.mean[k]
+        n = len(y)
+        phi = np.stack([*(-y[4 - i : n - i] for i in range(1, 5)), *(u[4 - i : n - i] for i in range(1, 5))], axis=1)
+        theta = np.linalg.lstsq(phi, y[4:], rcond=None)[0]
+        np.testing.assert_allclose([*spec.a[k], *spec.b[k]], theta, rtol=1e-6, atol=1e-9)
+        squares = (y[4:] - phi @ theta) ** 2
+        alpha = 1 - np.exp(-DT_S / 0.35)
+        busy = lfilter([alpha], [1, alpha - 1], u**2)[4:]
+        wanted, _ = nnls(np.column_stack((np.ones_like(busy), busy)), squares)
+        assert spec.k0[k] == pytest.approx(max(wanted[0], 0.05 * squares.mean()), rel=1e-3)
+        assert spec.k1[k] == pytest.approx(wanted[1], rel=1e-3, abs=1e-9)
+        assert spec.a[k][0] == pytest.approx(-0.7, abs=0.1)
+
+
+def test_a_rough_flight_shows_in_proportion() -> None:
+    spec = fit([[responding(8000, seed)] for seed in range(2)])
+    calm = read(spec, responding(4000, 5))
+    rough = read(spec, responding(4000, 5, noise=0.06))
+    assert float(np.median(calm.statistic[calm.valid])) == pytest.approx(1.0, abs=0.1)
+    assert float(np.median(rough.statistic[rough.valid])) == pytest.approx(3.0, abs=0.3)
+    assert rough.signal[rough.valid].max() > 6.0
+
+
+def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
+    spec = fit([[responding(6000, 6, bias=0.05)]])
+    assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
+    reading = read(spec, responding(3000, 7, bias=0.05))
+    assert float(np.median(reading.statistic[reading.valid])) == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_axis_that_is_never_commanded_is_predicted_from_itself() -> None:
+    rows = made_rows(3000, DT_S, rate=np.random.default_rng(8).normal(0, 0.1, (3000, 3)))
+    spec = fit([[rows]])
+    assert spec.b == ((0.0,) * 4,) * 3
+    assert spec.k1 == (0.0, 0.0, 0.0)
+
+
+def spoilt(rate: FloatArray) -> FloatArray:
+    rate = rate.copy()
+    rate[600] = np.nan
+    rate[900] = 1e300
+    return rate
+
+
+def test_broken_samples_leave_no_trace() -> None:
+    spec, rng = fit([[responding(6000, 9)]]), np.random.default_rng(10)
+    rate = rng.normal(0, 0.02, (2000, 3))
+    valid = np.ones(2000, dtype=bool)
+    valid[[600, 900]] = False
+    clean = read(spec, made_rows(2000, DT_S, rate=rate, valid=valid))
+    broken = read(spec, made_rows(2000, DT_S, rate=spoilt(rate), valid=valid))
+    np.testing.assert_array_equal(broken.valid, clean.valid)
+    assert not broken.valid[598:700].any()
+    np.testing.assert_allclose(broken.statistic[broken.valid], clean.statistic[clean.valid], rtol=1e-9)
+
+
+def test_one_wild_sample_is_seen_and_forgotten() -> None:
+    spec = fit([[responding(6000, 11)]])
+    rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
+    wild = rate.copy()
+    wild[1000] = 1e300
+    calm, shocked = (read(spec, made_rows(3000, DT_S, rate=x)) for x in (rate, wild))
+    assert np.isfinite(shocked.statistic).all()
+    assert shocked.statistic[1000] > 1e3
+    np.testing.assert_allclose(shocked.statistic[1200:], calm.statistic[1200:], atol=1e-3)
+
+
+def test_refusals() -> None:
+    with pytest.raises(IdentificationError, match="500 are needed"):
+        fit([[responding(300, 13)]])
+    with pytest.raises(IdentificationError, match="constant"):
+        fit([[made_rows(2000)]])
+    slow = made_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
+    assert "10 Hz" in (judgeable([slow]) or "")
+    assert judgeable([made_rows(2)]) == "no flight with a gyro and an attitude set-point"
+    spec = fit([[responding(3000, 15)]])
+    with pytest.raises(InputError, match="three rows"):
+        replace(spec, a=spec.a[:2])
+    with pytest.raises(InputError, match="positive"):
+        replace(spec, k0=(1.0, 0.0, 1.0))
+
+
+def test_the_made_flight_can_be_learnt() -> None:
+    spec = fit([flying_rows(flying(3000, seed)) for seed in range(2)])
+    reading = read(spec, flying_rows(flying(3000, 9))[0])
+    assert 0.8 < float(np.median(reading.statistic[reading.valid])) < 1.3

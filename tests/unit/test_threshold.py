@@ -1,0 +1,168 @@
+"""Thresholds: known values, guards, refusals, folds that never see what they score."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows, without
+
+from mavdiag.diagnose.heldout import Flights, Scores, folds, held_out_scores, score
+from mavdiag.diagnose.monitors.base import Rows
+from mavdiag.diagnose.monitors.made_rows import made_rows
+from mavdiag.diagnose.monitors.shake import GUARD, Shake, ShakeSpec, fit
+from mavdiag.diagnose.threshold import (
+    Guard,
+    Threshold,
+    ThresholdRule,
+    calibrate,
+    flights_for_guarantee,
+    flights_for_maximum,
+    more_flights,
+    threshold_of,
+)
+from mavdiag.errors import IdentificationError, UsageError
+
+
+def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1) -> list[Rows]:
+    n = round(seconds * 100)
+    vibration = np.random.default_rng(seed).normal([0.0, 0.0, level], 0.1, (n, 3))
+    return [made_rows(n, 0.01, segment=segment, vibration=np.abs(vibration))]
+
+
+def known(maxima: list[float], flights: int = 5, seconds: float = 360.0) -> Threshold:
+    return threshold_of(Scores(np.array(maxima), seconds), flights=flights, budget_per_hour=0.36)
+
+
+def test_the_level_is_that_of_the_formula() -> None:
+    x = [1.0, 2.0, 3.0, 4.0]
+    beta = np.std(x, ddof=1) * math.sqrt(6) / math.pi
+    found = known(x)
+    assert found.scale == pytest.approx(beta)
+    assert found.location == pytest.approx(2.5 - 0.57721566 * beta)
+    assert found.value == pytest.approx(found.location + beta * math.log(1000))  # 0.36/h: 1 block of 10 s in 1000
+    assert (found.blocks, found.exceeding, found.allowance) == (4, 0, 0.0)
+    assert found.demonstrated_per_hour == pytest.approx(30.0, rel=0.01)  # 3/T for T = 0.1 h
+
+
+def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
+    assert known([1.0]).scale == pytest.approx(0.1)
+    assert known([1.0, 1.0, 1.0]).value == pytest.approx(1.0 + 0.1 * math.log(1000))
+
+
+def test_guards() -> None:
+    guard = Guard(few_flights=0.06, enough_flights=5)
+    assert [round(guard.allowance(n), 3) for n in (1, 2, 3, 4, 5, 60)] == [0.06, 0.045, 0.03, 0.015, 0.0, 0.0]
+    scores = Scores(np.array([0.01, 0.01]), 20.0)
+    assert threshold_of(scores, flights=1, guard=Guard(above_mean=0.5)).value == pytest.approx(0.51)
+    assert threshold_of(scores, flights=1, guard=Guard(least=2.0)).value == 2.0
+    with pytest.raises(UsageError, match="negative"):
+        Guard(few_flights=-1.0)
+
+
+def test_it_says_what_supports_it() -> None:
+    found = known([1.0, 1.1, 1.2])
+    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights" in found.statement()
+    assert "exclude more than 30 alarms/h at 95 %" in found.statement()
+    maximum = replace(found, rule=ThresholdRule.MAXIMUM)
+    assert "probability 0.167" in maximum.statement()
+    assert found.upper_95 > found.value
+    assert "demonstrated to" in replace(found, demonstrated_per_hour=0.1).statement()
+
+
+def test_how_many_flights_a_promise_takes() -> None:
+    found = known([1.0, 1.1, 1.2], flights=6, seconds=3600.0)  # ten minutes each
+    assert found.demonstrated_per_hour == pytest.approx(2.9957, abs=1e-3)
+    assert more_flights(found, 3.0) == 0
+    assert more_flights(found, 1.0) == 12  # three hours in all
+    assert flights_for_maximum(0.25) == 3
+    assert flights_for_guarantee(0.05, 0.95) == 59
+
+
+@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
+def test_a_budget_must_be_positive(budget: float) -> None:
+    with pytest.raises(UsageError, match="budget"):
+        threshold_of(Scores(np.array([1.0]), 10.0), flights=1, budget_per_hour=budget)
+
+
+@pytest.mark.parametrize("maxima", [[], [math.nan], [math.inf, 1.0]])
+def test_broken_scores_are_refused(maxima: list[float]) -> None:
+    with pytest.raises(IdentificationError, match="finite"):
+        threshold_of(Scores(np.array(maxima), 10.0), flights=1)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "blocks"),
+    [(6.0, 1), (10.0, 1), (14.0, 1), (16.0, 2), (20.0, 2), (33.0, 3)],  # a remainder counts from half a block on
+)
+def test_blocks_of_a_segment(seconds: float, blocks: int) -> None:
+    found = score(Shake(ShakeSpec(healthy=0.3)), shaken(0.3, seconds))
+    assert len(found.maxima) == blocks
+    assert found.judged_s == pytest.approx(seconds)
+
+
+def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
+    seen: list[tuple[int, ...]] = []
+
+    @dataclass(frozen=True)
+    class Marked:
+        segments: tuple[int, ...]
+
+    def marking(rest: Flights) -> Marked:
+        return Marked(tuple(sorted({rows.block.segment for flight in rest for rows in flight})))
+
+    def watching(marked: Marked) -> Shake:
+        seen.append(marked.segments)
+        return Shake(ShakeSpec(healthy=0.0))
+
+    flights = [shaken(0.3, segment=i) for i in range(3)]
+    scores = held_out_scores(flights, marking, watching)
+    assert seen == [(1, 2), (0, 2), (0, 1)]
+    assert len(scores.maxima) == 9
+
+
+def times(flights: Flights) -> list[int]:
+    return sorted(int(t) for flight in flights for rows in flight for t in rows.block.t_ns)
+
+
+def test_one_flight_is_scored_piece_by_piece() -> None:
+    flight = flying_rows(flying(4200, 1))
+    pairs = list(folds([flight]))
+    assert len(pairs) == 4
+    everything = times([flight])
+    for left_out, rest in pairs:
+        assert not set(times(left_out)) & set(times(rest))
+    left = [t for left_out, _ in pairs for t in times(left_out)]
+    assert len(left) == len(set(left))
+    assert len(left) >= 0.97 * len(everything)  # all but the blanked start
+    for _, rest in pairs:
+        assert {rows.rates.segment for flight in rest for rows in flight} == {
+            rows.block.segment for flight in rest for rows in flight
+        }
+
+
+def test_the_pieces_do_not_depend_on_chunks() -> None:
+    whole = made_rows(3000, 0.01, vibration=np.ones((3000, 3)))
+    chunks = [Rows(whole.block.rows(i, i + 20), whole.rates) for i in range(0, 3000, 20)]
+    for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
+        assert times(a) == times(c)
+        assert times(b) == times(d)
+
+
+def test_separate_hops_are_the_pieces() -> None:
+    flight = flying_rows(without(flying(2600, 2), (12.0, 14.0)))
+    pairs = list(folds([flight]))
+    assert [{rows.block.segment for one in left for rows in one} for left, _ in pairs] == [{0}, {1}]
+
+
+def test_calibrate_gives_spec_and_threshold() -> None:
+    flights = [shaken(0.3, segment=i, seed=i) for i in range(4)]
+    spec, threshold = calibrate(flights, fit, Shake, guard=GUARD)
+    assert spec.healthy == pytest.approx(0.35, abs=0.1)
+    assert threshold.value == pytest.approx(spec.healthy + 0.5, abs=0.05)
+    assert (threshold.flights, threshold.blocks) == (4, 12)
+
+
+def test_too_short_a_flight_says_so() -> None:
+    with pytest.raises(IdentificationError, match="fly longer"):
+        calibrate([shaken(0.3, seconds=4.0)], fit, Shake)
