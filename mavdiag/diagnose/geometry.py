@@ -8,6 +8,7 @@ monitor or in an alert, means this numbering.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -56,8 +57,16 @@ class Frame:
 
     @property
     def unmixing(self) -> FloatArray:
-        """C = pinv(B), (3, rotors): trim m = C w; column j is the trim that a unit rise of rotor j makes."""
-        return np.asarray(np.linalg.pinv(self.mixing), dtype=np.float64)
+        """C = pinv(B), (3, rotors), read-only: trim m = C w; column j is the trim that a unit rise of rotor j makes."""
+        return _unmixing(self.signs)
+
+
+@cache
+def _unmixing(signs: tuple[tuple[float, float, float], ...]) -> FloatArray:
+    """Of a frame's signs; kept, for a stream asks for it in every step."""
+    C = np.asarray(np.linalg.pinv(np.array(signs, dtype=np.float64)), dtype=np.float64)
+    C.setflags(write=False)
+    return C
 
 
 _KNOWN = (
