@@ -163,7 +163,7 @@ class Fleet:
                     self.vehicles[sysid].take(own)
                 else:
                     self._enter(sysid, own, now)
-        return [asked for frame in frames if (asked := self._asked(frame)) is not None]
+        return [asked for frame in frames if frame[0] in _COMMANDS and (asked := self._asked(frame)) is not None]
 
     def step(self, now: Instant) -> list[Turn]:
         """Let every session go on; time alone changes things, so call it regularly."""
@@ -204,10 +204,8 @@ class Fleet:
 
     def _asked(self, frame: Frame) -> Asked | None:
         """A command for the companion of a vehicle that we watch; for anybody else's it is none of our business."""
-        places = _COMMANDS.get(frame.msgid)
-        if places is None:
-            return None
-        command, system, component = (int(frame.fields[place]) for place in places)
+        fields = frame.fields
+        command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
         if component != Component.ONBOARD_COMPUTER or system not in self.vehicles:
             return None
         return Asked(command, system, frame.sysid, frame.compid)
