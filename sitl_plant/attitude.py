@@ -10,42 +10,52 @@ The estimate is the nine-vector of T Eq 2.33: roll, pitch, yaw [rad], their rate
 [rad/s^2]. Rates and accelerations are those about the body axes, as the rate loop uses them.
 """
 
+import math
 from typing import NamedTuple
-
-import numpy as np
 
 from mavdiag.quantities import FloatArray
 from sitl_plant.jit import jit
 
-__all__ = ["ESTIMATE", "Estimator", "advance_estimate", "tilt_from_accel", "wrapped"]
+__all__ = ["ESTIMATE", "Estimator", "advance_estimate", "low_pass_transition", "tilt_from_accel", "wrapped"]
 
 ESTIMATE = 9  # length of T's attitude state
 EPSILON = 1e-3  # m/s^2: below this the accelerometer has no direction (T Eq 2.30)
 
 
 class Estimator(NamedTuple):
-    """Constants. gyro_filter: 2 pi f [rad/s]; accel_gain: 1 - exp(-2 pi f dt); correction: dt / time constant."""
+    """Constants. gyro_filter: `low_pass_transition`. accel_gain: 1 - exp(-2 pi f dt). correction: dt over tau."""
 
-    gyro_filter: float
+    gyro_filter: tuple[float, float, float, float]
     accel_gain: float
     correction: float
+
+
+def low_pass_transition(corner_hz: float, dt_s: float) -> tuple[float, float, float, float]:
+    """Exact step of a second-order Butterworth low-pass whose input is held, by rows.
+
+    [ y' - u ]   exp(-a dt) [ cos + sin     sin / a   ] [ y - u ]
+    [ dy'/dt ] =            [ -2 a sin      cos - sin ] [ dy/dt ]       of the angle a dt, a = 2 pi f / sqrt 2
+    """
+    a = math.sqrt(2.0) * math.pi * corner_hz
+    decay, c, s = math.exp(-a * dt_s), math.cos(a * dt_s), math.sin(a * dt_s)
+    return decay * (c + s), decay * s / a, -2.0 * a * decay * s, decay * (c - s)
 
 
 @jit
 def wrapped(angle: float) -> float:
     """The same angle in [-pi, pi)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @jit
 def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
     """Roll and pitch [rad] that a resting accelerometer reading (specific force, FRD) means, T Eq 2.30-2.32."""
-    norm = np.sqrt(f_x * f_x + f_y * f_y + f_z * f_z)
+    norm = math.sqrt(f_x * f_x + f_y * f_y + f_z * f_z)
     if norm < EPSILON:
         return 0.0, 0.0
     a_x, a_y, a_z = -f_x / norm, -f_y / norm, -f_z / norm
-    phi = np.arctan2(a_y, a_z)
-    return phi, np.arctan2(-a_x, a_y * np.sin(phi) + a_z * np.cos(phi))
+    phi = math.atan2(a_y, a_z)
+    return phi, math.atan2(-a_x, a_y * math.sin(phi) + a_z * math.cos(phi))
 
 
 @jit
@@ -61,20 +71,20 @@ def advance_estimate(
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
 
-    rate'' = w^2 (gyro - rate) - sqrt(2) w rate'                 second-order low-pass: rate and acceleration in one
-    eta'   = W(eta) rate + (eta_seen - eta) / tau                gyro for the short term, accelerometer and cameras
-                                                                 for the long term
+    rate, acceleration = low-pass(gyro) and its slope, two states of one filter
+    eta' = W(eta) rate + (eta_seen - eta) / tau      gyro for the short term, accelerometer and cameras for the long one
     """
+    f11, f12, f21, f22 = estimator.gyro_filter
     for i in range(3):
-        stiffness = estimator.gyro_filter * (reading[i] - estimate[3 + i]) - np.sqrt(2.0) * estimate[6 + i]
-        estimate[6 + i] += dt * estimator.gyro_filter * stiffness
-        estimate[3 + i] += dt * estimate[6 + i]
+        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
+        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
+        estimate[6 + i] = f21 * behind + f22 * slope
         accel_filtered[i] += estimator.accel_gain * (reading[3 + i] - accel_filtered[i])
     phi_acc, theta_acc = tilt_from_accel(accel_filtered[0], accel_filtered[1], accel_filtered[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
     p, q, r = estimate[3], estimate[4], estimate[5]
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    estimate[0] += dt * (p + np.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
-    estimate[1] += dt * (q * np.cos(phi) - r * np.sin(phi)) + estimator.correction * (theta_acc - theta)
-    psi += dt * turn / np.cos(theta) + estimator.correction * wrapped(yaw_seen - psi)
+    turn = q * math.sin(phi) + r * math.cos(phi)
+    estimate[0] += dt * (p + math.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
+    estimate[1] += dt * (q * math.cos(phi) - r * math.sin(phi)) + estimator.correction * (theta_acc - theta)
+    psi += dt * turn / math.cos(theta) + estimator.correction * wrapped(yaw_seen - psi)
     estimate[2] = wrapped(psi)

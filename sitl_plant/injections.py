@@ -5,7 +5,7 @@ tables for the compiled loop: `Condition` for the rotors, `SensorCondition` for 
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -86,7 +86,13 @@ class Injection:
     rotor: int = 1
     onset_s: float = 0.0
     end_s: float = math.inf
-    angle_rad: float | None = field(default=None)
+    angle_rad: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.onset_s) and self.end_s > self.onset_s):
+            raise UsageError(f"onset_s must be a finite time before end_s, not {self.onset_s:g} and {self.end_s:g}")
+        if self.angle_rad is not None and not math.isfinite(self.angle_rad):
+            raise UsageError("angle_rad must be a finite angle")
 
     def active(self, t_s: float) -> bool:
         """Whether the cause is present at t_s. One with an onset at or before 0 is present before the flight, too."""

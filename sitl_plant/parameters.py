@@ -6,7 +6,7 @@ import numpy as np
 
 from mavdiag.quantities import FloatArray
 from sitl_plant.airframe import Airframe, Payload
-from sitl_plant.attitude import ESTIMATE, Estimator
+from sitl_plant.attitude import ESTIMATE, Estimator, low_pass_transition
 from sitl_plant.controller import Controller, ControlState
 from sitl_plant.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body
 from sitl_plant.kernel import Model, State
@@ -40,7 +40,7 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         imu=_imu(airframe, centre_of_gravity),
         mocap=_mocap(vehicle, centre_of_gravity),
         estimator=Estimator(
-            gyro_filter=2.0 * math.pi * vehicle.control.gyro_filter_hz,
+            gyro_filter=low_pass_transition(vehicle.control.gyro_filter_hz, STEP_S),
             accel_gain=1.0 - _decay(vehicle.control.accel_filter_hz),
             correction=STEP_S / vehicle.control.complementary_s,
         ),

@@ -65,8 +65,7 @@ class PlantConfig:
                 raise UsageError(f"{name} must be a finite number")
         if self.seed < 0:
             raise UsageError(f"seed must be zero or more, not {self.seed}")
-        if self.fault is not None:
-            parse_fault(self.fault).damage(self.phenomenology)
+        self.all_injections()  # refuses a fault that does not exist
 
     def all_injections(self) -> tuple[Injection, ...]:
         """The fault by code, if any, and the other injections."""
@@ -119,14 +118,14 @@ class Plant:
             if injection.rotor not in range(1, rotors + 1):
                 raise UsageError(f"rotor must be 1 to {rotors}, not {injection.rotor}")
         self._streams = _Streams(config.seed)
+        azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
+        drawn = self._streams.angle.uniform(0.0, 2.0 * np.pi, len(self._injections))
         self._angles = tuple(
-            drawn if injection.angle_rad is None else injection.angle_rad
-            for injection, drawn in zip(
-                self._injections, self._streams.angle.uniform(0.0, 2.0 * np.pi, len(self._injections)), strict=True
-            )
+            angle if injection.angle_rad is None else injection.angle_rad
+            for injection, angle in zip(self._injections, drawn.tolist(), strict=True)
         )
         self._model = _model(config, self.airframe)
-        self._state = initial_state(self._model, self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors))
+        self._state = initial_state(self._model, azimuth)
         self._step = -SETTLING_STEPS
         self.advance(SETTLING_STEPS)
 

@@ -1,0 +1,38 @@
+"""Vehicles and flights that several plant tests share."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mavdiag.quantities import FloatArray
+from sitl_plant.airframe import Airframe, nominal_airframe
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import Vehicle, qdrone2
+
+
+def quiet_vehicle() -> Vehicle:
+    """A QDrone 2 without any noise: what it does follows from its numbers alone."""
+    vehicle = qdrone2()
+    return replace(
+        vehicle,
+        propulsion=replace(vehicle.propulsion, thrust_noise_rms=0.0),
+        imu=replace(vehicle.imu, gyro_noise_density=0.0, accel_noise_density=0.0, gyro_bias_rms=0.0),
+        mocap=replace(vehicle.mocap, marker_noise_rms_m=0.0, occlusion_probability=0.0),
+    )
+
+
+def quiet_airframe() -> Airframe:
+    """A noiseless, perfectly made specimen."""
+    return nominal_airframe(quiet_vehicle())
+
+
+def fly(config: PlantConfig, seconds: float) -> PlantSamples:
+    """The first seconds of a flight."""
+    return Plant(config).advance(round(seconds * 1000))
+
+
+def quaternion_rotation(q: FloatArray) -> FloatArray:
+    """Rotation matrix body to world of one quaternion, w first, by scipy."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(np.roll(q, -1)).as_matrix(), dtype=np.float64)

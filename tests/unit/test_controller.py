@@ -1,0 +1,109 @@
+"""The cascade: which way it pushes, what it assumes of the rotors, and that its limits hold."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mavdiag.quantities import FloatArray
+from sitl_plant.airframe import NO_PAYLOAD, nominal_airframe
+from sitl_plant.controller import Controller, ControlState, control
+from sitl_plant.parameters import make_model
+from sitl_plant.trajectory import Shape, path
+from sitl_plant.vehicle import allocation, qdrone2
+
+WEIGHT = 1.504 * 9.81
+
+
+def gains() -> Controller:
+    airframe = nominal_airframe(qdrone2())
+    return make_model(airframe, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3)).controller
+
+
+def fresh() -> ControlState:
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(4))
+
+
+def ask(
+    state: ControlState,
+    *,
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw: float = 0.0,
+    target_yaw: float = 0.0,
+    estimate: tuple[float, ...] = (0.0,) * 9,
+    steps: int = 1,
+) -> FloatArray:
+    reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0])
+    for _ in range(steps):
+        control(state, gains(), reference, np.array([0.0, 0.0, 0.0, yaw]), np.zeros(3), np.array(estimate), 0.001)
+    return state.duty
+
+
+def forces(duty: FloatArray) -> FloatArray:
+    """Thrust of each rotor at nominal voltage: K_F (K_omega duty)^2, T Eq 2.12."""
+    full_speed = 1300 * 2 * math.pi / 60 * 14.8
+    return np.asarray(3.364e-6 * (full_speed * duty) ** 2)
+
+
+def test_at_rest_it_carries_the_weight_equally() -> None:
+    np.testing.assert_allclose(forces(ask(fresh())), WEIGHT / 4, rtol=1e-9)
+
+
+def test_target_ahead_pushes_the_rear_rotors_more() -> None:
+    """Rotors 1 and 3 are the rear ones: the nose must go down (T Eq 2.3, 2.27)."""
+    state = fresh()
+    f = forces(ask(state, target=(0.2, 0.0, 0.0)))
+    assert state.setpoint[1] == pytest.approx(-0.5 * 0.2, rel=0.01)
+    assert min(f[0], f[2]) > max(f[1], f[3])
+
+
+def test_target_to_the_right_pushes_the_left_rotors_more() -> None:
+    """Rotors 3 and 4 are the left ones: the right side must go down (T Eq 2.2, 2.26)."""
+    state = fresh()
+    f = forces(ask(state, target=(0.0, 0.2, 0.0)))
+    assert state.setpoint[0] == pytest.approx(0.5 * 0.2, rel=0.01)
+    assert min(f[2], f[3]) > max(f[0], f[1])
+
+
+def test_target_above_needs_more_thrust() -> None:
+    assert forces(ask(fresh(), target=(0.0, 0.0, -0.2))).sum() == pytest.approx(WEIGHT + 14 * 0.2, rel=0.01)
+
+
+def test_turn_to_the_right_speeds_up_what_turns_left() -> None:
+    """Rotors 2 and 3 turn counter-clockwise; their drag turns the body clockwise, to the right."""
+    f = forces(ask(fresh(), target_yaw=0.5))
+    assert min(f[1], f[2]) > max(f[0], f[3])
+
+
+def test_errors_are_turned_into_the_vehicle_axes() -> None:
+    """A target to the east is ahead of a vehicle that looks east."""
+    state = fresh()
+    ask(state, target=(0.0, 0.2, 0.0), yaw=math.pi / 2, target_yaw=math.pi / 2)
+    assert state.setpoint[1] == pytest.approx(-0.5 * 0.2, rel=0.01)
+    assert state.setpoint[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_cascade_is_the_product_of_its_gains() -> None:
+    """T Eq 2.36 and 2.40: tau = I (22 (8 (phi_ref - phi) - 0.05 p - p) - 0.08 dp/dt)."""
+    state = fresh()
+    ask(state, estimate=(0.02, 0.0, 0.0, 0.1, 0.0, 0.0, 3.0, 0.0, 0.0))
+    expected = 0.0112 * (22 * (8 * (0.0 - 0.02) - 0.05 * 0.1 - 0.1) - 0.08 * 3.0)
+    assert state.wrench[1] == pytest.approx(expected, rel=1e-9)
+
+
+def test_mixed_forces_give_back_the_wrench() -> None:
+    state = fresh()
+    duty = ask(state, target=(0.1, -0.1, -0.1), target_yaw=0.1)
+    np.testing.assert_allclose(allocation(qdrone2()) @ forces(duty), state.wrench, atol=1e-9)
+
+
+def test_limits_and_anti_windup_hold() -> None:
+    """A target far away for a minute: commands stay limited, and the integrals let go at once."""
+    state, limits = fresh(), qdrone2().control
+    duty = ask(state, target=(50.0, -50.0, -50.0), target_yaw=3.0, steps=60_000)
+    assert np.all(np.abs(state.setpoint[:2]) <= limits.tilt_limit_rad)
+    assert np.all(np.abs(state.rate[:2]) <= limits.rate_limit_rad_s)
+    assert abs(state.rate[2]) <= limits.yaw_rate_limit_rad_s
+    assert state.wrench[0] <= limits.thrust_limit_n[1]
+    assert np.all((duty >= qdrone2().propulsion.minimum_duty) & (duty <= 1.0))
+    assert np.all(np.abs(state.integral[:2]) <= limits.integral_limit_rad)

@@ -1,0 +1,116 @@
+"""The rigid body against mechanics that does not need a simulation."""
+
+import math
+
+import numpy as np
+import pytest
+from plant_cases import quaternion_rotation
+
+from mavdiag.quantities import FloatArray
+from sitl_plant.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body, derivative, rk4_step
+
+
+def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:
+    return Body(mass, inertia, np.linalg.inv(inertia).astype(np.float64), drag, hub_moment)
+
+
+def state(omega: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    x = np.zeros(RIGID)
+    x[6] = 1.0
+    x[10:] = omega
+    return x
+
+
+def run(x: FloatArray, b: Body, wrench: FloatArray, seconds: float, dt: float = 0.001) -> FloatArray:
+    work = np.empty((5, RIGID))
+    for _ in range(round(seconds / dt)):
+        rk4_step(x, wrench, b, np.zeros(3), work, dt)
+    return x
+
+
+def test_free_fall_follows_the_parabola() -> None:
+    x = state()
+    x[3] = 2.0  # thrown north
+    run(x, body(np.diag([0.01, 0.01, 0.02])), np.zeros((STAGES, WRENCH)), 1.5)
+    np.testing.assert_allclose(x[:3], [3.0, 0.0, 0.5 * GRAVITY * 1.5**2], atol=1e-10)
+    np.testing.assert_allclose(x[3:6], [2.0, 0.0, GRAVITY * 1.5], atol=1e-10)
+
+
+@pytest.mark.parametrize("rotor_momentum", [0.0, 0.05])
+def test_free_tumbling_keeps_angular_momentum_and_energy(rotor_momentum: float) -> None:
+    """Rotors of constant momentum h add to the momentum and, being gyroscopic, do no work."""
+    inertia = np.array([[0.0112, 0.0004, 0.0], [0.0004, 0.0104, -0.0003], [0.0, -0.0003, 0.0182]])
+    wrench = np.zeros((STAGES, WRENCH))
+    wrench[:, 6] = rotor_momentum
+    x = state((3.0, -4.0, 2.0))
+
+    def momentum() -> FloatArray:
+        return quaternion_rotation(x[6:10]) @ (inertia @ x[10:] + [0.0, 0.0, rotor_momentum])
+
+    def energy() -> float:
+        return float(x[10:] @ inertia @ x[10:])
+
+    before, energy_before = momentum(), energy()
+    run(x, body(inertia), wrench, 5.0)
+    np.testing.assert_allclose(momentum(), before, rtol=1e-8)
+    assert energy() == pytest.approx(energy_before, rel=1e-9)
+
+
+def precession(t: float, transverse: float, axial: float, omega: tuple[float, float, float]) -> FloatArray:
+    """Torque-free axisymmetric body: the transverse rate turns at (Iz - I) / I of the axial rate (Goldstein, 5.6)."""
+    angle = (axial - transverse) / transverse * omega[2] * t
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * omega[0] - s * omega[1], s * omega[0] + c * omega[1], omega[2]])
+
+
+def test_axisymmetric_body_precesses_at_the_textbook_rate() -> None:
+    omega = (1.0, 0.5, 6.0)
+    x = run(state(omega), body(np.diag([0.011, 0.011, 0.018])), np.zeros((STAGES, WRENCH)), 2.0)
+    np.testing.assert_allclose(x[10:], precession(2.0, 0.011, 0.018, omega), atol=1e-9)
+
+
+def test_integration_is_of_fourth_order() -> None:
+    omega = (2.0, -1.0, 20.0)
+    b, wrench = body(np.diag([0.011, 0.011, 0.018])), np.zeros((STAGES, WRENCH))
+    exact = precession(1.0, 0.011, 0.018, omega)
+    errors = [np.linalg.norm(run(state(omega), b, wrench, 1.0, dt)[10:] - exact) for dt in (0.02, 0.01, 0.005)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > 3.8), orders
+    assert np.all(orders < 4.3), orders
+
+
+def test_falling_body_reaches_terminal_speed() -> None:
+    x = run(state(), body(np.diag([0.01, 0.01, 0.02]), mass=1.5, drag=5.0), np.zeros((STAGES, WRENCH)), 6.0)
+    assert x[5] == pytest.approx(1.5 * GRAVITY / 5.0, rel=1e-6)
+
+
+def test_drag_is_relative_to_the_wind() -> None:
+    """A body that moves with the air feels only gravity."""
+    x, dx = state(), np.empty((1, RIGID))
+    x[3:6] = 1.0, -2.0, 0.5
+    derivative(
+        x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), np.array([1.0, -2.0, 0.5]), dx, 0
+    )
+    np.testing.assert_allclose(dx[0, 3:6], [0.0, 0.0, GRAVITY], atol=1e-12)
+    np.testing.assert_allclose(dx[0, 10:], 0.0, atol=1e-12)
+
+
+def test_rotor_discs_tilt_away_from_the_oncoming_air() -> None:
+    """Flying ahead pitches the nose up, flying to the right rolls to the left."""
+    x, dx = state(), np.empty((1, RIGID))
+    x[3], x[4] = 1.0, 2.0
+    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), hub_moment=0.03), np.zeros(3), dx, 0)
+    np.testing.assert_allclose(dx[0, 10:], [-0.06, 0.03, 0.0], atol=1e-12)
+
+
+def test_spinning_up_the_rotors_turns_the_body_the_other_way() -> None:
+    """Without an external torque, I_z omega_z + h is kept."""
+    wrench = np.zeros((STAGES, WRENCH))
+    wrench[:, 7] = 0.04  # dh/dt
+    x = run(state(), body(np.diag([0.01, 0.01, 0.02])), wrench, 0.5)
+    assert x[12] == pytest.approx(-0.04 * 0.5 / 0.02, rel=1e-9)
+
+
+def test_attitude_stays_a_rotation() -> None:
+    x = run(state((5.0, 7.0, -3.0)), body(np.diag([0.0112, 0.0104, 0.0182])), np.zeros((STAGES, WRENCH)), 3.0)
+    assert np.linalg.norm(x[6:10]) == pytest.approx(1.0, abs=1e-14)

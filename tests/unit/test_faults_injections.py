@@ -1,0 +1,130 @@
+"""Injections: what each does to the tables of the compiled loop, and to a flight."""
+
+import math
+
+import numpy as np
+import pytest
+from plant_cases import fly, quiet_airframe
+
+from mavdiag.errors import UsageError
+from sitl_plant.airframe import drone
+from sitl_plant.injections import (
+    Injection,
+    RotorDamage,
+    SensorFault,
+    added_mass,
+    bending,
+    chipping,
+    ejection,
+    rotor_condition,
+    speed_corruption,
+    texture,
+)
+from sitl_plant.parameters import STEP_S
+from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.rotors import Condition
+from sitl_plant.vehicle import qdrone2
+
+
+def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:
+    return rotor_condition(drone(qdrone2(), 1), (Injection(damage, rotor),), (angle,), 1.0, STEP_S)
+
+
+def test_unbalance_adds_as_a_vector_to_the_rotors_own() -> None:
+    own = drone(qdrone2(), 1).unbalance_g_mm[1]
+    expected = own + 5.1 * np.array([math.cos(0.5), math.sin(0.5)])
+    np.testing.assert_allclose(condition(RotorDamage(unbalance_g_mm=5.1)).unbalance[1], expected * 1e-6)
+    np.testing.assert_allclose(
+        condition(RotorDamage(unbalance_g_mm=5.1)).unbalance[0] * 1e6, drone(qdrone2(), 1).unbalance_g_mm[0]
+    )
+
+
+def test_each_cause_changes_what_it_is_about() -> None:
+    assert np.hypot(
+        *(condition(added_mass(0.05, 60)).unbalance[1] * 1e6 - drone(qdrone2(), 1).unbalance_g_mm[1])
+    ) == pytest.approx(3)
+    chip = condition(chipping(0.01, 50, 0.03, 1.02))
+    assert (chip.thrust_gain[1], chip.drag_gain[1]) == (0.97, 1.02)
+    assert np.hypot(*chip.lift_offset[1]) == pytest.approx(0.03 * 0.062)
+    bent = condition(bending(0.05, 1.1))
+    np.testing.assert_allclose(bent.unbalance, condition(RotorDamage()).unbalance)
+    assert np.hypot(*bent.lift_offset[1]) > 0
+    rough = condition(texture(0.9, 1.2))
+    assert (rough.thrust_gain[1], rough.drag_gain[1]) == (0.9, 1.2)
+    assert condition(speed_corruption(0.95)).speed_gain[1] == 0.95
+    gone = condition(ejection())
+    assert (gone.thrust_gain[1], gone.drag_gain[1]) == (0.0, 0.0)
+    np.testing.assert_array_equal(gone.unbalance[1], 0.0)
+    np.testing.assert_array_equal(gone.thrust_gain[[0, 2, 3]], 1.0)
+
+
+def test_injection_is_present_from_onset_to_end() -> None:
+    injection = Injection(added_mass(0.1, 10), onset_s=2.0, end_s=3.0)
+    assert [injection.active(t) for t in (-1.0, 1.999, 2.0, 2.999, 3.0)] == [False, False, True, True, False]
+    assert Injection(added_mass(0.1, 10)).active(-5.0)  # from the start means before the start, too
+
+
+def test_several_damages_combine() -> None:
+    both = rotor_condition(
+        drone(qdrone2(), 2),
+        (
+            Injection(texture(0.9, 1.1)),
+            Injection(RotorDamage(thrust_factor=0.5, fluctuation_rms=0.03, fluctuation_corner_hz=6)),
+        ),
+        (0.0, 0.0),
+        0.0,
+        STEP_S,
+    )
+    assert both.thrust_gain[0] == pytest.approx(0.45)
+    assert both.fluctuation_rms[0] == pytest.approx(0.03)
+    assert both.fluctuation_decay[0] == pytest.approx(math.exp(-2 * math.pi * 6 * STEP_S))
+
+
+def test_lost_propeller_ends_the_flight() -> None:
+    config = PlantConfig(
+        trajectory="hover", airframe=quiet_airframe(), altitude_m=20.0, injections=(Injection(ejection(), 1, 0.5),)
+    )
+    samples = fly(config, 1.5)
+    assert np.abs(samples.gyro[:500]).max() < 0.01
+    assert samples.velocity[-1, 2] > 2.0  # falling
+    assert np.abs(samples.gyro[-1]).max() > 2.0  # and tumbling towards the lost corner
+    assert np.isfinite(samples.gyro).all()
+
+
+def test_gyro_offset_is_seen_between_its_onset_and_end() -> None:
+    fault = Injection(SensorFault("gyro", 2, offset=0.2), onset_s=0.3, end_s=0.4)
+    samples = fly(PlantConfig(trajectory="hover", airframe=quiet_airframe(), injections=(fault,)), 0.6)
+    error = samples.gyro[:, 2] - samples.omega[:, 2]
+    np.testing.assert_allclose(error[:300], 0.0, atol=0.005)
+    assert error[310:400].mean() == pytest.approx(0.2, abs=0.01)
+    np.testing.assert_allclose(error[410:], 0.0, atol=0.01)
+
+
+def test_direction_is_drawn_from_the_seed_unless_given() -> None:
+    def line(seed: int, angle: float | None) -> float:
+        config = PlantConfig(
+            trajectory="hover",
+            seed=seed,
+            airframe=quiet_airframe(),
+            injections=(Injection(added_mass(0.1, 50), angle_rad=angle),),
+        )
+        return float(Plant(config).advance(10).accel[5, 0])
+
+    assert line(1, None) == line(1, None)
+    assert line(1, None) != line(2, None)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SensorFault("magnetometer", 0),
+        lambda: SensorFault("gyro", 3),
+        lambda: RotorDamage(thrust_factor=-1.0),
+        lambda: RotorDamage(drag_factor=math.nan),
+        lambda: RotorDamage(fluctuation_rms=0.1, fluctuation_corner_hz=0.0),
+    ],
+)
+def test_meaningless_causes_are_refused(make: object) -> None:
+    assert callable(make)
+    with pytest.raises(UsageError):
+        make()

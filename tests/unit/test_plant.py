@@ -1,0 +1,221 @@
+"""Whole flights: reproducible bits, balances that can be done on paper, and the signals the detector lives on."""
+
+import hashlib
+import math
+import subprocess
+import sys
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from plant_cases import fly, quiet_airframe, quiet_vehicle
+
+from mavdiag.errors import UsageError
+from mavdiag.quantities import FloatArray
+from sitl_plant.airframe import Payload, nominal_airframe
+from sitl_plant.injections import Injection, SensorFault
+from sitl_plant.jit import cached, source_digest
+from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
+
+G = 9.81
+MASS = 1.504
+
+
+def digest(parts: list[PlantSamples]) -> str:
+    """SHA-256 of every bit of a flight."""
+    whole = hashlib.sha256()
+    for field in fields(PlantSamples):
+        whole.update(np.concatenate([getattr(part, field.name) for part in parts]).tobytes())
+    return whole.hexdigest()
+
+
+BUSY = PlantConfig(
+    drone=1,
+    fault="F2/SV2",
+    rotor=3,
+    onset_s=1.2345,
+    wind_m_s=1.0,
+    payload=Payload(0.1),
+    injections=(Injection(SensorFault("gyro", 0, offset=0.1), onset_s=0.5, end_s=0.7),),
+    seed=5,
+)
+
+
+@pytest.mark.parametrize("cuts", [(2000,), (1, 3, 996, 0, 7, 993), (500,) * 4, (499, 1, 734, 1, 1, 764)])
+def test_flight_does_not_depend_on_how_it_is_cut(cuts: tuple[int, ...]) -> None:
+    plant = Plant(BUSY)
+    assert digest([plant.advance(n) for n in cuts]) == digest([Plant(BUSY).advance(2000)])
+
+
+def test_seed_is_the_only_chance() -> None:
+    config = PlantConfig(seed=3)
+    assert digest([fly(config, 0.5)]) == digest([fly(config, 0.5)])
+    assert digest([fly(config, 0.5)]) != digest([fly(replace(config, seed=4), 0.5)])
+
+
+def test_flight_is_healthy_until_the_onset() -> None:
+    config = PlantConfig(seed=9)
+    healthy, damaged = fly(config, 2.0), fly(replace(config, fault="F3/SV3", onset_s=1.0), 2.0)
+    np.testing.assert_array_equal(damaged.gyro[:1000], healthy.gyro[:1000])
+    assert not np.array_equal(damaged.gyro[1000:1100], healthy.gyro[1000:1100])
+
+
+def test_time_starts_at_zero_in_milliseconds() -> None:
+    plant = Plant(PlantConfig())
+    assert plant.t_ns == 0
+    first, second = plant.advance(3), plant.advance(2)
+    np.testing.assert_array_equal(first.t_ns, [0, STEP_NS, 2 * STEP_NS])
+    np.testing.assert_array_equal(second.t_ns, [3 * STEP_NS, 4 * STEP_NS])
+    assert len(plant.advance(0)) == 0
+
+
+def test_hover_takes_ten_thousand_rpm() -> None:
+    """T 3.2.2: about 10,000 rpm. Thrust equals weight: 4 K_F w^2 = m g."""
+    samples = fly(PlantConfig(trajectory="hover", airframe=quiet_airframe()), 2.0)
+    speed = samples.rotor_speed[-500:].mean()
+    assert speed * 60 / (2 * math.pi) == pytest.approx(10_000, rel=0.002)
+    assert 4 * 3.364e-6 * speed**2 == pytest.approx(MASS * G, rel=1e-4)
+
+
+def test_payload_is_carried_by_the_square_of_the_speed() -> None:
+    hover = PlantConfig(trajectory="hover", airframe=quiet_airframe())
+    empty, loaded = fly(hover, 1.0), fly(replace(hover, payload=Payload(0.3)), 1.0)
+    ratio = (loaded.rotor_speed.mean() / empty.rotor_speed.mean()) ** 2
+    assert ratio == pytest.approx((MASS + 0.3) / MASS, rel=1e-3)
+
+
+def test_flight_starts_in_trimmed_hover() -> None:
+    """From the first sample on: in place, level, nothing to settle, on every drone."""
+    for drone in (1, 2, 3):
+        samples = fly(PlantConfig(drone=drone, trajectory="hover"), 1.0)
+        np.testing.assert_allclose(samples.position, np.broadcast_to([0.0, 0.0, -1.0], (1000, 3)), atol=0.03)
+        assert np.abs(samples.velocity).max() < 0.05
+        assert np.abs(samples.gyro[:, :2]).max() < 0.15
+
+
+def test_steady_wind_is_held_by_the_tilt_that_balances_its_drag() -> None:
+    """m g tan(tilt) = k v: a wind towards north tilts the thrust to the south, nose up."""
+    vehicle = replace(quiet_vehicle(), wind=replace(quiet_vehicle().wind, gust_intensity=0.0))
+    config = PlantConfig(trajectory="hover", airframe=nominal_airframe(vehicle), wind_m_s=2.0, wind_towards_rad=0.0)
+    samples = fly(config, 15.0)
+    w, x, y, z = samples.quaternion[-1]
+    pitch = math.asin(2 * (w * y - z * x))
+    assert pitch == pytest.approx(math.atan(0.25 * 2.0 / (MASS * G)), rel=0.02)
+
+
+def test_square_excites_roll_and_pitch_like_the_thesis_flight() -> None:
+    """T 5.2 and Fig 5.4: sharp spikes at the corners; about 0.22 rad commanded and 1.3 rad/s reached."""
+    samples = fly(PlantConfig(drone=2), 16.0)
+    for axis in (0, 1):
+        assert 0.17 < np.abs(samples.setpoint[:, axis]).max() < 0.28
+        assert 1.1 < np.abs(samples.gyro[:, axis]).max() < 1.6
+    assert np.ptp(samples.position[:, 0]) == pytest.approx(1.15, abs=0.2)
+    assert np.abs(samples.position[:, 2] + 1.0).max() < 0.05
+
+
+def test_estimate_follows_the_truth() -> None:
+    samples = fly(PlantConfig(drone=3, heading_rad=0.6), 8.0)
+    w, x, y, z = samples.quaternion.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(2 * (w * y - z * x))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    for column, truth in enumerate((roll, pitch, yaw)):
+        assert np.sqrt(np.mean((samples.attitude[:, column] - truth) ** 2)) < 0.02
+    np.testing.assert_allclose(yaw, 0.6, atol=0.05)
+
+
+def amplitude(signal: FloatArray, frequency_hz: float) -> float:
+    """Amplitude of the line nearest to a frequency, by a flat-top windowed FFT."""
+    from scipy.signal import get_window
+
+    window = get_window("flattop", len(signal))
+    spectrum = np.abs(np.fft.rfft((signal - signal.mean()) * window)) * 2 / window.sum()
+    centre = round(frequency_hz * len(signal) / 1000)
+    return float(spectrum[centre - 4 : centre + 5].max())
+
+
+def test_unbalance_line_has_the_amplitude_of_its_force() -> None:
+    """|a| = U w^2 / m at one per revolution, through the 250 Hz filter, plus alpha × r of the lever arm."""
+    from scipy.signal import butter, freqz
+
+    from sitl_plant.injections import added_mass
+
+    U = 3.0e-6
+    config = PlantConfig(
+        trajectory="hover",
+        airframe=quiet_airframe(),
+        injections=(Injection(added_mass(0.05, 60.0), rotor=1, angle_rad=0.3),),
+    )
+    samples = fly(config, 4.0)
+    w = samples.rotor_speed[:, 0].mean()
+    line_hz = w / (2 * math.pi)
+    assert line_hz == pytest.approx(166.7, abs=1.0)
+    _, response = freqz(*butter(2, 250.0, fs=1000.0), worN=[line_hz], fs=1000.0)
+    gain = abs(response[0])
+    # f = U w^2 (cos, sin). Yaw: I_z alpha = x f_y - y f_x, hub (-0.1016, 0.127). IMU at (10, 5) mm.
+    force, hub, place = U * w * w, (-0.1016, 0.127), (0.010, 0.005)
+    alpha = np.array([-hub[1], hub[0]]) * force / 0.0182  # coefficients of cos and sin
+    a_x = np.array([force / MASS, 0.0]) - alpha * place[1]
+    a_y = np.array([0.0, force / MASS]) + alpha * place[0]
+    assert amplitude(samples.accel[:, 0], line_hz) == pytest.approx(gain * np.linalg.norm(a_x), rel=0.02)
+    assert amplitude(samples.accel[:, 1], line_hz) == pytest.approx(gain * np.linalg.norm(a_y), rel=0.02)
+    assert amplitude(samples.gyro[:, 2], line_hz) == pytest.approx(gain * np.linalg.norm(alpha) / w, rel=0.02)
+
+
+def test_battery_sags_and_the_duty_makes_up_for_it() -> None:
+    samples = fly(PlantConfig(trajectory="hover", airframe=quiet_airframe()), 40.0)
+    assert 14.0 < samples.battery_v[-1] < samples.battery_v[0] < 15.3
+    assert samples.duty[-1].mean() > samples.duty[100].mean()
+    product = samples.duty.mean(axis=1) * samples.battery_v
+    assert product[-1] == pytest.approx(product[100], rel=1e-3)
+
+
+def test_worn_rotor_settles_where_thrust_roll_pitch_and_yaw_balance() -> None:
+    """F1/SV3 on rotor 2 without fluctuation: lift x 0.942, drag x 1.06 for the same speed, solved on paper.
+
+    Level flight leaves one freedom: lifts f (1 + c) on rotors 1, 4 and f (1 - c) on 2, 3. Yaw balance:
+    2 (1 + c) = (1 - c) (1 + 1.06 / 0.942).
+    """
+    healthy = PlantConfig(trajectory="hover", airframe=quiet_airframe())
+    cut = replace(healthy, fault="F1/SV3", rotor=2, phenomenology=0.0)
+    ratio = fly(cut, 6.0).rotor_speed[-1000:].mean(axis=0) / fly(healthy, 6.0).rotor_speed[-1000:].mean(axis=0)
+    k = 1 + 1.06 / 0.942
+    c = (k - 2) / (k + 2)
+    expected = np.sqrt([1 + c, (1 - c) / 0.942, 1 - c, 1 + c])
+    np.testing.assert_allclose(ratio, expected, rtol=0.001)
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"trajectory": "spiral"}, "square"),
+        ({"drone": 7}, "drone must be"),
+        ({"fault": "F9/SV1"}, "F2/SV2"),
+        ({"fault": "F1/SV1", "rotor": 5}, "rotor must be 1 to 4"),
+        ({"fault": "F1/SV1", "phenomenology": 2.0}, "phenomenology"),
+        ({"speed_m_s": -1.0}, "speed_m_s"),
+        ({"size_m": math.nan}, "size_m"),
+        ({"wind_m_s": math.inf}, "wind_m_s"),
+        ({"onset_s": math.nan, "fault": "F1/SV1"}, "onset_s"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int | float], said: str) -> None:
+    with pytest.raises(UsageError, match=said) as caught:
+        Plant(PlantConfig(**config))  # type: ignore[arg-type]  # the table mixes the types of several fields
+    assert "\n" not in str(caught.value)
+
+
+def test_without_numba_the_message_says_what_to_install() -> None:
+    code = "import sys; sys.modules['numba'] = None; import sitl_plant.jit"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "install mavdiag[plant]" in result.stderr.splitlines()[-1]
+
+
+def test_only_a_loop_bound_to_its_sources_is_cached() -> None:
+    def loose(n: int) -> int:
+        return n
+
+    with pytest.raises(UsageError, match="source_digest"):
+        cached(loose)
+    assert source_digest() == source_digest()

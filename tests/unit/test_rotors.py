@@ -1,0 +1,139 @@
+"""Rotors against closed forms: the motor's exponential, thrust, turning forces, noise statistics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mavdiag.quantities import FloatArray
+from sitl_plant.airframe import NO_PAYLOAD, nominal_airframe
+from sitl_plant.dynamics import STAGES, WRENCH
+from sitl_plant.injections import rotor_condition
+from sitl_plant.kernel import Model
+from sitl_plant.parameters import STEP_S, make_model
+from sitl_plant.rotors import Condition, RotorState, advance_noise, advance_rotors
+from sitl_plant.trajectory import Shape, path
+from sitl_plant.vehicle import allocation, qdrone2
+
+K_F, RATIO, HOVER = 3.364e-6, 68.9055, 1047.2
+G_MM = 1e-6
+
+
+def make() -> tuple[Model, Condition]:
+    airframe = nominal_airframe(qdrone2())
+    model = make_model(airframe, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
+    return model, rotor_condition(airframe, (), (), 0.0, STEP_S)
+
+
+def rest(speed: float = 0.0) -> RotorState:
+    thrust = np.full(4, K_F * speed**2)
+    return RotorState(np.full(4, speed), np.zeros(4), np.zeros(4), np.zeros(4), thrust)
+
+
+def step(state: RotorState, model: Model, condition: Condition, command: FloatArray, dt: float = STEP_S) -> FloatArray:
+    wrench = np.empty((STAGES, WRENCH))
+    advance_rotors(state, model.rotors, condition, command, dt, wrench)
+    return wrench
+
+
+def test_speed_step_is_the_motor_exponential() -> None:
+    model, condition = make()
+    state, lag = rest(), 0.025
+    for _ in range(50):
+        step(state, model, condition, np.full(4, HOVER))
+    t = 0.050
+    np.testing.assert_allclose(state.speed, HOVER * (1 - math.exp(-t / lag)), rtol=1e-12)
+    turned = HOVER * (t - lag * (1 - math.exp(-t / lag)))
+    np.testing.assert_allclose(state.azimuth, turned % (2 * math.pi), atol=1e-9)
+
+
+def test_four_rotors_at_ten_thousand_rpm_carry_the_vehicle() -> None:
+    model, condition = make()
+    wrench = step(rest(HOVER), model, condition, np.full(4, HOVER))
+    assert -wrench[0, 2] == pytest.approx(1.504 * 9.81, rel=0.001)
+    np.testing.assert_allclose(wrench[0, 3:7], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_wrench_of_one_rotor_is_its_column_of_the_allocation(rotor: int) -> None:
+    """The mapping matrix of T Eq 2.7, made from the vehicle file, is what the rotors really do."""
+    model, condition = make()
+    speed = np.zeros(4)
+    speed[rotor] = HOVER
+    state = rest()
+    state.speed[:] = speed
+    state.thrust[:] = K_F * speed**2
+    wrench = step(state, model, condition, speed)
+    expected = allocation(qdrone2())[:, rotor] * K_F * HOVER**2
+    np.testing.assert_allclose([-wrench[0, 2], *wrench[0, 3:6]], expected, atol=1e-12)
+
+
+def test_unbalance_turns_with_the_rotor_at_full_amplitude() -> None:
+    """|f| = U w^2 in the rotor plane, clockwise for rotors 1 and 4, and its moment is hub × f."""
+    model, condition = make()
+    condition.unbalance[0] = 5.0 * G_MM, 0.0
+    state, angles = rest(HOVER), []
+    for _ in range(40):
+        wrench = step(state, model, condition, np.full(4, HOVER))
+        f = np.array([wrench[2, 0], wrench[2, 1], 0.0])
+        assert np.linalg.norm(f) == pytest.approx(5e-6 * HOVER**2, rel=1e-9)
+        hub = np.array([-0.1016, 0.127, -0.025])
+        np.testing.assert_allclose(wrench[2, 3:6], np.cross(hub, f), atol=1e-9)
+        angles.append(math.atan2(f[1], f[0]))
+    turns = np.diff(np.unwrap(angles))
+    np.testing.assert_allclose(turns, HOVER * STEP_S, rtol=1e-9)  # positive about z: clockwise seen from above
+
+
+def test_lift_and_mass_torques_oppose_each_other() -> None:
+    """T Eq 5.3-5.9 and Fig 5.11: at every azimuth the two torques of an edge cut point in opposite directions."""
+    model, healthy = make()
+    _, unbalanced = make()
+    _, shifted = make()
+    unbalanced.unbalance[1] = 3.0 * G_MM, 1.0 * G_MM
+    shifted.lift_offset[1] = 0.003, 0.001
+    states = [rest(HOVER) for _ in range(3)]
+    for _ in range(20):
+        still, mass, lift = (
+            step(state, model, condition, np.full(4, HOVER))[2, 3:5]
+            for state, condition in zip(states, (healthy, unbalanced, shifted), strict=True)
+        )
+        mass_torque, lift_torque = mass - still, lift - still
+        cosine = mass_torque @ lift_torque / np.linalg.norm(mass_torque) / np.linalg.norm(lift_torque)
+        assert cosine == pytest.approx(-1.0, abs=1e-6)
+
+
+def test_drag_torque_is_thrust_over_the_motor_constant() -> None:
+    """Rotors 1 and 4 turn clockwise, so their drag turns the body counter-clockwise (T Eq 2.4, 2.5)."""
+    model, condition = make()
+    condition.drag_gain[0] = 1.5
+    wrench = step(rest(HOVER), model, condition, np.full(4, HOVER))
+    assert wrench[0, 5] == pytest.approx(-0.5 * K_F * HOVER**2 / RATIO, rel=1e-9)
+
+
+def test_crack_lag_delays_thrust_by_its_time_constant() -> None:
+    model, condition = make()
+    condition.thrust_lag[:] = 0.012
+    state = rest(HOVER)
+    state.thrust[:] = 0.0
+    for _ in range(24):
+        wrench = step(state, model, condition, np.full(4, HOVER))
+    assert -wrench[2, 2] == pytest.approx(4 * K_F * HOVER**2 * (1 - math.exp(-2.0)), rel=1e-9)
+
+
+@pytest.mark.parametrize(("corner_hz", "seed"), [(6.0, 1), (25.0, 2)])
+def test_fluctuation_has_unit_variance_and_its_corner(corner_hz: float, seed: int) -> None:
+    """An Ornstein-Uhlenbeck process: variance 1, correlation exp(-2 pi f_c t)."""
+    model, condition = make()
+    condition.fluctuation_decay[:] = math.exp(-2 * math.pi * corner_hz * STEP_S)
+    state, n = rest(), 80_000
+    normals = np.random.default_rng(seed).standard_normal((n, 8))
+    values = np.empty((n, 4))
+    for row in range(n):
+        advance_noise(state, model.rotors, condition, normals, row)
+        values[row] = state.fluctuation
+    independent = 4 * n * STEP_S * math.pi * corner_hz  # number of independent values, T / (2 tau) each rotor
+    assert np.mean(values**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / independent))
+    lag = round(0.5 / (2 * math.pi * corner_hz) / STEP_S)
+    correlation = np.mean(values[lag:] * values[:-lag])
+    expected = math.exp(-2 * math.pi * corner_hz * lag * STEP_S)
+    assert correlation == pytest.approx(expected, abs=4 * math.sqrt(2 / independent))
