@@ -56,7 +56,8 @@ __all__ = [
 
 FOLDS = 5  # as many models as that share the work of judging flights they did not see (our choice)
 TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
-MIN_PIECE_S = 1.0  # shorter valid stretches do not train a model (our choice)
+SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
+MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 
@@ -209,7 +210,14 @@ def _train(flights: Sequence[LearntFlight], axis: Axis, dt_s: float, options: Le
     if not chosen:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     try:
-        model = fit([u for u, _ in chosen], [y for _, y in chosen], options.order, dt=dt_s, method=options.method)
+        model = fit(
+            [u for u, _ in chosen],
+            [y for _, y in chosen],
+            options.order,
+            dt=dt_s,
+            method=options.method,
+            settle_s=SETTLE_S,
+        )
     except IdentificationError as error:
         raise IdentificationError(f"{axis}: {error}") from error
     if model.dc_gain < 0:
