@@ -8,8 +8,8 @@ from detector.states import diagram
 PAGE = Path(__file__).parent / "detector-states.md"
 TEXT = """# The detector's session
 
-One session runs for each vehicle. This page is drawn from the tables in `detector/states.py` and `detector/alerts.py` by
-`python docs/draw_detector_states.py`; do not edit it by hand.
+One session runs for each vehicle. This page is drawn from the tables in `detector/states.py` and `detector/alerts.py`
+by `python docs/draw_detector_states.py`; do not edit it by hand.
 
 ```mermaid
 {diagram}```
