@@ -232,7 +232,7 @@ def test_ctrl_c_does_not_reach_the_fit(after_s: float) -> None:
 @pytest.mark.realtime
 def test_it_is_ready_within_a_second() -> None:
     spans = []
-    for _ in range(3):
+    for _ in range(5):
         since = time.monotonic()
         with running("--learn", "10", "--connect", "udpin:127.0.0.1:0") as (_, first):
             spans.append(time.monotonic() - since)
