@@ -1,0 +1,230 @@
+"""`sitl-plant campaign`: a Monte Carlo study of the diagnosis, as tables, JSON and Parquet (edge)."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavdiag.errors import UsageError
+from mavdiag.storage import write_atomically
+from sitl_plant.campaign_plan import PRESETS, Design, make_plan, with_conditions
+
+if TYPE_CHECKING:
+    from sitl_plant.campaign import Results
+    from sitl_plant.campaign_summary import Rate, Share, Summary
+    from sitl_plant.campaign_worker import FlightLine
+
+__all__ = ["campaign"]
+
+
+class Preset(StrEnum):
+    """Sizes of a campaign."""
+
+    QUICK = "quick"
+    FULL = "full"
+
+
+class Learn(StrEnum):
+    """What an airframe's own healthy flights are."""
+
+    MIXED = "mixed"
+    SQUARE = "square"
+
+
+def campaign(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
+    ] = Path("campaign.jsonl"),
+    preset: Annotated[Preset, typer.Option(help="Size and levels to start from.")] = Preset.QUICK,
+    flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
+    hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
+    airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
+    learn: Annotated[Learn, typer.Option(help="Learn from mixed flights, or from T's square alone.")] = Learn.MIXED,
+    learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
+    conditions: Annotated[
+        list[str],
+        typer.Option(
+            metavar="FACTOR=LEVEL,..",
+            help="Levels of cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss; repeatable.",
+        ),
+    ] = [],  # noqa: B006  # typer copies its defaults
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 2,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew: empty the file of results first.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
+    summary_file: Annotated[Path | None, typer.Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option(metavar="FILE.parquet", help="Write the flights as a table, too.")
+    ] = None,
+) -> None:
+    """Fly many airframes healthy, damaged and otherwise wrong; learn from each, judge each, and count.
+
+    Every airframe is drawn afresh and judged by a baseline learnt from its own healthy flights.
+    """
+    base = PRESETS[preset]
+    design = replace(
+        base,
+        seed=seed,
+        learn=learn.value,
+        flights=base.flights if flights is None else flights,
+        hours=base.hours if hours is None else hours,
+        airframes=base.airframes if airframes is None else airframes,
+        learn_flights=base.learn_flights if learn_flights is None else learn_flights,
+        duration_s=base.duration_s if duration is None else duration,
+    )
+    summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
+    text = json.dumps(asdict(summary))
+    if summary_file is not None:
+        write_atomically(summary_file, text + "\n")
+    if as_json:
+        typer.echo(text)
+    else:
+        _print(summary)
+
+
+def _run(
+    design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
+) -> "Summary":
+    # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+    from sitl_plant.campaign import Journal, dask_crew, local_crew, run_campaign
+    from sitl_plant.campaign_summary import summarise
+
+    plan = make_plan(design)
+    crew = dask_crew(scheduler) if scheduler is not None else local_crew(workers)
+    journal = Journal(output, fresh)
+    try:
+        with _progress() as tell, crew as hands:
+            results = run_campaign(plan, journal, hands, tell)
+    finally:
+        journal.close()
+    if parquet is not None:
+        _write_parquet(parquet, results)
+    return summarise(results)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar for each stage on stderr, with the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bars = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(stage, total=total, completed=done)
+            progress.update(bars[stage], completed=done)
+
+        yield tell
+
+
+def _write_parquet(path: Path, results: "Results") -> None:
+    """One row a flight; the monitors' alarms as a column each."""
+    try:
+        from pyarrow import Table
+        from pyarrow.parquet import write_table
+    except ImportError as error:
+        raise UsageError("--parquet needs pyarrow: install mavdiag[fleet]") from error
+    rows = [_row(flight) for flight in results.flights]
+    names = dict.fromkeys(name for row in rows for name in row)  # pyarrow takes the first row's names for all
+    try:
+        write_table(Table.from_pylist([{name: row.get(name) for name in names} for row in rows]), str(path))
+    except OSError as error:
+        raise UsageError(f"cannot write {path} ({error}); choose another --parquet file") from error
+
+
+def _row(flight: "FlightLine") -> dict[str, object]:
+    row: dict[str, object] = asdict(flight)
+    del row["monitors"], row["conditions"], row["answer"], row["record"]
+    row |= asdict(flight.conditions)
+    row |= {f"answer_{name}": value for name, value in asdict(flight.answer).items()}
+    for monitor in flight.monitors:
+        row |= {f"{monitor.name}_{name}": value for name, value in asdict(monitor).items() if name != "name"}
+    return row
+
+
+def _print(summary: "Summary") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+
+    def table(title: str, headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+        made = Table(title=title, title_justify="left")
+        for i, heading in enumerate(headings):
+            made.add_column(heading, justify="right" if i else "left")
+        for row in rows:
+            made.add_row(*row)
+        console.print(made)
+
+    table(
+        "False alarms on healthy flights, episodes an hour",
+        ("condition", "alarms", "hours", "per hour [95 %]", "flights with one [95 %]"),
+        [
+            (_level(row.factor, row.level), str(row.rate.count), f"{row.rate.hours:.2f}", _rate(row.rate),
+             _share(row.flights))
+            for row in summary.alarms
+        ],
+    )  # fmt: skip
+    table(
+        f"T's nine faults (chance alone: {100 * summary.chance:.0f} %)",
+        ("condition", "detected [95 %]", "early", "latency s", "90 %", "rotor", "type", "severity"),
+        [
+            (_level(row.factor, row.level), _share(row.detected), str(row.early), _seconds(row.latency_median_s),
+             _seconds(row.latency_p90_s), _part(row.rotor_right), _part(row.type_right), _part(row.severity_right))
+            for row in summary.detection
+        ],
+    )  # fmt: skip
+    table(
+        "Monitors, each alone",
+        ("monitor", "alarms", "per hour [95 %]", "faults detected [95 %]"),
+        [(row.name, str(row.rate.count), _rate(row.rate), _share(row.detected)) for row in summary.monitors],
+    )
+    table(
+        "Answers after the onset",
+        ("group", "cause", "flights", "answers", "early"),
+        [
+            (row.group, row.cause, str(row.flights), ", ".join(f"{n} {kind}" for kind, n in row.answers),
+             str(row.early))
+            for row in summary.answers
+        ],
+    )  # fmt: skip
+    console.print(
+        f"seed {summary.seed}, {summary.airframes} airframes, {summary.flights} flights, "
+        f"{summary.healthy_hours:.2f} healthy hours judged"
+    )
+    for reason, count in summary.unjudged:
+        console.print(f"not judged: {count} flights, {reason}")
+
+
+def _level(factor: str, level: str) -> str:
+    return level if factor == level else f"{factor}: {level}"
+
+
+def _share(share: "Share") -> str:
+    if not share.of:
+        return "-"
+    return f"{share.hits}/{share.of} = {share.hits / share.of:.2f} [{share.low:.2f}, {share.high:.2f}]"
+
+
+def _part(share: "Share") -> str:
+    return f"{share.hits}/{share.of}" if share.of else "-"
+
+
+def _rate(rate: "Rate") -> str:
+    if rate.high is None:
+        return "-"
+    return f"{rate.count / rate.hours:.2f} [{rate.low:.2f}, {rate.high:.2f}]"
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
