@@ -17,6 +17,7 @@ import typer
 from mavdiag import __version__, commandline
 from mavdiag.errors import UsageError
 from mavdiag.link.endpoint import open_endpoint
+from sitl_plant.campaign_command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.options import (
     Drone,
@@ -37,12 +38,15 @@ from sitl_plant.options import (
 )
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
+from sitl_plant.stand_command import stand
 from sitl_plant.trajectory import Shape
 from sitl_plant.truth import Truth
 
 __all__ = ["app", "main"]
 
 app = commandline.application("Fly an emulated QDrone 2 with propeller faults and tell of it over MAVLink.")
+app.command()(campaign)
+app.command()(stand)
 
 
 def _version(wanted: bool) -> None:
