@@ -32,7 +32,7 @@ TRAINING, FALSE_ALARMS, DETECTION, LENT = 1, 2, 3, 4  # seeds that never meet
 class Size:
     """How much is flown. learn_*: healthy flights to learn from and judge_*: to count false alarms in, per airframe.
 
-    lent_*: of each other airframe, healthy flights, and rounds of all faults at all phenomenologies.
+    lent_*: of each other airframe, healthy flights, and the length of 27 faulty ones, each fault at each phenomenology.
     """
 
     airframes: int
@@ -46,7 +46,7 @@ class Size:
     lent_faulty_s: float
 
 
-DEFAULT = Size(4, 12, 40.0, 12, 80.0, 3, 6, 30.0, 8.0)
+DEFAULT = Size(4, 12, 40.0, 16, 120.0, 3, 6, 30.0, 8.0)
 QUICK = Size(1, 8, 40.0, 8, 60.0, 2, 4, 30.0, 6.0)
 
 

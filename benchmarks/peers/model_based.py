@@ -26,7 +26,7 @@ DISTURBANCE_HZ = 2.0  # corner of the Kalman filter's disturbance state (our cho
 RATIOS = tuple(10.0**e for e in range(-2, 7))  # variance of that state over the gyro's [1/s^2]
 
 SLIDING_FACTOR = 4.0  # the switching gain over the healthy 99.9th percentile of |d| (our choice)
-INJECTION_HZ = 2.0  # low-pass that recovers the equivalent injection (our choice)
+INJECTION_HZ = 0.5  # low-pass that recovers the equivalent injection (our choice)
 
 BANK_STRIDE = 10  # rows: behind the 0.1 s window nothing is lost at 100 Hz
 BANK_WINDOW_S = 1.0
@@ -122,7 +122,7 @@ def _numerator(F: FloatArray, b: FloatArray) -> FloatArray:
 def sliding_mode(_others: Sequence[Flown]) -> Learner:
     """Disturbance torque from a sliding-mode observer's equivalent injection, against its healthy scatter.
 
-        domega^/dt = k lag(m) + d0 + c omega^ + L sign(omega - omega^),    d^ = low-pass_2Hz( L sign(omega - omega^) )
+        domega^/dt = k lag(m) + d0 + c omega^ + L sign(omega - omega^),    d^ = low-pass_0.5Hz( L sign(omega - omega^) )
 
     Score: sqrt((d^ - mean)' inv(cov) (d^ - mean)); the rotor is the one whose direction explains d^ best (`blame`).
     T 1.3.1 (observer-based); Edwards, Spurgeon & Patton, Automatica 36 (2000) 541-553.

@@ -4,8 +4,8 @@
     m   = C w                               roll, pitch and yaw trim, C = pinv(B) of the frame's signs
     domega/dt = k lag_tau(m) + c omega + d0 + d
 
-k, c, d0 by least squares on healthy flights for each axis, tau by a grid; d is what the model does not explain: for
-healthy rotors wind, for a damaged one its missing or fluctuating thrust.
+k and c by least squares on healthy flights for each axis, tau by a grid, d0 the healthy mean; d is what the model does
+not explain: for healthy rotors wind, for a damaged one its missing or fluctuating thrust.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from peers.flights import Flown
 __all__ = ["TorqueModel", "blame", "drive", "fit_torque", "trims"]
 
 FRAME = "qdrone2"
-LAGS_S = (0.01, 0.02, 0.03, 0.04, 0.06)  # our choice
+LAGS_S = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04)  # our choice
 STRIDE = 10  # rows skipped: what passed a 0.1 s window needs no 1 kHz
 
 
@@ -45,15 +45,18 @@ def fit_torque(flights: Sequence[Flown]) -> TorqueModel:
     best: list[tuple[float, FloatArray, float]] = [(np.inf, np.zeros(3), 0.0)] * 3
     for lag_s in LAGS_S:
         smooth = [_thin(savgol_filter(_lagged(m, lag_s, dt_s), window, 2, axis=0)) for m in shares]
+        columns = (smooth, rate, acceleration)
         for axis in range(3):
-            # [ m  omega  1 ] [k c d0]' = domega/dt     (n, 3), the rows of all flights
-            m, omega, target = (np.concatenate([x[:, axis] for x in one]) for one in (smooth, rate, acceleration))
-            phi = np.column_stack([m, omega, np.ones(len(m))])
+            # [ m  omega ] [k c]' = domega/dt     (n, 2), the rows of all flights, each less its mean: the wind differs
+            m, omega, target = (np.concatenate([x[:, axis] - x[:, axis].mean() for x in one]) for one in columns)
+            phi = np.column_stack([m, omega])
             theta = np.linalg.lstsq(phi, target, rcond=None)[0]
             loss = float(np.mean((target - phi @ theta) ** 2))
             best[axis] = min(best[axis], (loss, theta, lag_s), key=lambda found: found[0])
-    k, c, d0 = np.stack([theta for _, theta, _ in best], axis=1)
-    return TorqueModel(k, np.minimum(c, 0.0), d0, np.array([lag_s for _, _, lag_s in best]))
+    k, c = np.stack([theta for _, theta, _ in best], axis=1)
+    c = np.minimum(c, 0.0)
+    means = [np.stack([x.mean(axis=0) for x in one]).mean(axis=0) for one in (acceleration, shares, rate)]
+    return TorqueModel(k, c, means[0] - k * means[1] - c * means[2], np.array([lag_s for _, _, lag_s in best]))
 
 
 def drive(model: TorqueModel, one: Flown) -> FloatArray:
@@ -66,9 +69,11 @@ def drive(model: TorqueModel, one: Flown) -> FloatArray:
 def blame(model: TorqueModel, d: FloatArray, covariance: FloatArray) -> FloatArray:
     """Evidence that one rotor alone makes d, (n, 3) -> (n, 4): |g_j' W d| / sqrt(g_j' W g_j), W the inverse covariance.
 
-    g_j = k * c_j is the acceleration that a unit change of rotor j makes; the likelihood ratio of one known direction.
+    The likelihood ratio of one known direction. g_j = k * c_j is the acceleration that a unit change of rotor j makes,
+    with yaw reversed: a damaged blade loses thrust and gains drag, so it rolls and pitches less and yaws more than
+    modelled.
     """
-    G = model.gain[:, None] * frame_named(FRAME).unmixing
+    G = model.gain[:, None] * frame_named(FRAME).unmixing * np.array([[1.0], [1.0], [-1.0]])
     W = np.linalg.inv(covariance)
     evidence: FloatArray = np.abs(d @ W @ G) / np.sqrt(np.einsum("kj,kl,lj->j", G, W, G))
     return evidence
