@@ -126,7 +126,8 @@ class Daemon:
         """Say that the links are open."""
         settings = self._settings
         goal = "watching by its baseline" if self._baseline else f"learning from {settings.learn:g} s of healthy flight"
-        self._host.say(f"ready: {self._link.address}, {goal}")
+        behind = "".join(f", forwarding to {address}" for address in self._relay.addresses)
+        self._host.say(f"ready: {self._link.address}{behind}, {goal}")
         self._mark("start", {"version": __version__, "connect": self._link.address})
 
     def tick(self) -> None:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Protocol, TypeAlias
@@ -73,7 +74,7 @@ def _digest(telemetry: Telemetry) -> str:
 
 
 def _work(connection: Connection) -> None:
-    """The process: take a job, send its outcome. Ctrl-C is the daemon's business."""
+    """The process: take a job, send its outcome. Ctrl-C goes to both processes, but is the daemon's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
     connection.send(fit_baseline(connection.recv()))
@@ -92,7 +93,12 @@ class ProcessFitter:
         """Start on a job; one at a time for each vehicle."""
         near, far = self._context.Pipe()
         process = self._context.Process(target=_work, args=(far,), name=f"fit vehicle {job.vehicle}", daemon=True)
+        # The child inherits the block, so that Ctrl-C finds it deaf from its first instruction on. The tracker, which
+        # multiprocessing starts before the first child, would lift the block again.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         far.close()
         self._running[job.vehicle] = (process, self._clock())
         threading.Thread(target=self._converse, args=(near, process, job), daemon=True).start()

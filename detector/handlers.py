@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from detector.alerts import Kind, Notice, figure
 from detector.collect import Collection, collect
-from detector.effects import BaselineLearned, Learn
-from detector.judge import Alarm, Judge, alarm_notice, alarmed, ended_notice, judge_step, recorded
+from detector.effects import BaselineLearned, Learn, Note
+from detector.judge import Alarm, Judge, alarm_notice, alarmed, ended_notice, judge_step, names_of, recorded
 from detector.negotiate import in_hand
 from detector.states import State, Trigger
 from detector.streams import Hindrance, Reason, hindrance, on_ground
@@ -39,10 +39,10 @@ def _waiting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
     if baseline is None:
         state, changed = move(state, Trigger.READY_TO_LEARN)
         return state, (changed,)
-    return _begin(state, baseline, now)
+    return _begin(spec, state, baseline, now)
 
 
-def _begin(state: SessionState, baseline: Baseline, now: Instant) -> Next:
+def _begin(spec: SessionSpec, state: SessionState, baseline: Baseline, now: Instant) -> Next:
     """Judge by the baseline, or go on with it."""
     judge = state.judge
     if judge is None or judge.baseline is not baseline:
@@ -52,7 +52,8 @@ def _begin(state: SessionState, baseline: Baseline, now: Instant) -> Next:
             return _off(state, Trigger.REFUSED, str(error))
         judge = Judge(baseline, chain, chain.start(), now)
     state, changed = move(replace(state, judge=replace(judge, judged=now)), Trigger.READY_TO_JUDGE)
-    return state, (changed,)
+    unknown = set(spec.suspect) - {name for watch in judge.chain.watches for name in names_of(watch)}
+    return state, (changed, *(Note(f"suspect: there is no monitor {name!r}") for name in sorted(unknown)))
 
 
 def _mismatch(spec: SessionSpec, baseline: Baseline, period_s: float) -> str | None:

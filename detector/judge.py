@@ -11,10 +11,20 @@ from detector.alerts import Cause, Kind, Notice, evidence, figure
 from detector.effects import EventClosed, EventOpened
 from mavdiag.baseline import Baseline
 from mavdiag.diagnose.events import Event
-from mavdiag.pipeline import Chain, ChainState, Findings
-from mavdiag.quantities import Instant, Telemetry
+from mavdiag.pipeline import Chain, ChainState, Findings, Watch
+from mavdiag.quantities import Axis, Instant, Telemetry
 
-__all__ = ["Alarm", "Judge", "alarm_notice", "alarmed", "ended_notice", "judge_step", "open_events", "recorded"]
+__all__ = [
+    "Alarm",
+    "Judge",
+    "alarm_notice",
+    "alarmed",
+    "ended_notice",
+    "judge_step",
+    "names_of",
+    "open_events",
+    "recorded",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +92,18 @@ def ended_notice(alarm: Alarm, judge: Judge) -> Notice:
     return Notice(Kind.UNSETTLED, (evidence(alarm.worst),))
 
 
+def names_of(watch: Watch) -> tuple[str, str]:
+    """How settings may call a watch: by its monitor, or by its monitor and axis."""
+    monitor = watch.monitor
+    return _names(monitor.name, monitor.axis)
+
+
+def _names(monitor: str, axis: Axis | None) -> tuple[str, str]:
+    return monitor, f"{monitor}.{axis}"
+
+
 def _suspicious(event: Event, suspect: tuple[str, ...]) -> bool:
-    return event.monitor in suspect or f"{event.monitor}.{event.axis}" in suspect
+    return any(name in suspect for name in _names(event.monitor, event.axis))
 
 
 def _ratio(event: Event) -> float:

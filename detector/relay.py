@@ -34,6 +34,11 @@ class Relay:
         self._down = Cutter()
         self._up = [Cutter() for _ in behind]
 
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Of the links behind."""
+        return tuple(endpoint.address for endpoint in self._behind)
+
     def pass_on(self, chunks: Iterable[Chunk]) -> None:
         """What the vehicle's link brought goes to every link behind; what they bring goes to the vehicle's link."""
         if not self._behind:

@@ -5,6 +5,7 @@ tables for the compiled loop: `Condition` for the rotors, `SensorCondition` for 
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from sitl_plant.rotors import Condition
 from sitl_plant.sensors import CHANNELS, SensorCondition
 
 __all__ = [
+    "NEVER",
     "Injection",
     "RotorDamage",
     "SensorFault",
@@ -29,6 +31,7 @@ __all__ = [
 ]
 
 G_MM = 1e-6  # kg m
+NEVER = 2**62  # a step that no flight reaches
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +97,10 @@ class Injection:
         if self.angle_rad is not None and not math.isfinite(self.angle_rad):
             raise UsageError("angle_rad must be a finite angle")
 
-    def active(self, t_s: float) -> bool:
-        """Whether the cause is present at t_s. One with an onset at or before 0 is present before the flight, too."""
-        return (self.onset_s <= 0.0 or t_s >= self.onset_s) and t_s < self.end_s
+    def span(self, dt_s: float) -> tuple[int, int]:
+        """First step of presence and first step after it. An onset at or before 0 is present before the flight, too."""
+        first = -NEVER if self.onset_s <= 0.0 else round(self.onset_s / dt_s)
+        return first, NEVER if math.isinf(self.end_s) else round(self.end_s / dt_s)
 
 
 def added_mass(mass_g: float, radius_mm: float) -> RotorDamage:
@@ -129,10 +133,8 @@ def ejection() -> RotorDamage:
     return RotorDamage(thrust_factor=0.0, drag_factor=0.0, ejected=True)
 
 
-def rotor_condition(
-    airframe: Airframe, injections: tuple[Injection, ...], angles: tuple[float, ...], t_s: float, dt_s: float
-) -> Condition:
-    """The rotors' condition at t_s. angles: one per injection [rad]."""
+def rotor_condition(airframe: Airframe, injections: Iterable[Injection], dt_s: float) -> Condition:
+    """The rotors' condition under these causes. An injection without an angle acts at 0."""
     n = len(airframe.vehicle.rotors)
     condition = Condition(
         thrust_gain=np.ones(n),
@@ -144,9 +146,9 @@ def rotor_condition(
         fluctuation_decay=np.full(n, math.exp(-2.0 * math.pi * dt_s)),
         thrust_lag=np.zeros(n),
     )
-    for injection, angle in zip(injections, angles, strict=True):
-        if isinstance(injection.cause, RotorDamage) and injection.active(t_s):
-            _damage(condition, airframe, injection.cause, injection.rotor - 1, angle, dt_s)
+    for injection in injections:
+        if isinstance(injection.cause, RotorDamage):
+            _damage(condition, airframe, injection.cause, injection.rotor - 1, injection.angle_rad or 0.0, dt_s)
     return condition
 
 
@@ -167,12 +169,12 @@ def _damage(condition: Condition, airframe: Airframe, damage: RotorDamage, i: in
         condition.lift_offset[i] = 0.0
 
 
-def sensor_condition(injections: tuple[Injection, ...], t_s: float) -> SensorCondition:
-    """The sensors' condition at t_s."""
+def sensor_condition(injections: Iterable[Injection]) -> SensorCondition:
+    """The sensors' condition under these causes."""
     condition = SensorCondition(np.ones(CHANNELS), np.zeros(CHANNELS), np.zeros(CHANNELS), np.zeros(CHANNELS))
     for injection in injections:
         fault = injection.cause
-        if isinstance(fault, SensorFault) and injection.active(t_s):
+        if isinstance(fault, SensorFault):
             condition.scale[fault.channel] *= fault.scale
             condition.offset[fault.channel] += fault.offset
             condition.drift[fault.channel] += fault.drift_per_s

@@ -3,21 +3,23 @@
 numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
 another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
 also holds a digest of every file that defined a compiled function.
+
+Without numba everything can be imported, and the first call of a compiled function says what to install.
 """
 
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Literal, NoReturn, ParamSpec, TypeVar, cast
 
 from mavdiag.errors import UsageError
 
 try:
     import numba
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise UsageError("the plant needs numba: install mavdiag[plant]") from error
+except ImportError:
+    numba = None  # type: ignore[assignment]  # a module or None: every use below asks
 
-__all__ = ["cached", "jit", "source_digest"]
+__all__ = ["cached", "inline", "jit", "source_digest"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,14 +29,12 @@ _sources: set[Path] = set()
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` when a compiled function first calls it. No fast-math: results are reproducible."""
-    _sources.add(Path(function.__code__.co_filename))
-    return cast(Callable[P, R], numba.njit(error_model="numpy")(function))
+    return _compiled(function, inline="never")
 
 
 def inline(function: Callable[P, R]) -> Callable[P, R]:
     """As `jit`, but merged into its caller: no cost for passing large tuples."""
-    _sources.add(Path(function.__code__.co_filename))
-    return cast(Callable[P, R], numba.njit(error_model="numpy", inline="always")(function))
+    return _compiled(function, inline="always")
 
 
 def cached(function: Callable[P, R]) -> Callable[P, R]:
@@ -44,6 +44,8 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
     """
     if function.__closure__ is None:
         raise UsageError(f"{function.__name__} must close over source_digest() to be cached")
+    if numba is None:
+        return cast(Callable[P, R], _unavailable)
     return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))
 
 
@@ -53,3 +55,15 @@ def source_digest() -> int:
     for path in sorted(_sources):
         digest.update(path.read_bytes())
     return int.from_bytes(digest.digest()[:8], "little") >> 1
+
+
+def _compiled(function: Callable[P, R], inline: Literal["never", "always"]) -> Callable[P, R]:
+    _sources.add(Path(function.__code__.co_filename))
+    if numba is None:
+        return cast(Callable[P, R], _unavailable)
+    return cast(Callable[P, R], numba.njit(error_model="numpy", inline=inline)(function))
+
+
+def _unavailable(*_arguments: object) -> NoReturn:
+    """Stands in for every compiled function where numba is absent."""
+    raise UsageError("the plant needs numba: install mavdiag[plant]")

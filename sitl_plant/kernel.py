@@ -21,7 +21,7 @@ from sitl_plant.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance
 from sitl_plant.supply import Air, Battery, advance_battery, advance_wind
 from sitl_plant.trajectory import Path, reference
 
-__all__ = ["Model", "Noise", "Rows", "State", "fly"]
+__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly"]
 
 
 class Model(NamedTuple):

@@ -7,7 +7,7 @@ Equal configurations give equal bits, however the flight is cut into calls of `a
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from mavdiag.errors import UsageError
 from mavdiag.quantities import FloatArray, IntArray
 from sitl_plant.airframe import NO_PAYLOAD, Airframe, Payload, drone
 from sitl_plant.faults import parse_fault
-from sitl_plant.injections import Injection, rotor_condition, sensor_condition
+from sitl_plant.injections import NEVER, Injection, rotor_condition, sensor_condition
 from sitl_plant.kernel import Model, Noise, Rows, fly
 from sitl_plant.parameters import STEP_S, initial_state, make_model
 from sitl_plant.trajectory import Shape, path
@@ -112,21 +112,15 @@ class Plant:
     def __init__(self, config: PlantConfig) -> None:
         self.config = config
         self.airframe = config.airframe or drone(qdrone2(), config.drone)
-        self._injections = config.all_injections()
         rotors = len(self.airframe.vehicle.rotors)
-        for injection in self._injections:
-            if injection.rotor not in range(1, rotors + 1):
-                raise UsageError(f"rotor must be 1 to {rotors}, not {injection.rotor}")
         self._streams = _Streams(config.seed)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
-        drawn = self._streams.angle.uniform(0.0, 2.0 * np.pi, len(self._injections))
-        self._angles = tuple(
-            angle if injection.angle_rad is None else injection.angle_rad
-            for injection, angle in zip(self._injections, drawn.tolist(), strict=True)
-        )
+        self._injections = _placed(config.all_injections(), rotors, self._streams.angle)
+        self._spans = [injection.span(STEP_S) for injection in self._injections]
         self._model = _model(config, self.airframe)
         self._state = initial_state(self._model, azimuth)
         self._step = -SETTLING_STEPS
+        self._renew_condition()
         self.advance(SETTLING_STEPS)
 
     @property
@@ -141,29 +135,42 @@ class Plant:
         rows = _empty_rows(steps, len(self.airframe.vehicle.rotors))
         done = 0
         while done < steps:
-            count = min(steps - done, self._steps_to_next_event())
-            self._fly(count, Rows(*(column[done : done + count] for column in rows)))
+            if self._step >= self._changes_at:
+                self._renew_condition()
+            count = min(steps - done, self._changes_at - self._step)
+            part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
+            self._fly(count, part)
             done += count
         return _samples(rows, self._step - steps, self._model)
 
     def _fly(self, count: int, rows: Rows) -> None:
-        t_s = self._step * STEP_S
-        fly(
-            self._step,
-            count,
-            self._model,
-            rotor_condition(self.airframe, self._injections, self._angles, t_s, STEP_S),
-            sensor_condition(self._injections, t_s),
-            self._state,
-            self._streams.draw(self._step, count, self._model),
-            rows,
-        )
+        """Fly `count` steps, over which the condition stays the same."""
+        noise = self._streams.draw(self._step, count, self._model)
+        fly(self._step, count, self._model, self._rotors, self._sensors, self._state, noise, rows)
         self._step += count
 
-    def _steps_to_next_event(self) -> int:
-        """Steps until some injection starts or ends, or a large number."""
-        events = [math.ceil(t / STEP_S) for i in self._injections for t in (i.onset_s, i.end_s) if math.isfinite(t)]
-        return min((event - self._step for event in events if event > self._step), default=2**62)
+    def _renew_condition(self) -> None:
+        """Work out the condition at the present step and the step at which it changes next."""
+        present = [
+            injection
+            for injection, (first, end) in zip(self._injections, self._spans, strict=True)
+            if first <= self._step < end
+        ]
+        self._rotors = rotor_condition(self.airframe, present, STEP_S)
+        self._sensors = sensor_condition(present)
+        self._changes_at = min((step for span in self._spans for step in span if step > self._step), default=NEVER)
+
+
+def _placed(injections: tuple[Injection, ...], rotors: int, rng: np.random.Generator) -> tuple[Injection, ...]:
+    """The injections with every angle drawn that was left open. Raises UsageError for a rotor that is not there."""
+    for injection in injections:
+        if injection.rotor not in range(1, rotors + 1):
+            raise UsageError(f"rotor must be 1 to {rotors}, not {injection.rotor}")
+    drawn = rng.uniform(0.0, 2.0 * np.pi, len(injections)).tolist()
+    return tuple(
+        injection if injection.angle_rad is not None else replace(injection, angle_rad=angle)
+        for injection, angle in zip(injections, drawn, strict=True)
+    )
 
 
 class _Streams:

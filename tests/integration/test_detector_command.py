@@ -193,6 +193,42 @@ def test_a_fit_that_takes_too_long_has_failed() -> None:
     assert "took too long" in outcome.reason
 
 
+FITTING = """
+import signal, sys, time
+from detector.fitting import FittingJob, ProcessFitter
+from mavdiag.quantities import Telemetry
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, lambda number, frame: None)
+    fitter = ProcessFitter()
+    fitter.begin(FittingJob(1, "made", "qdrone2", Telemetry()))
+    print("begun", flush=True)
+    until = time.monotonic() + 3.0
+    while time.monotonic() < until and not (done := fitter.poll()):
+        time.sleep(0.01)
+    print(done)
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("after_s", [0.0, 0.2])
+def test_ctrl_c_does_not_reach_the_fit(after_s: float) -> None:
+    """A terminal sends it to every process of the group."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", FITTING],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "begun\n"
+    time.sleep(after_s)
+    os.killpg(child.pid, signal.SIGINT)
+    out, errors = child.communicate(timeout=PATIENCE_S)
+    assert errors == ""
+    assert "no body rate in the data" in out
+
+
 @pytest.mark.realtime
 def test_it_is_ready_within_a_second() -> None:
     spans = []

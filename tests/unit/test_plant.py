@@ -206,10 +206,13 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
     assert "\n" not in str(caught.value)
 
 
-def test_without_numba_the_message_says_what_to_install() -> None:
-    code = "import sys; sys.modules['numba'] = None; import sitl_plant.jit"
+def test_without_numba_the_plant_imports_and_says_what_to_install() -> None:
+    code = (
+        "import sys; sys.modules['numba'] = None; from sitl_plant.plant import Plant, PlantConfig; Plant(PlantConfig())"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "install mavdiag[plant]" in result.stderr.splitlines()[-1]
+    last = result.stderr.splitlines()[-1]
+    assert last == "mavdiag.errors.UsageError: the plant needs numba: install mavdiag[plant]"
 
 
 def test_only_a_loop_bound_to_its_sources_is_cached() -> None:

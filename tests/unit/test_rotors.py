@@ -22,7 +22,7 @@ G_MM = 1e-6
 def make() -> tuple[Model, Condition]:
     airframe = nominal_airframe(qdrone2())
     model = make_model(airframe, NO_PAYLOAD, path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
-    return model, rotor_condition(airframe, (), (), 0.0, STEP_S)
+    return model, rotor_condition(airframe, (), STEP_S)
 
 
 def rest(speed: float = 0.0) -> RotorState:

@@ -10,7 +10,7 @@ from sitl_plant.dynamics import GRAVITY, RIGID
 from sitl_plant.injections import Injection, SensorFault, sensor_condition
 from sitl_plant.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, butterworth, feel
 
-HEALTHY = sensor_condition((), 0.0)
+HEALTHY = sensor_condition(())
 
 
 def imu(noise: float = 0.0) -> Imu:
@@ -88,6 +88,6 @@ def test_sensor_faults_act_as_written() -> None:
         Injection(SensorFault("accel", 2, scale=0.5)),
     )
     truth = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
-    out = read(imu(), sensor_condition(faults, 0.0), truth, np.zeros((1000, CHANNELS)))
+    out = read(imu(), sensor_condition(faults), truth, np.zeros((1000, CHANNELS)))
     assert out[-1, 1] == pytest.approx(2 * 0.3 + 0.1 + 0.5, abs=0.002)
     np.testing.assert_allclose(out[-1, [0, 2, 3, 4, 5]], [0.3, 0.3, 1.0, 1.0, 0.5], atol=1e-9)

@@ -1,0 +1,209 @@
+"""An emulated flight stand: one rotor at a steady speed, an accelerometer, and the unbalance in g mm (T 3.2.3).
+
+    F_y + j F_x = U w^2 e^(j theta)              force that turns with the rotor                T 3.1.1
+    m_s a'' + c a' + k a = F''                   each axis of the stand: mass, damper, spring
+    A   = peak of |a_y| at the rotation frequency, from the FFT                                 T Fig 3.14
+    U   = s A,  s = sum(U_i A_i) / sum(A_i^2)    least squares over known unbalances            T Fig 3.15
+
+T's peak lies at 83.3 Hz, which is 5000 rpm: it is the rotation frequency, though T calls it the primary resonance. y is
+the radial direction in which the stand gives most, x the stiff one in the rotor plane, z the one along the shaft.
+
+**Estimates**: T gives no mass, stiffness, damping, noise or sample rate of its stand. `Stand` has values chosen so that
+the order of the axes is T's (y, x, z) and accelerations are of the order of 1 m/s^2. The scale s is therefore a number
+of *this* stand at *this* speed; what does not depend on the estimates is that force grows with w^2, that acceleration
+is proportional to unbalance, and that s takes one back to the other. T's Fig 3.15 has F3/SV2 above F3/SV3 and all
+others, which no linear stand gives from the unbalances of T Table 3.2; it is not reproduced.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavdiag.errors import UsageError
+from mavdiag.quantities import FloatArray
+from mavdiag.signal.spectrum import band_power, welch
+from sitl_plant.faults import FAULTS
+from sitl_plant.vehicle import qdrone2
+
+__all__ = [
+    "Bar",
+    "Peak",
+    "Propeller",
+    "Scale",
+    "Stand",
+    "StandReport",
+    "fit_scale",
+    "peak_of",
+    "stand_run",
+    "stand_test",
+]
+
+G_MM = 1e-6  # kg m
+RPM = 2.0 * math.pi / 60.0  # rad/s
+SLOWEST_RPM, FASTEST_RPM = 1000.0, 12_000.0  # of the QDrone 2's motors (our choice)
+PEAK_HALF_WIDTH_HZ = 1.0  # wider than the speed wanders (our choice)
+WANDER_CORNER_HZ = 0.2  # of the speed, first order (estimate)
+HEALTHY = ("H1", "H2", "H3")  # T Fig 3.14
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """The stand and its accelerometer; every value is an estimate. Vectors are x, y, z.
+
+    mass_kg: of all that vibrates. natural_hz, damping: of each axis on its spring. share: how much of the turning force
+    acts along each axis; z gets only what misalignment gives it. second_m_s2: line at two per revolution, by the
+    blades. wander_rms: share of the speed. drop_s: settling time that is not recorded.
+    """
+
+    mass_kg: float = 1.2
+    natural_hz: tuple[float, float, float] = (300.0, 40.0, 500.0)
+    damping: float = 0.05
+    share: tuple[float, float, float] = (1.0, 1.0, 0.05)
+    noise_rms_m_s2: float = 0.05
+    second_m_s2: float = 0.2
+    wander_rms: float = 2e-4
+    rate_hz: float = 4000.0
+    duration_s: float = 12.0
+    drop_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Propeller:
+    """What is mounted. unbalance_g_mm: what was done to it, known by weighing. own_g_mm: its residue, as a vector."""
+
+    name: str
+    unbalance_g_mm: float
+    own_g_mm: tuple[float, float] = (0.0, 0.0)
+    angle_rad: float = 0.0
+
+    @property
+    def total_g_mm(self) -> float:
+        """Length of the sum of both vectors [g mm]: what the stand really feels."""
+        return math.hypot(
+            self.own_g_mm[0] + self.unbalance_g_mm * math.cos(self.angle_rad),
+            self.own_g_mm[1] + self.unbalance_g_mm * math.sin(self.angle_rad),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Peak:
+    """The line at the rotation frequency [Hz] and its amplitude along x, y, z [m/s^2]."""
+
+    frequency_hz: float
+    amplitude_m_s2: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """From the peak along y to unbalance. g_mm_per_m_s2: the factor s, with its standard error. r2: of the fit."""
+
+    g_mm_per_m_s2: float
+    standard_error: float
+    r2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One bar of T Fig 3.15. known_g_mm: by weighing, T Table 3.2."""
+
+    name: str
+    known_g_mm: float
+    peak: Peak
+    estimated_g_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class StandReport:
+    """The whole series of runs at one speed."""
+
+    speed_rpm: float
+    scale: Scale
+    bars: tuple[Bar, ...]
+
+
+def stand_run(stand: Stand, propeller: Propeller, speed_rpm: float, rng: np.random.Generator) -> FloatArray:
+    """One run: acceleration (n, 3) along x, y, z [m/s^2], without gravity, after settling.
+
+    Raises UsageError for a speed outside 1000 to 12,000 rpm.
+    """
+    if not SLOWEST_RPM <= speed_rpm <= FASTEST_RPM:
+        raise UsageError(f"rpm must be {SLOWEST_RPM:.0f} to {FASTEST_RPM:.0f}, not {speed_rpm:g}")
+    dt = 1.0 / stand.rate_hz
+    n = round((stand.drop_s + stand.duration_s) * stand.rate_hz)
+    frequency = np.fft.rfftfreq(n, dt).astype(np.float64)
+    slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / (1.0 + 1j * frequency / WANDER_CORNER_HZ), n)
+    speed = speed_rpm * RPM * (1.0 + stand.wander_rms * slow / slow.std())
+    theta = rng.uniform(0.0, 2.0 * math.pi) + np.cumsum(speed) * dt
+    force = propeller.total_g_mm * G_MM * speed**2
+    blades = stand.second_m_s2 * np.cos(2.0 * theta + rng.uniform(0.0, 2.0 * math.pi))
+    accel = np.empty((n, 3))
+    for axis, turning in enumerate((np.sin(theta), np.cos(theta), np.cos(theta))):
+        answer = np.fft.irfft(_accelerance(stand, axis, frequency) * np.fft.rfft(force * turning), n)
+        accel[:, axis] = stand.share[axis] * (answer + blades)
+    accel += stand.noise_rms_m_s2 * rng.standard_normal((n, 3))
+    return accel[round(stand.drop_s * stand.rate_hz) :]
+
+
+def _accelerance(stand: Stand, axis: int, frequency_hz: FloatArray) -> NDArray[np.complex128]:
+    """a / F = -w^2 / (m (w_n^2 - w^2 + 2 j d w_n w)) of one axis, for a time factor e^(j w t)."""
+    w, w_n = 2.0 * math.pi * frequency_hz, 2.0 * math.pi * stand.natural_hz[axis]
+    return np.asarray(-(w**2) / (stand.mass_kg * (w_n**2 - w**2 + 2j * stand.damping * w_n * w)))
+
+
+def peak_of(accel: FloatArray, rate_hz: float, speed_rpm: float) -> Peak:
+    """The line at the rotation frequency: A = sqrt(2 x power within 1 Hz of it), by one Hann periodogram of the run.
+
+    The power under the line does not depend on where it falls between two bins. accel: (n, 3), n >= 2 s of samples.
+    """
+    spectra = [welch(accel[:, axis], 1.0 / rate_hz, len(accel)) for axis in range(3)]
+    turning_hz = speed_rpm / 60.0
+    band = (turning_hz - PEAK_HALF_WIDTH_HZ, turning_hz + PEAK_HALF_WIDTH_HZ)
+    frequency_hz, radial = spectra[1].frequency_hz, spectra[1].density
+    inside = np.flatnonzero((frequency_hz >= band[0]) & (frequency_hz < band[1]))
+    x, y, z = (math.sqrt(2.0 * band_power(spectrum, band)) for spectrum in spectra)
+    return Peak(float(frequency_hz[inside[np.argmax(radial[inside])]]), (x, y, z))
+
+
+def fit_scale(known_g_mm: Sequence[float], peaks_m_s2: Sequence[float]) -> Scale:
+    """Least squares of U = s A through the origin.
+
+    [ U_1 ]   [ A_1 ]
+    [ ... ] = [ ... ] s
+    [ U_n ]   [ A_n ]
+
+    Raises UsageError unless there are two known unbalances or more and some acceleration.
+    """
+    U, A = np.asarray(known_g_mm, dtype=np.float64), np.asarray(peaks_m_s2, dtype=np.float64)
+    if len(U) != len(A) or len(U) < 2 or not A.any():
+        raise UsageError("a scale needs two known unbalances or more, each with its acceleration")
+    s = float(U @ A / (A @ A))
+    error = U - s * A
+    variance = float(error @ error) / (len(U) - 1)
+    r2 = 1.0 - float(error @ error) / float(np.sum((U - U.mean()) ** 2)) if np.ptp(U) else 1.0
+    return Scale(s, math.sqrt(variance / float(A @ A)), r2)
+
+
+def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand()) -> StandReport:  # frozen
+    """The nine damaged and three healthy propellers of T Fig 3.14-3.15, one run each; the scale is fitted to the nine.
+
+    Every propeller has a residue of its own, up to what G 6.3 permits (T Eq 3.6), at an angle of its own.
+    """
+    mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.unbalance_g_mm) for fault in FAULTS)]
+    permitted = qdrone2().propulsion.unbalance_max_g_mm
+    peaks = []
+    for (name, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):
+        rng = np.random.default_rng(child)
+        size, angle = permitted * rng.random(), rng.uniform(0.0, 2.0 * math.pi)
+        own = (size * math.cos(angle), size * math.sin(angle))
+        propeller = Propeller(name, unbalance, own, rng.uniform(0.0, 2.0 * math.pi))
+        peaks.append(peak_of(stand_run(stand, propeller, speed_rpm, rng), stand.rate_hz, speed_rpm))
+    damaged = slice(len(HEALTHY), None)
+    scale = fit_scale([known for _, known in mounted[damaged]], [peak.amplitude_m_s2[1] for peak in peaks[damaged]])
+    bars = tuple(
+        Bar(name, known, peak, scale.g_mm_per_m_s2 * peak.amplitude_m_s2[1])
+        for (name, known), peak in zip(mounted, peaks, strict=True)
+    )
+    return StandReport(speed_rpm, scale, bars)

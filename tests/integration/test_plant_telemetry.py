@@ -1,0 +1,108 @@
+"""Telemetry without the wire is what the library's own receiver makes of the bytes."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavdiag.errors import UsageError
+from mavdiag.link.codec import Decoder
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.samples import Converter, SampleState, joined
+from mavdiag.quantities import Signal, Telemetry
+from sitl_plant.flavours import flavour
+from sitl_plant.injections import Injection, ejection
+from sitl_plant.options import FlightPlan
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.recording import recorded
+from sitl_plant.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
+
+SECONDS = 3.0
+CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
+LINKS = [
+    ("qdrone2", None),
+    ("qdrone2", 250.0),
+    ("spec", 1000.0),
+    ("ardupilot", 100.0),
+    ("ardupilot", 50.0),
+    ("px4", 160.0),
+]
+
+
+@cache
+def flown() -> PlantSamples:
+    return Plant(CONFIG).advance(round(SECONDS * 1000))
+
+
+def cut(samples: PlantSamples, first: int, last: int) -> PlantSamples:
+    return PlantSamples(*(getattr(samples, name)[first:last] for name in PlantSamples.__dataclass_fields__))
+
+
+def over_the_wire(profile: str, rate_hz: float) -> Telemetry:
+    decoder, plan = Decoder(), FlightPlan(CONFIG, flavour(profile), rate_hz)
+    frames = [frame for t_ns, data in recorded(plan, SECONDS, lambda _: None) for frame in decoder.feed(data, t_ns)]
+    return Converter(PROFILES[profile]).step(SampleState(), frames)[1]
+
+
+@pytest.mark.parametrize(("profile", "rate_hz"), LINKS)
+def test_times_and_values_are_those_of_the_wire(profile: str, rate_hz: float | None) -> None:
+    direct, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(profile, rate_hz))
+    wire = over_the_wire(profile, rate_hz or PROFILES[profile].rate_hz)
+    compared = {series.signal for series in direct.series} - {Signal.ARMED}
+    assert {
+        Signal.ATTITUDE_SETPOINT,
+        Signal.BODY_RATE,
+        Signal.SPECIFIC_FORCE,
+        Signal.ACTUATOR,
+        Signal.HEIGHT,
+    } <= compared
+    assert (Signal.VIBRATION in compared) == PROFILES[profile].vibration
+    for signal in compared:
+        ours, theirs = direct.need(signal), wire.need(signal)
+        if not (signal is Signal.ROTOR_SPEED and profile == "ardupilot"):  # that message has no time of its own
+            np.testing.assert_array_equal(ours.t_ns, theirs.t_ns, err_msg=signal)
+        np.testing.assert_allclose(ours.values, theirs.values, rtol=1e-9, atol=3e-7, err_msg=signal)
+
+
+@pytest.mark.parametrize("link", [LinkSpec(), LinkSpec("ardupilot", 100.0, loss=0.2)])
+def test_how_a_flight_is_cut_changes_nothing(link: LinkSpec) -> None:
+    stream, first, pieces = TelemetryStream(link, CONFIG.seed), 0, []
+    for n in (1, 7, 992, 20, 1980):
+        pieces.append(stream.step(cut(flown(), first, first + n)))
+        first += n
+    assert telemetry_digest(joined(pieces)) == telemetry_digest(TelemetryStream(link, CONFIG.seed).step(flown()))
+
+
+def test_a_slow_link_takes_every_kth_sample() -> None:
+    telemetry, _ = flight_telemetry(CONFIG, 1.0, LinkSpec("qdrone2", 200.0))
+    rate = telemetry.need(Signal.BODY_RATE)
+    np.testing.assert_array_equal(np.diff(rate.t_ns), 5_000_000)
+    np.testing.assert_allclose(rate.values, flown().gyro[rate.t_ns // 1_000_000], atol=0.5001e-3)  # half of 1 mrad/s
+
+
+def test_loss_takes_its_share_and_repeats_with_the_seed() -> None:
+    whole, _ = flight_telemetry(CONFIG, SECONDS)
+    holed, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(loss=0.2))
+    again, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(loss=0.2))
+    n = len(whole.need(Signal.BODY_RATE))
+    assert abs(len(holed.need(Signal.BODY_RATE)) - 0.8 * n) < 4 * np.sqrt(0.16 * n)
+    assert set(holed.need(Signal.BODY_RATE).t_ns) < set(whole.need(Signal.BODY_RATE).t_ns)
+    assert telemetry_digest(holed) == telemetry_digest(again)
+    assert telemetry_digest(holed) != telemetry_digest(whole)
+
+
+def test_a_flight_ends_where_it_meets_the_ground() -> None:
+    config = PlantConfig(injections=(Injection(ejection(), 1, 2.0),), seed=3)
+    telemetry, flown_s = flight_telemetry(config, 6.0)
+    assert 2.1 < flown_s < 3.5
+    assert telemetry.need(Signal.HEIGHT).values.min() > 0.0
+    assert until_ground(flown()) == len(flown())
+
+
+def test_nonsense_is_refused() -> None:
+    with pytest.raises(UsageError, match="loss"):
+        LinkSpec(loss=1.0)
+    with pytest.raises(UsageError, match="rate"):
+        LinkSpec("px4", 1000.0)
+    with pytest.raises(UsageError, match="at least 1 ms"):
+        flight_telemetry(CONFIG, 0.0)
