@@ -84,7 +84,7 @@ def advance_estimate(
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
     p, q, r = estimate[3], estimate[4], estimate[5]
     turn = q * math.sin(phi) + r * math.cos(phi)
-    estimate[0] += dt * (p + math.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
-    estimate[1] += dt * (q * math.cos(phi) - r * math.sin(phi)) + estimator.correction * (theta_acc - theta)
+    phi += dt * (p + math.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
     psi += dt * turn / math.cos(theta) + estimator.correction * wrapped(yaw_seen - psi)
-    estimate[2] = wrapped(psi)
+    theta += dt * (q * math.cos(estimate[0]) - r * math.sin(estimate[0])) + estimator.correction * (theta_acc - theta)
+    estimate[0], estimate[1], estimate[2] = wrapped(phi), wrapped(theta), wrapped(psi)

@@ -107,7 +107,7 @@ class PlantSamples:
 
 
 class Plant:
-    """A vehicle in flight. It starts in the air, hovering in trim at the first point of its path."""
+    """A vehicle in flight, hovering in trim at the first point of its path when it starts. There is no ground."""
 
     def __init__(self, config: PlantConfig) -> None:
         self.config = config

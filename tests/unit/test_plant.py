@@ -16,6 +16,7 @@ from sitl_plant.airframe import Payload, nominal_airframe
 from sitl_plant.injections import Injection, SensorFault
 from sitl_plant.jit import cached, source_digest
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import Rotor
 
 G = 9.81
 MASS = 1.504
@@ -160,6 +161,25 @@ def test_unbalance_line_has_the_amplitude_of_its_force() -> None:
     assert amplitude(samples.accel[:, 0], line_hz) == pytest.approx(gain * np.linalg.norm(a_x), rel=0.02)
     assert amplitude(samples.accel[:, 1], line_hz) == pytest.approx(gain * np.linalg.norm(a_y), rel=0.02)
     assert amplitude(samples.gyro[:, 2], line_hz) == pytest.approx(gain * np.linalg.norm(alpha) / w, rel=0.02)
+
+
+@pytest.mark.parametrize("rotors", [6, 8])
+def test_hexacopter_and_octocopter_hover_by_their_geometry(rotors: int) -> None:
+    """Rotors on a circle, turning alternately: the same code carries the same weight with n rotors."""
+    turns = 2 * math.pi * (np.arange(rotors) + 0.5) / rotors
+    ring = tuple(
+        Rotor(
+            name=f"{i}",
+            position_m=(0.2 * math.cos(angle), 0.2 * math.sin(angle), -0.025),
+            spin="ccw" if i % 2 else "cw",
+        )
+        for i, angle in enumerate(turns)
+    )
+    airframe = nominal_airframe(replace(quiet_vehicle(), rotors=ring))
+    samples = fly(PlantConfig(airframe=airframe, fault="F1/SV1", rotor=rotors, onset_s=1.5), 2.0)
+    assert samples.rotor_speed.shape == (2000, rotors)
+    assert rotors * 3.364e-6 * (samples.rotor_speed[0] ** 2).mean() == pytest.approx(MASS * G, rel=0.002)
+    assert np.abs(samples.position[:, 2] + 1.0).max() < 0.05
 
 
 def test_battery_sags_and_the_duty_makes_up_for_it() -> None:

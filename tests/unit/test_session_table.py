@@ -1,14 +1,16 @@
 """The table of states: closed, reachable, and drawn as it is."""
 
+import runpy
 from pathlib import Path
 
 import pytest
 
+from detector.config import Settings
 from detector.handlers import HANDLERS
 from detector.states import TABLE, State, Trigger, advance, diagram
 from detector.voice import HEALTH
 
-PICTURE = Path(__file__).resolve().parents[2] / "docs" / "detector-states.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_every_state_has_a_row_and_a_handler() -> None:
@@ -48,5 +50,12 @@ def test_every_state_but_faulted_has_a_heartbeat() -> None:
     assert set(HEALTH) == set(State) - {State.FAULTED}
 
 
-def test_the_documented_picture_is_the_table() -> None:
-    assert diagram() in PICTURE.read_text(), "run `python docs/draw_detector_states.py`"
+def test_the_documented_page_is_drawn_from_the_tables() -> None:
+    page = runpy.run_path(str(DOCS / "draw_detector_states.py"))["page"]
+    assert (DOCS / "detector-states.md").read_text() == page(), "run `python docs/draw_detector_states.py`"
+    assert diagram() in page()
+
+
+def test_every_setting_is_documented() -> None:
+    text = (DOCS / "detector.md").read_text()
+    assert [name for name in Settings.model_fields if f"`{name}`" not in text] == []

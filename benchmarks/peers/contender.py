@@ -1,0 +1,130 @@
+"""What a contender is, and the one rule that sets every contender's threshold and reads its alarms.
+
+A contender studies flights of *other* airframes (faulty ones too, if it needs them) and returns a learner; the learner
+turns healthy flights of the judged airframe into a scorer; the scorer turns a flight into a score.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from mavdiag.diagnose.heldout import BLOCK_S, Scores
+from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, ThresholdRule, threshold_of
+from mavdiag.quantities import FloatArray, IntArray
+from peers.flights import Flown, Truth
+
+__all__ = [
+    "Alarm",
+    "Contender",
+    "Learner",
+    "Scored",
+    "Scorer",
+    "Watch",
+    "alarms",
+    "block_maxima",
+    "calibrated",
+    "caught",
+]
+
+CLEAR_S = 2.0  # alarms nearer than that are one
+NAMING_S = 2.0  # of an alarm, within which its highest score names the rotor
+FOLDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """t_s: (k,) when each score is known. score: (k,). rotor: (k,) the suspect 1..4, 0 if the method names none."""
+
+    t_s: FloatArray
+    score: FloatArray
+    rotor: IntArray
+
+    @staticmethod
+    def anonymous(t_s: FloatArray, score: FloatArray) -> "Scored":
+        """Scores that say nothing of rotors."""
+        return Scored(t_s, score, np.zeros(len(t_s), dtype=np.int64))
+
+
+Scorer: TypeAlias = Callable[[Flown], Scored]
+Learner: TypeAlias = Callable[[Sequence[Flown]], Scorer]
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """One method. needs_faults: it studies faulty flights of other airframes.
+
+    names_rotor: it says which. rule: of the threshold; None if the method decides by itself, its score then being 1
+    while it alarms and 0 otherwise.
+    """
+
+    name: str
+    study: Callable[[Sequence[Flown]], Learner]
+    needs_faults: bool = False
+    names_rotor: bool = False
+    rule: ThresholdRule | None = ThresholdRule.GUMBEL
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """A scorer and its threshold."""
+
+    scorer: Scorer
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """A stretch above the threshold. rotor: 0 if none is named."""
+
+    start_s: float
+    end_s: float
+    rotor: int
+
+
+def calibrated(contender: Contender, learner: Learner, flights: Sequence[Flown]) -> Watch:
+    """Learn from all healthy flights; set the threshold on scores of flights that the fit did not see, in 3 folds."""
+    if contender.rule is None:
+        return Watch(learner(flights), 0.5)
+    maxima: list[FloatArray] = []
+    judged_s = 0.0
+    for fold in range(FOLDS):
+        scorer = learner([one for i, one in enumerate(flights) if i % FOLDS != fold])
+        for one in flights[fold::FOLDS]:
+            scored = scorer(one)
+            maxima.append(block_maxima(scored))
+            judged_s += float(scored.t_s[-1] - scored.t_s[0])
+    scores = Scores(np.concatenate(maxima), judged_s)
+    found = threshold_of(scores, flights=len(flights), budget_per_hour=BUDGET_PER_HOUR, rule=contender.rule)
+    return Watch(learner(flights), found.value)
+
+
+def block_maxima(scored: Scored) -> FloatArray:
+    """The maximum of every 10 s of a flight; a rest counts if it is 5 s or more."""
+    since = scored.t_s - scored.t_s[0]
+    number = (since // BLOCK_S).astype(np.int64)
+    last = int(number[-1])
+    if last > 0 and since[-1] - last * BLOCK_S < BLOCK_S / 2:
+        last -= 1
+    return np.array([scored.score[number == one].max() for one in range(last + 1)])
+
+
+def alarms(scored: Scored, threshold: float) -> tuple[Alarm, ...]:
+    """Stretches strictly above the threshold; gaps shorter than 2 s do not end one."""
+    above = np.flatnonzero(scored.score > threshold)
+    if len(above) == 0:
+        return ()
+    t_s = scored.t_s[above]
+    found = []
+    for stretch in np.split(above, np.flatnonzero(np.diff(t_s) > CLEAR_S) + 1):
+        start_s = float(scored.t_s[stretch[0]])
+        early = stretch[scored.t_s[stretch] <= start_s + NAMING_S]
+        rotor = int(scored.rotor[early[np.argmax(scored.score[early])]])
+        found.append(Alarm(start_s, float(scored.t_s[stretch[-1]]), rotor))
+    return tuple(found)
+
+
+def caught(found: Sequence[Alarm], truth: Truth) -> Alarm | None:
+    """The first alarm that began after the onset. One that already stood there is no detection."""
+    return next((alarm for alarm in found if alarm.start_s >= truth.onset_s), None)

@@ -1,0 +1,76 @@
+"""This project's own detectors, as contenders."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from mavdiag.diagnose.exceedance import exceedance, start
+from mavdiag.identify import ArxModel, fit
+from mavdiag.judging import Verdict, judge
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.logs import Log
+from mavdiag.quantities import FloatArray
+from peers.contender import Learner, Scored, Scorer
+from peers.flights import Flown
+
+__all__ = ["product", "thesis_rule"]
+
+CREATED = "2025-01-01T00:00:00Z"
+AXES = (0, 1)  # roll and pitch
+SETTLE_S = 2.0  # the free run begins in motion
+TRAIN_FLIGHTS = 2  # more than a minute at 1 kHz is not needed for four parameters, as in `mavdiag.learning`
+MARGIN_PERCENT = 90.0
+
+
+def thesis_rule(_others: Sequence[Flown]) -> Learner:
+    """The thesis's statistic (T 5.5): how long |r| has been above its healthy 90th percentile, roll or pitch [s].
+
+    r is the free-run residual of a (2, 2, 1) model by SRIV. With the maximum rule its threshold is the FML.
+    """
+    return lambda healthy: _thesis(tuple(healthy))
+
+
+def product(_others: Sequence[Flown]) -> Learner:
+    """`mavdiag.learning.learn` and `mavdiag.judging.judge` as they stand, with their own thresholds."""
+
+    def learner(healthy: Sequence[Flown]) -> Scorer:
+        baseline = learn([one.flight for one in healthy], LearnOptions(), created=CREATED)
+
+        def score(one: Flown) -> Scored:
+            flight = one.flight
+            found = judge(Log(flight.name, flight.sha256, flight.profile, flight.telemetry, 0), baseline)
+            if found.verdict not in (Verdict.HEALTHY, Verdict.FAULT):
+                raise RuntimeError(f"an emulated flight cannot be judged: {found.reason}")
+            raised = np.zeros(len(one))
+            for each in found.events:
+                end_s = np.inf if each.end_s is None else each.end_s
+                raised[(one.t_s >= each.t_s) & (one.t_s <= end_s)] = 1.0
+            return Scored.anonymous(one.t_s + one.delay_s, raised)
+
+        return score
+
+    return learner
+
+
+@lru_cache(maxsize=4)  # one model for the thesis's statistic under either rule
+def _thesis(healthy: tuple[Flown, ...]) -> Scorer:
+    dt_s = healthy[0].dt_s
+    chosen = healthy[:TRAIN_FLIGHTS]
+    models = [fit([one.u[:, axis] for one in chosen], [one.y[:, axis] for one in chosen], dt=dt_s) for axis in AXES]
+    residuals = np.abs(np.concatenate([_residuals(models, one) for one in healthy]))
+    margins = np.percentile(residuals, MARGIN_PERCENT, axis=0, method="hazen").tolist()
+
+    def score(one: Flown) -> Scored:
+        r = _residuals(models, one)
+        valid = np.ones(len(r), dtype=np.bool_)
+        runs = [exceedance(start(), r[:, i], valid, margin=margin, dt_s=dt_s)[1] for i, margin in enumerate(margins)]
+        return Scored.anonymous(one.t_s[-len(r) :] + one.delay_s, np.max([run.fsd_s for run in runs], axis=0))
+
+    return score
+
+
+def _residuals(models: Sequence[ArxModel], one: Flown) -> FloatArray:
+    """Free-run residuals of the settled rows, (n, 2) [rad/s]."""
+    simulated = [model.simulate(one.u[:, axis]) for axis, model in zip(AXES, models, strict=True)]
+    return one.y[round(SETTLE_S / one.dt_s) :, AXES] - np.column_stack(simulated)[round(SETTLE_S / one.dt_s) :]

@@ -1,0 +1,6 @@
+import numpy as np
+from numpy.typing import NDArray
+
+def wavedec(
+    data: NDArray[np.float64], wavelet: str, mode: str = ..., level: int | None = ..., axis: int = ...
+) -> list[NDArray[np.float64]]: ...
