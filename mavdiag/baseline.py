@@ -13,9 +13,11 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mavdiag.diagnose.monitors.effort import EffortSpec
+from mavdiag.diagnose.monitors.energy import EnergySpec
 from mavdiag.diagnose.monitors.innovation import InnovationSpec
 from mavdiag.diagnose.monitors.latency import LatencySpec
 from mavdiag.diagnose.monitors.shake import ShakeSpec
+from mavdiag.diagnose.monitors.vibration import VibrationSpec
 from mavdiag.diagnose.threshold import Threshold
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.quantities import Axis
@@ -124,7 +126,9 @@ class AxisModel(_Part):
         return self
 
 
-Spec = Annotated[LatencySpec | InnovationSpec | EffortSpec | ShakeSpec, Field(discriminator="kind")]
+Spec = Annotated[
+    LatencySpec | InnovationSpec | EnergySpec | VibrationSpec | ShakeSpec | EffortSpec, Field(discriminator="kind")
+]
 
 
 class MonitorEntry(_Part):

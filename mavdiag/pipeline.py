@@ -16,9 +16,11 @@ from mavdiag.diagnose import events as event_step
 from mavdiag.diagnose.events import Event, EventSpec, EventState, Reading
 from mavdiag.diagnose.monitors.base import Monitor, Rows
 from mavdiag.diagnose.monitors.effort import Effort, EffortSpec
+from mavdiag.diagnose.monitors.energy import Energy, EnergySpec
 from mavdiag.diagnose.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.diagnose.monitors.latency import Latency, LatencySpec
 from mavdiag.diagnose.monitors.shake import Shake, ShakeSpec
+from mavdiag.diagnose.monitors.vibration import Vibration, VibrationSpec
 from mavdiag.identify import ArxModel, Method
 from mavdiag.quantities import Axis, Telemetry
 from mavdiag.signal import align as align_step
@@ -219,6 +221,10 @@ def _watch_of(baseline: Baseline, entry: MonitorEntry) -> Watch:
             return Watch(monitor, limit, spec.margin_rad_s)
         case InnovationSpec() as spec:
             return Watch(Innovation(spec), limit, clear_s=CLEAR_S)
+        case EnergySpec() as spec:
+            return Watch(Energy(spec), limit, clear_s=CLEAR_S)
+        case VibrationSpec() as spec:
+            return Watch(Vibration(spec), limit, clear_s=CLEAR_S)
         case EffortSpec() as spec:
             return Watch(Effort(spec), limit, clear_s=CLEAR_S)
         case ShakeSpec() as spec:

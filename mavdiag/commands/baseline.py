@@ -7,11 +7,8 @@ from typing import Annotated
 import typer
 
 from mavdiag import commandline
-from mavdiag.baseline import MonitorEntry
-from mavdiag.diagnose.monitors.effort import EffortSpec
-from mavdiag.diagnose.monitors.innovation import InnovationSpec
-from mavdiag.diagnose.monitors.latency import LatencySpec
-from mavdiag.diagnose.monitors.shake import ShakeSpec
+from mavdiag.baseline import Baseline
+from mavdiag.pipeline import chain_of
 from mavdiag.storage import load_baseline
 
 __all__ = ["app", "check", "describe", "show"]
@@ -38,12 +35,8 @@ def show(
     for model in baseline.models:
         fit = f"{model.method} {model.order}, R_T² {model.r2t:.4f}"
         typer.echo(f"{model.axis:<10} {fit}, a = {_row(model.a)}, b = {_row(model.b)}")
-    for entry in baseline.monitors:
-        unit, detail = describe(entry)
-        typer.echo(f"{entry.spec.kind:<10} threshold {entry.threshold.value:.4g} {unit}{detail}")
-        typer.echo(f"           {entry.threshold.statement()}")
-    for refusal in baseline.not_judgeable:
-        typer.echo(f"{refusal.monitor:<10} not judgeable: {refusal.reason}")
+    for line in describe(baseline):
+        typer.echo(line)
     typer.echo(f"support    {len(baseline.provenance.logs)} flights, {baseline.healthy_hours:.3f} h judged")
     typer.echo(f"made       {baseline.provenance.created} by {baseline.provenance.tool}")
 
@@ -55,17 +48,15 @@ def check(file: Annotated[Path, typer.Argument(help="Baseline made by `mavdiag i
     typer.echo(f"{file}: sound, {baseline.digest}")
 
 
-def describe(entry: MonitorEntry) -> tuple[str, str]:
-    """Unit of a monitor's threshold, and what else its healthy reference says."""
-    match entry.spec:
-        case LatencySpec() as spec:
-            return "s", f", margin {spec.margin_rad_s:.4f} rad/s ({spec.margin_rule}) on {spec.axis}"
-        case InnovationSpec():
-            return "x healthy", ""
-        case EffortSpec() as spec:
-            return "of hover", f", frame {spec.frame} by {spec.source}"
-        case ShakeSpec() as spec:
-            return "m/s^2", f", healthy mean {spec.healthy:.3g}"
+def describe(baseline: Baseline) -> list[str]:
+    """Two lines a monitor: its threshold, and what supports it; then what cannot be judged."""
+    lines = []
+    for entry, watch in zip(baseline.monitors, chain_of(baseline).watches, strict=True):
+        name = watch.monitor.name if watch.monitor.axis is None else f"{watch.monitor.name} {watch.monitor.axis}"
+        over = f" of |r| above {watch.reference:.4f} rad/s" if watch.reference else ""
+        lines.append(f"{name:<13} threshold {entry.threshold.value:.4g} {watch.monitor.unit}{over}")
+        lines.append(f"{'':<13} {entry.threshold.statement()}")
+    return lines + [f"{one.monitor:<13} not judgeable: {one.reason}" for one in baseline.not_judgeable]
 
 
 def _row(values: tuple[float, ...]) -> str:

@@ -95,12 +95,8 @@ def _print(baseline: Baseline, path: Path) -> None:
         table.add_row(model.axis, f"{model.method} {order}", f"{model.r2t:.4f}", f"{model.nrmse_fit:.1f}")
     console = Console(highlight=False)
     console.print(table)
-    for entry in baseline.monitors:
-        unit, detail = describe(entry)
-        console.print(f"{entry.spec.kind}: threshold {entry.threshold.value:.4g} {unit}{detail}")
-        console.print(f"  {entry.threshold.statement()}")
-    for refusal in baseline.not_judgeable:
-        console.print(f"{refusal.monitor}: not judgeable, {refusal.reason}")
+    for line in describe(baseline):
+        console.print(line, soft_wrap=True)
     console.print(f"{len(baseline.provenance.logs)} healthy flights, {baseline.healthy_hours * 60:.1f} minutes judged.")
     for line in _advice(baseline):
         console.print(line)

@@ -1,5 +1,6 @@
 """From healthy flights to a baseline: measure the link, identify the models, set the thresholds."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,8 @@ LATENCY = "latency"
 ALL_MONITORS = (LATENCY, *KINDS)
 # Rotor layouts that a profile implies; of other vehicles it is found from their own flights, or told.
 _FRAMES = {"qdrone2": "qdrone2", "spec": "qdrone2", "crazyflie": "crazyflie"}
+_QDRONE2_HOVER = (1.504, 10_000 * math.pi / 30)  # T Table 5.1 and 3.2.2: 1.504 kg at about 10,000 rpm
+_HOVERS = {"qdrone2": _QDRONE2_HOVER, "spec": _QDRONE2_HOVER}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,8 @@ class LearnOptions:
 
     axes: to model and to watch by the thesis's rule. window_s: Savitzky-Golay window. airframe: the name to give;
     scope: one airframe or a type. monitors: kinds to use. rule: how thresholds follow from healthy maxima.
-    alarms_per_hour: budget of all monitors together. frame: rotor layout, None to find it.
+    alarms_per_hour: budget of all monitors together. frame: rotor layout, None to find it. hover: mass [kg]
+    and the rotor speed that carries it [rad/s], to tell vibration in g mm.
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -56,6 +60,7 @@ class LearnOptions:
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
     frame: str | None = None
+    hover: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.monitors if name not in ALL_MONITORS]
@@ -95,7 +100,7 @@ def learn(flights: Sequence[Flight], options: LearnOptions, *, created: str) -> 
         if LATENCY in options.monitors:
             entries.append(MonitorEntry(spec=spec, threshold=threshold))
     corner = PROFILES[profile].imu_corner_hz if profile in PROFILES else None
-    context = LearnContext(frame, corner, options.rule, share)
+    context = LearnContext(frame, corner, options.hover or _HOVERS.get(profile), options.rule, share)
     others = [name for name in options.monitors if name != LATENCY]
     more, refusals = learn_monitors(others, [one.rows for one in learnt], context)
     return sealed(
