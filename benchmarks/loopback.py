@@ -21,8 +21,7 @@ from rich.table import Table
 from mavdiag.commands.children import run_child
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.loop import POLL_S, Flight, Outcome, closed_loop
-from mavdiag.learning import LearnOptions
-from mavdiag.quantities import Axis
+from mavdiag.learning import thesis_options
 from mavdiag.storage import save_baseline
 
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))
@@ -46,7 +45,7 @@ def learn(folder: Path, flights: int, seed: int) -> Path:
         "--duration", f"{HEALTHY_FLIGHT_S:g}",
     )  # fmt: skip
     path = folder / "baseline.json"
-    save_baseline(path, make_baseline(sorted(folder.glob("*.tlog")), LearnOptions(axes=(Axis.ROLL,))))
+    save_baseline(path, make_baseline(sorted(folder.glob("*.tlog")), thesis_options()))
     return path
 
 

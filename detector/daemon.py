@@ -282,7 +282,7 @@ def _words(effect: Effect) -> str:
         case SendText(severity, text):
             return f"{severity.name} {text!r}"
         case BaselineLearned(baseline):
-            fml = ", ".join(f"{one.axis} FML {one.fml_s:.3f} s" for one in baseline.monitors if one.kind == "latency")
+            fml = ", ".join(f"{spec.axis} FML {limit.value:.3f} s" for spec, limit in baseline.latency)
             return f"baseline of {baseline.airframe.name} at {1 / baseline.link.dt_s:.1f} Hz: {fml}"
         case Note(text):
             return text

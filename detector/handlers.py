@@ -96,7 +96,7 @@ def _fitting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
     if isinstance(outcome, LearningFailed):
         return _off(state, Trigger.NOT_FITTED, f"cannot learn: {outcome.reason}")
     baseline = outcome.baseline
-    fml_s = max((monitor.fml_s for monitor in baseline.monitors if monitor.kind == "latency"), default=0.0)
+    fml_s = max((limit.value for _, limit in baseline.latency), default=0.0)
     state, changed = move(replace(state, baseline=baseline), Trigger.FITTED)
     return state, (changed, BaselineLearned(baseline), Notice(Kind.LEARNED, (figure(fml_s),)))
 

@@ -8,12 +8,18 @@ out: files are the business of `mavdiag.storage`.
 
 import hashlib
 import json
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mavdiag.diagnose.calibrate import MarginRule
-from mavdiag.errors import BaselineError
+from mavdiag.diagnose.monitors.effort import EffortSpec
+from mavdiag.diagnose.monitors.energy import EnergySpec
+from mavdiag.diagnose.monitors.innovation import InnovationSpec
+from mavdiag.diagnose.monitors.latency import LatencySpec
+from mavdiag.diagnose.monitors.shake import ShakeSpec
+from mavdiag.diagnose.monitors.vibration import VibrationSpec
+from mavdiag.diagnose.threshold import Threshold
+from mavdiag.errors import BaselineError, InputError
 from mavdiag.quantities import Axis
 from mavdiag.signal.align import Grid
 
@@ -23,10 +29,13 @@ __all__ = [
     "AxisModel",
     "Baseline",
     "GateLimits",
-    "LatencyMonitor",
     "Link",
+    "MonitorEntry",
     "Provenance",
+    "Refusal",
+    "Scope",
     "SourceLog",
+    "Spec",
     "Window",
     "check_link",
     "dump",
@@ -45,11 +54,18 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+Scope: TypeAlias = Literal["airframe", "type"]
+
+
 class Airframe(_Part):
-    """Whose baseline it is: one airframe, or a type from several vehicles (T 4.4.1)."""
+    """Whose baseline it is: one airframe, or a type from several vehicles (T 4.4.1).
+
+    frame: rotor layout, a key of `mavdiag.diagnose.geometry.FRAMES`; None if it is not known.
+    """
 
     name: Annotated[str, Field(min_length=1)]
-    scope: Literal["airframe", "type"]
+    scope: Scope
+    frame: str | None
 
 
 class GateLimits(_Part):
@@ -110,19 +126,23 @@ class AxisModel(_Part):
         return self
 
 
-class LatencyMonitor(_Part):
-    """The thesis rule on one axis: alert when the FSD exceeds the FML (T 5.5.1).
+Spec = Annotated[
+    LatencySpec | InnovationSpec | EnergySpec | VibrationSpec | ShakeSpec | EffortSpec, Field(discriminator="kind")
+]
 
-    longest_run_s: the longest healthy run of each flight; their maximum is the FML. false_alarms_per_flight: 1/(n+1).
-    """
 
-    kind: Literal["latency"] = "latency"
-    axis: Axis
-    margin_rad_s: Positive
-    margin_rule: MarginRule
-    fml_s: NotNegative
-    longest_run_s: tuple[NotNegative, ...]
-    false_alarms_per_flight: Positive
+class MonitorEntry(_Part):
+    """A monitor's healthy reference and the threshold that its statistic is held against."""
+
+    spec: Spec
+    threshold: Threshold
+
+
+class Refusal(_Part):
+    """A monitor that cannot work on this link, and why."""
+
+    monitor: str
+    reason: str
 
 
 class SourceLog(_Part):
@@ -151,7 +171,8 @@ class Baseline(_Part):
     link: Link
     window: Window
     models: Annotated[tuple[AxisModel, ...], Field(min_length=1)]
-    monitors: Annotated[tuple[LatencyMonitor, ...], Field(min_length=1)]
+    monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
+    not_judgeable: tuple[Refusal, ...]
     healthy_hours: NotNegative
     provenance: Provenance
     digest: str = ""
@@ -159,10 +180,16 @@ class Baseline(_Part):
     @model_validator(mode="after")
     def _each_monitor_has_its_model(self) -> "Baseline":
         axes = {model.axis for model in self.models}
-        for monitor in self.monitors:
-            if monitor.axis not in axes:
-                raise ValueError(f"monitor {monitor.kind} needs a model of the {monitor.axis} axis")
+        for spec, _ in self.latency:
+            if spec.axis not in axes:
+                raise ValueError(f"monitor {spec.kind} needs a model of the {spec.axis} axis")
         return self
+
+    @property
+    def latency(self) -> tuple[tuple[LatencySpec, Threshold], ...]:
+        """The thesis's monitors, one an axis; each threshold is the FML [s] of its axis."""
+        found = ((entry.spec, entry.threshold) for entry in self.monitors)
+        return tuple((spec, threshold) for spec, threshold in found if isinstance(spec, LatencySpec))
 
     def model_of(self, axis: Axis) -> AxisModel:
         """The model of an axis. Raises BaselineError if there is none."""
@@ -195,6 +222,8 @@ def parse(text: str) -> Baseline:
         raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; make the baseline anew with `mavdiag identify`")
     try:
         baseline = Baseline.model_validate(raw)
+    except InputError as error:  # from a specification that checks itself
+        raise BaselineError(f"monitors: {error}; make the baseline anew with `mavdiag identify`") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"]) or "baseline"

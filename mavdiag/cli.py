@@ -5,7 +5,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from mavdiag import __version__, commandline
-from mavdiag.commands import baseline, demo, identify, inspect, scan
+from mavdiag.commands import balance, baseline, demo, identify, inspect, scan
 
 __all__ = ["app", "main"]
 
@@ -13,6 +13,7 @@ app = commandline.application("Hear a damaged propeller: identify a healthy airf
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
 app.command("demo")(demo.demo)
+app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
 app.add_typer(baseline.app, name="baseline")
 

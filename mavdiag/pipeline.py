@@ -11,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from mavdiag.baseline import Baseline
+from mavdiag.baseline import Baseline, MonitorEntry
 from mavdiag.diagnose import events as event_step
 from mavdiag.diagnose.events import Event, EventSpec, EventState, Reading
 from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.monitors.latency import Latency
+from mavdiag.diagnose.monitors.effort import Effort, EffortSpec
+from mavdiag.diagnose.monitors.energy import Energy, EnergySpec
+from mavdiag.diagnose.monitors.innovation import Innovation, InnovationSpec
+from mavdiag.diagnose.monitors.latency import Latency, LatencySpec
+from mavdiag.diagnose.monitors.shake import Shake, ShakeSpec
+from mavdiag.diagnose.monitors.vibration import Vibration, VibrationSpec
 from mavdiag.identify import ArxModel, Method
 from mavdiag.quantities import Axis, Telemetry
 from mavdiag.signal import align as align_step
@@ -26,7 +31,21 @@ from mavdiag.signal.block import Block
 from mavdiag.signal.gate import GateSpec, GateState
 from mavdiag.signal.rates import RateSpec, RateState
 
-__all__ = ["Chain", "ChainState", "Findings", "Front", "FrontState", "Level", "Watch", "chain_of", "front_of", "model_of"]
+__all__ = [
+    "Chain",
+    "ChainState",
+    "Findings",
+    "Front",
+    "FrontState",
+    "Level",
+    "Watch",
+    "chain_of",
+    "front_of",
+    "model_of",
+]
+
+
+CLEAR_S = 2.0  # how long a windowed statistic must have been back before its event is over (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,15 +209,26 @@ def front_of(baseline: Baseline) -> Front:
 
 def chain_of(baseline: Baseline) -> Chain:
     """The chain that judges by a baseline. Raises BaselineError if it does not hold together."""
-    watches = [
-        Watch(
-            Latency(model_of(baseline, monitor.axis), monitor.axis, monitor.margin_rad_s),
-            monitor.fml_s,
-            monitor.margin_rad_s,
-        )
-        for monitor in baseline.monitors
-    ]
+    watches = [_watch_of(baseline, entry) for entry in baseline.monitors]
     return Chain(front_of(baseline), tuple(watches))
+
+
+def _watch_of(baseline: Baseline, entry: MonitorEntry) -> Watch:
+    limit = entry.threshold.value
+    match entry.spec:
+        case LatencySpec() as spec:
+            monitor = Latency(model_of(baseline, spec.axis), spec.axis, spec.margin_rad_s)
+            return Watch(monitor, limit, spec.margin_rad_s)
+        case InnovationSpec() as spec:
+            return Watch(Innovation(spec), limit, clear_s=CLEAR_S)
+        case EnergySpec() as spec:
+            return Watch(Energy(spec), limit, clear_s=CLEAR_S)
+        case VibrationSpec() as spec:
+            return Watch(Vibration(spec), limit, clear_s=CLEAR_S)
+        case EffortSpec() as spec:
+            return Watch(Effort(spec), limit, clear_s=CLEAR_S)
+        case ShakeSpec() as spec:
+            return Watch(Shake(spec), limit, clear_s=CLEAR_S)
 
 
 def model_of(baseline: Baseline, axis: Axis) -> ArxModel:

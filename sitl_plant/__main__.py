@@ -42,7 +42,7 @@ from sitl_plant.stand_command import stand
 from sitl_plant.trajectory import Shape
 from sitl_plant.truth import Truth
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "record", "run"]
 
 app = commandline.application("Fly an emulated QDrone 2 with propeller faults and tell of it over MAVLink.")
 app.command()(campaign)

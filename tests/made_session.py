@@ -16,14 +16,17 @@ from mavdiag.baseline import (
     AxisModel,
     Baseline,
     GateLimits,
-    LatencyMonitor,
     Link,
+    MonitorEntry,
     Provenance,
     SourceLog,
     Window,
     sealed,
 )
 from mavdiag.diagnose.calibrate import MarginRule
+from mavdiag.diagnose.heldout import Scores
+from mavdiag.diagnose.monitors.latency import LatencySpec
+from mavdiag.diagnose.threshold import ThresholdRule, threshold_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.quantities import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.signal.align import Grid
@@ -65,24 +68,25 @@ def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple
         for axis in axes
     )
     monitors = tuple(
-        LatencyMonitor(
-            axis=axis,
-            margin_rad_s=MARGIN,
-            margin_rule=MarginRule.PERCENTILE_90,
-            fml_s=FML_S,
-            longest_run_s=(FML_S,),
-            false_alarms_per_flight=0.5,
+        MonitorEntry(
+            spec=LatencySpec(
+                axis=axis, margin_rad_s=MARGIN, margin_rule=MarginRule.PERCENTILE_90, longest_run_s=(FML_S,)
+            ),
+            threshold=threshold_of(
+                Scores(np.array([FML_S]), 3600.0), flights=1, budget_per_hour=0.05, rule=ThresholdRule.MAXIMUM
+            ),
         )
         for axis in axes
     )
     gate = GateLimits(min_height_m=None, min_thrust=0.1, need_armed=True, trim_start_s=0.0, trim_end_s=0.0)
     return sealed(
         Baseline(
-            airframe=Airframe(name="made", scope="airframe"),
+            airframe=Airframe(name="made", scope="airframe", frame=None),
             link=Link(profile=profile, dt_s=1 / rate_hz, grid=Grid.NATIVE, max_gap_s=0.035, gate=gate),
             window=Window(samples=11, order=2),
             models=models,
             monitors=monitors,
+            not_judgeable=(),
             healthy_hours=1.0,
             provenance=Provenance(
                 logs=(SourceLog(name="made", sha256="0" * 64, judged_s=3600.0),), created="2026-01-01", tool="test"

@@ -13,12 +13,11 @@ from mavdiag import __version__
 from mavdiag.commands.children import run_child
 from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.loop import POLL_S, Flight, Loop, Outcome, closed_loop
-from mavdiag.commands.options import AxisChoice
-from mavdiag.errors import UsageError
-from mavdiag.learning import LearnOptions
+from mavdiag.errors import BaselineError, UsageError
+from mavdiag.learning import thesis_options
 from mavdiag.storage import load_baseline, save_baseline
 
-__all__ = ["demo"]
+__all__ = ["demo", "own_baseline"]
 
 HEALTHY_FLIGHTS = 60  # one false alarm in 61 flights of equal length, METHOD section 4
 HEALTHY_S = 40.0
@@ -39,10 +38,8 @@ def demo(
     """
     if duration < 10:
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
-    reference = baseline or _own_baseline(as_json)
-    monitor = load_baseline(reference).monitors[0]
-    if not as_json:
-        typer.echo(f"baseline {reference}: margin {monitor.margin_rad_s:.4f} rad/s, FML {monitor.fml_s:.3f} s")
+    reference = baseline or own_baseline(quiet=as_json)
+    _introduce(reference, quiet=as_json)
     onset_s = round(ONSET_SHARE * duration, 1)
     with closed_loop(Flight(duration, fault, rotor, onset_s, seed), reference) as loop:
         _watch(loop, onset_s, duration, quiet=as_json)
@@ -51,11 +48,20 @@ def demo(
     raise typer.Exit(0 if outcome.good else 1)
 
 
-def _own_baseline(quiet: bool) -> Path:
+def _introduce(reference: Path, *, quiet: bool) -> None:
+    thesis = load_baseline(reference).latency
+    if not thesis:
+        raise UsageError(f"{reference}: has no latency monitor; the demo needs one from `mavdiag identify`")
+    spec, threshold = thesis[0]
+    if not quiet:
+        typer.echo(f"baseline {reference}: margin {spec.margin_rad_s:.4f} rad/s, FML {threshold.value:.3f} s")
+
+
+def own_baseline(*, quiet: bool) -> Path:
     """The demo's baseline, learnt once from recorded flights of the emulator and kept in the user's cache."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
     path = cache / f"demo-{__version__}.json"
-    if path.exists():
+    if _usable(path):
         return path
     cache.mkdir(parents=True, exist_ok=True)
     if not quiet:
@@ -67,8 +73,16 @@ def _own_baseline(quiet: bool) -> Path:
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
-        save_baseline(path, make_baseline(logs, LearnOptions(axes=AxisChoice.ROLL.axes, airframe="qdrone2 drone 1")))
+        save_baseline(path, make_baseline(logs, thesis_options("qdrone2 drone 1")))
     return path
+
+
+def _usable(path: Path) -> bool:
+    """Whether there is one, of this version's form."""
+    try:
+        return bool(load_baseline(path).latency)
+    except BaselineError:
+        return False
 
 
 def _record(folder: Path, first: int, count: int) -> None:

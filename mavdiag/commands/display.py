@@ -13,7 +13,7 @@ from rich.text import Text
 from mavdiag.commands.ground import GroundStation, Heard
 from mavdiag.link.messages import Severity
 
-__all__ = ["Display"]
+__all__ = ["Display", "picture"]
 
 BAR_WIDTH = 50
 TEXTS = 8
@@ -44,22 +44,23 @@ class Display:
         if self._quiet:
             return
         if self._live is not None:
-            self._live.update(self._picture(station))
+            self._live.update(picture(station, self._onset_s, self._duration_s))
             return
         for text in station.texts[self._told :]:
             self._console.print(_line(text))
         self._told = len(station.texts)
 
-    def _picture(self, station: GroundStation) -> Panel:
-        figures = station.figures
-        table = Table.grid(padding=(0, 1))
-        table.add_row(
-            *_gauge("|residual|", abs(figures.get("PF_RES", 0.0)), figures.get("PF_MARG", 0.0), "margin", "rad/s")
-        )
-        table.add_row(*_gauge("FSD", figures.get("PF_FSD", 0.0), figures.get("PF_FML", 0.0), "FML", "s"))
-        phase = "healthy" if station.t_s < self._onset_s else "damaged"
-        title = f"flight {station.t_s:5.1f} of {self._duration_s:g} s, {phase} (fault at {self._onset_s:g} s)"
-        return Panel(Group(table, *(_line(text) for text in station.texts[-TEXTS:])), title=title)
+
+def picture(station: GroundStation, onset_s: float, duration_s: float) -> Panel:
+    """What has been heard so far, as a panel."""
+    figures = station.figures
+    table = Table.grid(padding=(0, 1))
+    residual, margin = abs(figures.get("PF_RES", 0.0)), figures.get("PF_MARG", 0.0)
+    table.add_row(*_gauge("|residual|", residual, margin, "margin", "rad/s"))
+    table.add_row(*_gauge("FSD", figures.get("PF_FSD", 0.0), figures.get("PF_FML", 0.0), "FML", "s"))
+    phase = "healthy" if station.t_s < onset_s else "damaged"
+    title = f"flight {station.t_s:5.1f} of {duration_s:g} s, {phase} (fault at {onset_s:g} s)"
+    return Panel(Group(table, *(_line(text) for text in station.texts[-TEXTS:])), title=title)
 
 
 def _gauge(name: str, value: float, limit: float, limit_name: str, unit: str) -> tuple[Text, Bar, Text]:

@@ -9,9 +9,11 @@ from typing import Annotated
 import typer
 
 from mavdiag.baseline import Baseline
+from mavdiag.commands.baseline import describe
 from mavdiag.commands.options import AxisChoice, MethodChoice, parse_order, read_part
 from mavdiag.diagnose.calibrate import MarginRule
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
+from mavdiag.learning import ALL_MONITORS, Flight, LearnOptions, learn
 from mavdiag.storage import save_baseline
 
 __all__ = ["identify", "make_baseline"]
@@ -25,6 +27,16 @@ def identify(
     axis: Annotated[AxisChoice, typer.Option(help="Axes to model and to watch.")] = AxisChoice.ROLL,
     window: Annotated[float, typer.Option(metavar="S", help="Savitzky-Golay window.")] = 0.1,
     margin: Annotated[MarginRule, typer.Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
+    monitors: Annotated[
+        str, typer.Option(metavar="NAMES", help=f"Comma-separated: {', '.join(ALL_MONITORS)}; or all, or thesis.")
+    ] = "all",
+    alarms_per_hour: Annotated[
+        float, typer.Option(metavar="X", help="False-alarm budget of all monitors together.")
+    ] = BUDGET_PER_HOUR,
+    rule: Annotated[
+        ThresholdRule, typer.Option(help="Thresholds by the budget, or the healthy maximum.")
+    ] = ThresholdRule.GUMBEL,
+    frame: Annotated[str | None, typer.Option(help="Rotor layout.  [default: found from the flights]")] = None,
     airframe: Annotated[str, typer.Option(help="Name of the airframe or type.")] = "unnamed",
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id to read from a .tlog.")] = None,
@@ -33,6 +45,7 @@ def identify(
     as_json: Annotated[bool, typer.Option("--json", help="Print the baseline as JSON.")] = False,
 ) -> None:
     """Fit a baseline to healthy flights, and say what its alarms will cost."""
+    thesis = monitors == "thesis"
     options = LearnOptions(
         axes=axis.axes,
         method=method.method,
@@ -41,6 +54,10 @@ def identify(
         margin_rule=margin,
         airframe=airframe,
         scope="type" if fleet else "airframe",
+        monitors=("latency",) if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
+        rule=ThresholdRule.MAXIMUM if thesis else rule,
+        alarms_per_hour=alarms_per_hour,
+        frame=frame,
     )
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
     save_baseline(output, baseline)
@@ -71,22 +88,28 @@ def _print(baseline: Baseline, path: Path) -> None:
     from rich.table import Table
 
     table = Table(title=f"{path}: {baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.1f} Hz")
-    for heading in ("axis", "model", "R_T²", "fit %", "margin rad/s", "FML s", "false alarms per flight"):
+    for heading in ("axis", "model", "R_T²", "fit %"):
         table.add_column(heading, justify="right")
-    for monitor in baseline.monitors:
-        model = baseline.model_of(monitor.axis)
-        table.add_row(
-            monitor.axis,
-            f"{model.method} {model.order}",
-            f"{model.r2t:.4f}",
-            f"{model.nrmse_fit:.1f}",
-            f"{monitor.margin_rad_s:.4f}",
-            f"{monitor.fml_s:.3f}",
-            f"1/{len(monitor.longest_run_s) + 1} = {monitor.false_alarms_per_flight:.3f}",
-        )
-    console = Console()
+    for model in baseline.models:
+        order = ",".join(map(str, model.order))
+        table.add_row(model.axis, f"{model.method} {order}", f"{model.r2t:.4f}", f"{model.nrmse_fit:.1f}")
+    console = Console(highlight=False)
     console.print(table)
-    flights = len(baseline.provenance.logs)
-    console.print(f"{flights} healthy flights, {baseline.healthy_hours * 60:.1f} minutes judged.")
-    if flights < 59:
-        console.print(f"A 95/95 guarantee needs 59 flights: record {59 - flights} more for it.")
+    for line in describe(baseline):
+        console.print(line, soft_wrap=True)
+    console.print(f"{len(baseline.provenance.logs)} healthy flights, {baseline.healthy_hours * 60:.1f} minutes judged.")
+    for line in _advice(baseline):
+        console.print(line)
+
+
+def _advice(baseline: Baseline) -> list[str]:
+    """How much more would be needed for what is promised to be shown."""
+    shown = [entry.threshold for entry in baseline.monitors]
+    lines = []
+    missing = flights_for_guarantee() - len(baseline.provenance.logs)
+    if missing > 0 and any(one.rule is ThresholdRule.MAXIMUM for one in shown):
+        lines.append(f"A 95/95 guarantee by the longest healthy run needs {missing} more flights.")
+    budgeted = [more_flights(one, one.budget_per_hour) for one in shown if one.rule is ThresholdRule.GUMBEL]
+    if any(budgeted):
+        lines.append(f"To show the budget instead of extrapolating to it takes {max(budgeted)} more such flights.")
+    return lines

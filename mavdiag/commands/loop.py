@@ -14,7 +14,7 @@ from mavdiag.link.messages import Severity
 
 __all__ = ["POLL_S", "Flight", "Loop", "Outcome", "closed_loop"]
 
-READY_S = 20.0
+READY_S = 120.0  # the emulator compiles its loop at its first start
 POLL_S = 0.05
 
 

@@ -9,7 +9,7 @@ import serial
 
 from mavdiag.link.endpoint_base import RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
-__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer"]
+__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "whole_frames"]
 
 CLIENTS_MAX = 16  # a TCP server turns further clients away
 

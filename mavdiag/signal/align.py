@@ -102,7 +102,8 @@ def start() -> AlignState:
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
 
-    The period is the mean of the steps within 25 % of their median, so losses do not stretch it.
+    The period is the mean of the steps within 25 % of their median, so losses do not stretch it; if there are none, as
+    when two lengths take turns, of all.
     Raises InputError if there are fewer than 20 gyro samples.
     """
     t = np.unique(telemetry.need(Signal.BODY_RATE).t_ns)
@@ -110,7 +111,8 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
         raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
     steps = np.diff(t).astype(np.float64)
     median = float(np.median(steps))
-    dt_ns = float(np.mean(steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]))
+    usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
+    dt_ns = float(np.mean(usual if len(usual) else steps))
     places = np.maximum(np.round(steps / dt_ns), 1.0)
     uniform = np.abs(steps - places * dt_ns) <= NATIVE_TOLERANCE * dt_ns
     grid = Grid.NATIVE if float(np.mean(uniform)) >= NATIVE_SHARE else Grid.RESAMPLED

@@ -131,6 +131,13 @@ def test_the_rate_is_measured_through_losses() -> None:
     assert grid is Grid.NATIVE
 
 
+def test_two_step_lengths_in_turn_have_their_mean_rate() -> None:
+    t = 5_000_000_000 + np.concatenate(([0], np.cumsum(np.tile([1_000_000, 1_800_000], 50))))
+    dt_s, grid = measure_grid(linear_flight(t, t))
+    assert dt_s == pytest.approx(0.0014)
+    assert grid is Grid.RESAMPLED
+
+
 def test_too_few_samples_have_no_rate() -> None:
     t = clock(5)
     with pytest.raises(InputError, match="only 5 gyro samples"):

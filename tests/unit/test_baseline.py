@@ -13,7 +13,7 @@ from made_telemetry import flight
 from mavdiag.baseline import Baseline, check_link, dump, parse
 from mavdiag.diagnose.monitors.latency import Latency
 from mavdiag.errors import BaselineError, UsageError
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.pipeline import chain_of
 from mavdiag.quantities import Axis
 from mavdiag.storage import load_baseline, save_baseline
@@ -25,7 +25,7 @@ def healthy(count: int, n: int = 6000) -> list[Flight]:
 
 @pytest.fixture(scope="module")
 def baseline() -> Baseline:
-    options = LearnOptions(axes=(Axis.ROLL, Axis.PITCH), airframe="test")
+    options = thesis_options("test", (Axis.ROLL, Axis.PITCH))
     return learn(healthy(3), options, created="2026-01-01T00:00:00+00:00")
 
 
@@ -49,10 +49,11 @@ def test_the_model_found_is_the_airframe_that_made_the_data(baseline: Baseline) 
 
 
 def test_the_price_of_the_latency_is_stated(baseline: Baseline) -> None:
-    monitor = baseline.monitors[0]
-    assert monitor.false_alarms_per_flight == 0.25
-    assert monitor.fml_s == max(monitor.longest_run_s)
-    assert len(monitor.longest_run_s) == 3
+    spec, fml = baseline.latency[0]
+    assert fml.false_alarms_per_flight == 0.25
+    assert fml.value == max(spec.longest_run_s)
+    assert len(spec.longest_run_s) == 3
+    assert "an equal healthy flight alarms with probability 0.25" in fml.statement()
 
 
 @pytest.mark.parametrize(
@@ -62,8 +63,10 @@ def test_the_price_of_the_latency_is_stated(baseline: Baseline) -> None:
         (("window", "samples"), 100, "window"),
         (("models", 0, "a"), [1.0], "models.0"),
         (("models", 0, "axis"), "sideways", "models.0.axis"),
-        (("monitors", 0, "fml_s"), "long", "monitors.0.fml_s"),
-        (("monitors", 0, "margin_rad_s"), 0.0, "monitors.0.margin_rad_s"),
+        (("monitors", 0, "threshold", "value"), "long", "monitors.0.threshold.value"),
+        (("monitors", 0, "spec", "margin_rad_s"), 0.0, "monitors: latency: the margin"),
+        (("monitors", 0, "spec", "kind"), "hunch", "monitors.0.spec"),
+        (("monitors", 0, "spec", "axis"), "yaw", "baseline"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
         (("airframe", "colour"), "red", "airframe.colour"),
@@ -101,7 +104,7 @@ _LEARNT: list[Baseline] = []
 
 
 def _learn_once() -> Baseline:
-    _LEARNT.append(learn(healthy(2), LearnOptions(axes=(Axis.ROLL,)), created="2026-01-01T00:00:00+00:00"))
+    _LEARNT.append(learn(healthy(2), thesis_options(), created="2026-01-01T00:00:00+00:00"))
     return _LEARNT[0]
 
 
@@ -119,7 +122,7 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, 
     watch = chain_of(load_baseline(path)).watches[0]
     assert isinstance(watch.monitor, Latency)
     np.testing.assert_array_equal(watch.monitor.model.a, baseline.model_of(Axis.ROLL).a)
-    assert watch.threshold == baseline.monitors[0].fml_s
+    assert watch.threshold == baseline.latency[0][1].value
 
 
 def test_saving_replaces_the_file_whole_or_not_at_all(baseline: Baseline, tmp_path: Path) -> None:

@@ -8,11 +8,11 @@ from made_telemetry import cut, flight
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.judging import LogVerdict, Verdict, between, exit_code, judge
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.logs import Log
-from mavdiag.quantities import Axis, Series, Signal, Telemetry
+from mavdiag.quantities import Series, Signal, Telemetry
 
-ROLL = LearnOptions(axes=(Axis.ROLL,))
+ROLL = thesis_options()
 NOW = "2026-01-01T00:00:00+00:00"
 
 

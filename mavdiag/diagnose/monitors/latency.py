@@ -1,17 +1,38 @@
 """The thesis's own monitor: how long the free-run residual stays above the healthy margin (T 5.5.1)."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from mavdiag.diagnose import exceedance as runs
+from mavdiag.diagnose.calibrate import MarginRule
 from mavdiag.diagnose.events import Reading
 from mavdiag.diagnose.exceedance import ExceedState
 from mavdiag.diagnose.monitors.base import Rows
 from mavdiag.diagnose.residual import ResidualState, residual
 from mavdiag.diagnose.residual import start as residual_start
+from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel
 from mavdiag.quantities import Axis
 
-__all__ = ["Latency", "LatencyState"]
+__all__ = ["Latency", "LatencySpec", "LatencyState"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencySpec:
+    """Healthy margin of one axis. longest_run_s: the longest healthy run of each flight.
+
+    The FML is the monitor's threshold. Raises InputError if the margin is not positive.
+    """
+
+    kind: Literal["latency"] = "latency"
+    axis: Axis
+    margin_rad_s: float
+    margin_rule: MarginRule
+    longest_run_s: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.margin_rad_s > 0:
+            raise InputError(f"latency: the margin must be positive, not {self.margin_rad_s:g} rad/s")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,20 @@
+"""From healthy flights to a baseline."""
+
+from mavdiag.learning.flights import Flight, LearntFlight, airborne, front_for, gate_for, rows_of
+from mavdiag.learning.latency import residuals_of, training_pieces
+from mavdiag.learning.learn import ALL_MONITORS, LearnOptions, learn, thesis_options
+
+__all__ = [
+    "ALL_MONITORS",
+    "Flight",
+    "LearnOptions",
+    "LearntFlight",
+    "airborne",
+    "front_for",
+    "gate_for",
+    "learn",
+    "residuals_of",
+    "rows_of",
+    "thesis_options",
+    "training_pieces",
+]
