@@ -162,6 +162,11 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
     def column(name: str, levels: Sequence[Level]) -> list[Level]:
         return balanced(levels, count, design.seed, f"{part} {name}")
 
+    learning = {
+        (airframe, link): _learning(design, airframe, link)
+        for airframe in range(design.airframes)
+        for link in dict.fromkeys(design.link)
+    }
     causes = [HEALTHY] * count if part == "healthy" else column("cause", design.cause)
     columns = zip(
         causes,
@@ -178,7 +183,7 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
     return [
         FlightTask(
             index=index,
-            learnt=_learning(design, airframe, link),
+            learnt=learning[airframe, link],
             cause=cause,
             rotor=rotor,
             phenomenology=phenomenology if cause in CAUSES and CAUSES[cause].fitted else 1.0,
