@@ -70,7 +70,7 @@ def test_the_middle_of_a_cloud_is_its_fault(code: str, strength: float) -> None:
 def test_the_shares_are_those_of_bayes_by_scipy() -> None:
     from scipy.stats import multivariate_normal
 
-    near = centre("F3/SV1", 0.5).vector + [0.05, 0.1, 0.2]
+    near = np.add(centre("F3/SV1", 0.5).vector, (0.05, 0.1, 0.2))
     features = Features(math.exp(near[0]), math.exp(near[1]), near[2] / 100)
     density = {
         (c.fault_type, c.severity, c.strength): multivariate_normal(c.mean, c.covariance).pdf(features.vector)
