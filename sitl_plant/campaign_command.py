@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sitl_plant.campaign_summary import Summary
     from sitl_plant.campaign_worker import FlightLine
 
-__all__ = ["campaign"]
+__all__ = ["Learn", "Preset", "campaign"]
 
 
 class Preset(StrEnum):

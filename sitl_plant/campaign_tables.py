@@ -88,7 +88,7 @@ def _cells(summary: Summary) -> Table:
             cells.setdefault(fault, {})[scale] = row
     scales = sorted({scale for row in cells.values() for scale in row})
     return _table(
-        "Detected, by scale of the fitted terms",
+        "Detected, by fault and fitted terms",
         ("fault", *scales),
         (
             (fault, *(_part(row[scale].detected) if scale in row else "-" for scale in scales))

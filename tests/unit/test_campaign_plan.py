@@ -49,6 +49,13 @@ def test_factors_are_paired_at_random() -> None:
     assert max(abs(n - expected) for n in pairs.values()) < 5 * expected**0.5
 
 
+def test_every_cause_meets_every_rotor_and_scale_equally_often() -> None:
+    flights = make_plan(Design(flights=12 * len(CAUSES), hours=0.0)).flights
+    assert set(Counter((flight.cause, flight.rotor) for flight in flights).values()) == {3}
+    scales = Counter((flight.cause, flight.phenomenology) for flight in flights if CAUSES[flight.cause].fitted)
+    assert set(scales.values()) == {4}
+
+
 def test_quick_has_every_cause_manoeuvre_and_scale_and_healthy_hours() -> None:
     plan = make_plan(PRESETS["quick"])
     assert {flight.cause for flight in plan.flights} == {HEALTHY, *CAUSES}
