@@ -109,12 +109,16 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What a plan came to, in the order of the plan. reused: how many results were in the file already."""
+    """What a plan came to, in the order of the plan.
+
+    reused: how many results were in the file already. others: lines of other campaigns, or of another version.
+    """
 
     plan: Plan
     learnt: tuple[LearnLine, ...]
     flights: tuple[FlightLine, ...]
     reused: int
+    others: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +188,7 @@ def run_campaign(
     learning = {task_key(seed, task): task for task in plan.learning}
     flights = {task_key(seed, task): task for task in plan.flights}
     reused = len((learning.keys() | flights.keys()) & journal.known.keys())
+    others = len(journal.known) - reused + journal.unread
 
     def learn_jobs() -> Iterator[Callable[[], LearnLine]]:
         for key, task in learning.items():
@@ -208,6 +213,7 @@ def run_campaign(
         tuple(_known(journal, key, LearnLine) for key in learning),
         tuple(_known(journal, key, FlightLine) for key in flights),
         reused,
+        others,
     )
 
 

@@ -107,6 +107,12 @@ def _run(
             results = run_campaign(plan, journal, hands, tell)
     finally:
         journal.close()
+    if results.reused or results.others:
+        typer.echo(
+            f"{output}: {results.reused} results reused; {results.others} lines of other campaigns, or of another "
+            "version of the sources, not counted",
+            err=True,
+        )
     if parquet is not None:
         _write_parquet(parquet, results)
     return summarise(results)

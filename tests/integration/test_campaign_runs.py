@@ -84,7 +84,7 @@ def test_a_rerun_flies_only_what_is_missing(finished: tuple[Path, Results], tmp_
     torn = tmp_path / "torn.jsonl"
     torn.write_text("\n".join(lines[:3]) + "\n" + lines[3][:100])
     again = run(torn)
-    assert again.reused == 3
+    assert (again.reused, again.others) == (3, 1)
     assert (again.learnt, again.flights) == (results.learnt, results.flights)
     kept = torn.read_text().splitlines()
     assert kept[:3] == lines[:3]
@@ -96,7 +96,7 @@ def test_another_seed_is_another_campaign_and_fresh_forgets(finished: tuple[Path
     path = tmp_path / "results.jsonl"
     path.write_text(finished[0].read_text())
     other = run(path, replace(TINY, seed=5))
-    assert other.reused == 0
+    assert (other.reused, other.others) == (0, 5)
     assert [one.key for one in other.flights] != [one.key for one in finished[1].flights]
     assert [one.onset_s for one in other.flights] != [one.onset_s for one in finished[1].flights]
     assert len(path.read_text().splitlines()) == 10
@@ -153,6 +153,7 @@ def test_the_command_reuses_and_reports(
     before = path.read_text()
     code, out, err = sitl_plant([*arguments, "--json"], monkeypatch, capsys)
     assert code == 0, err
+    assert "2 results reused; 0 lines" in err
     assert json.loads(out) == json.loads(summary.read_text())
     assert path.read_text() == before
 

@@ -86,6 +86,7 @@ def made() -> Results:
             line(34, "gyro-bias", latency_s=2.0, answer=Answer("other fault")),
         ),
         reused=0,
+        others=0,
     )
 
 
@@ -134,5 +135,5 @@ def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr().out
     for text in ("False alarms", "2/3", "F1/SV2", "gyro-bias", "not judged: 1 flights", "seed 9"):
         assert text in shown
-    print_summary(summarise(Results(PLAN, (), (), 0)))
+    print_summary(summarise(Results(PLAN, (), (), 0, 0)))
     assert "0 flights" in capsys.readouterr().out
