@@ -27,6 +27,7 @@ CORNER_HZ = 60.0  # METHOD section 4
 BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
 FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
 LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
+SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
 FILTER_S = 0.06  # length of the high-pass (our choice); its delay is half of it
 TICK_S = 0.02  # a reading every 20 ms (our choice)
 WINDOW_S = 0.5  # our choice: 83 revolutions at hover; 0.25 to 1 s find the same faults
@@ -233,7 +234,7 @@ def judgeable(rate_hz: float, imu_corner_hz: float | None, rotor_hz: float | Non
     """Why vibration cannot be judged on a link, or None. rate_hz: of the IMU stream; imu_corner_hz: of the low-pass
     in it, None if there is none; rotor_hz: revolutions a second at hover, if known.
     """
-    if rate_hz < LEAST_RATE_HZ:
+    if rate_hz < SLACK * LEAST_RATE_HZ:
         return f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
     corner_hz = CORNER_HZ if _carries_line(rate_hz) else BAND_SHARE * rate_hz
     if imu_corner_hz is not None and imu_corner_hz < corner_hz:
@@ -246,14 +247,14 @@ def judgeable(rate_hz: float, imu_corner_hz: float | None, rotor_hz: float | Non
 
 
 def _missing(rows: Sequence[Rows]) -> str | None:
-    told = [one for one in rows if one.block.valid.any() and np.isfinite(one.block.force[one.block.valid]).any()]
+    told = [one for one in rows if np.isfinite(one.block.force[one.block.valid, :2]).all(axis=1).any()]
     if not told:
-        return "no flight with an accelerometer"
+        return "no flight with an accelerometer along x and y"
     return judgeable(1 / told[0].block.dt_s, None)
 
 
 def _carries_line(rate_hz: float) -> bool:
-    return rate_hz >= 0.98 * FULL_RATE_HZ
+    return rate_hz >= SLACK * FULL_RATE_HZ
 
 
 def _odd(rows: float) -> int:
