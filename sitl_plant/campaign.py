@@ -31,7 +31,14 @@ __all__ = ["Crew", "Journal", "Results", "dask_crew", "local_crew", "run_campaig
 Line: TypeAlias = LearnLine | FlightLine
 Made = TypeVar("Made", LearnLine, FlightLine)
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
-UNRELATED = ("commands", "__main__", "_command", "campaign.py", "campaign_summary")  # cannot change a result
+UNRELATED = (
+    "commands",
+    "__main__",
+    "_command",
+    "campaign.py",
+    "campaign_summary",
+    "campaign_tables",
+)  # cannot change a result
 
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 

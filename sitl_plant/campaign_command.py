@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavdiag.errors import UsageError
-from mavdiag.storage import write_atomically
 from sitl_plant.campaign_plan import PRESETS, Design, make_plan, with_conditions
 
 if TYPE_CHECKING:
     from sitl_plant.campaign import Results
-    from sitl_plant.campaign_summary import Rate, Share, Summary
+    from sitl_plant.campaign_summary import Summary
     from sitl_plant.campaign_worker import FlightLine
 
-__all__ = ["campaign"]
+__all__ = ["Learn", "Preset", "campaign"]
 
 
 class Preset(StrEnum):
@@ -82,11 +81,15 @@ def campaign(
     summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
     text = json.dumps(asdict(summary))
     if summary_file is not None:
+        from mavdiag.storage import write_atomically
+
         write_atomically(summary_file, text + "\n")
     if as_json:
         typer.echo(text)
     else:
-        _print(summary)
+        from sitl_plant.campaign_tables import print_summary
+
+        print_summary(summary)
 
 
 def _run(
@@ -150,81 +153,3 @@ def _row(flight: "FlightLine") -> dict[str, object]:
     for monitor in flight.monitors:
         row |= {f"{monitor.name}_{name}": value for name, value in asdict(monitor).items() if name != "name"}
     return row
-
-
-def _print(summary: "Summary") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-
-    def table(title: str, headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-        made = Table(title=title, title_justify="left")
-        for i, heading in enumerate(headings):
-            made.add_column(heading, justify="right" if i else "left")
-        for row in rows:
-            made.add_row(*row)
-        console.print(made)
-
-    table(
-        "False alarms on healthy flights, episodes an hour",
-        ("condition", "alarms", "hours", "per hour [95 %]", "flights with one [95 %]"),
-        [
-            (_level(row.factor, row.level), str(row.rate.count), f"{row.rate.hours:.2f}", _rate(row.rate),
-             _share(row.flights))
-            for row in summary.alarms
-        ],
-    )  # fmt: skip
-    table(
-        f"T's nine faults (chance alone: {100 * summary.chance:.0f} %)",
-        ("condition", "detected [95 %]", "early", "latency s", "90 %", "rotor", "type", "severity"),
-        [
-            (_level(row.factor, row.level), _share(row.detected), str(row.early), _seconds(row.latency_median_s),
-             _seconds(row.latency_p90_s), _part(row.rotor_right), _part(row.type_right), _part(row.severity_right))
-            for row in summary.detection
-        ],
-    )  # fmt: skip
-    table(
-        "Monitors, each alone",
-        ("monitor", "alarms", "per hour [95 %]", "faults detected [95 %]"),
-        [(row.name, str(row.rate.count), _rate(row.rate), _share(row.detected)) for row in summary.monitors],
-    )
-    table(
-        "Answers after the onset",
-        ("group", "cause", "flights", "answers", "early"),
-        [
-            (row.group, row.cause, str(row.flights), ", ".join(f"{n} {kind}" for kind, n in row.answers),
-             str(row.early))
-            for row in summary.answers
-        ],
-    )  # fmt: skip
-    console.print(
-        f"seed {summary.seed}, {summary.airframes} airframes, {summary.flights} flights, "
-        f"{summary.healthy_hours:.2f} healthy hours judged"
-    )
-    for reason, count in summary.unjudged:
-        console.print(f"not judged: {count} flights, {reason}")
-
-
-def _level(factor: str, level: str) -> str:
-    return level if factor == level else f"{factor}: {level}"
-
-
-def _share(share: "Share") -> str:
-    if not share.of:
-        return "-"
-    return f"{share.hits}/{share.of} = {share.hits / share.of:.2f} [{share.low:.2f}, {share.high:.2f}]"
-
-
-def _part(share: "Share") -> str:
-    return f"{share.hits}/{share.of}" if share.of else "-"
-
-
-def _rate(rate: "Rate") -> str:
-    if rate.high is None:
-        return "-"
-    return f"{rate.count / rate.hours:.2f} [{rate.low:.2f}, {rate.high:.2f}]"
-
-
-def _seconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

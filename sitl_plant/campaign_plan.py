@@ -1,13 +1,15 @@
 """What a Monte Carlo campaign flies: a design with levels for every factor becomes a list of tasks.
 
 Every factor runs through its levels in blocks, each block in a random order of its own: so each level occurs equally
-often, factors are paired at random, and a longer campaign begins with the flights of a shorter one.
+often (rotor and phenomenology with every cause), factors are paired at random, and a longer campaign begins with the
+flights of a shorter one.
 """
 
 import hashlib
 import json
 import math
 import zlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal, TypeVar
@@ -162,11 +164,16 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
     def column(name: str, levels: Sequence[Level]) -> list[Level]:
         return balanced(levels, count, design.seed, f"{part} {name}")
 
+    learning = {
+        (airframe, link): _learning(design, airframe, link)
+        for airframe in range(design.airframes)
+        for link in dict.fromkeys(design.link)
+    }
     causes = [HEALTHY] * count if part == "healthy" else column("cause", design.cause)
     columns = zip(
         causes,
-        column("rotor", design.rotor),
-        column("phenomenology", design.phenomenology),
+        _within(causes, design.rotor, design.seed, f"{part} rotor"),
+        _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
         column("manoeuvre", design.manoeuvre),
         column("wind", design.wind),
         column("payload", design.payload),
@@ -178,7 +185,7 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
     return [
         FlightTask(
             index=index,
-            learnt=_learning(design, airframe, link),
+            learnt=learning[airframe, link],
             cause=cause,
             rotor=rotor,
             phenomenology=phenomenology if cause in CAUSES and CAUSES[cause].fitted else 1.0,
@@ -221,6 +228,12 @@ def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> lis
         order = np.random.default_rng([seed, word, block]).permutation(len(levels))
         chosen += [levels[i] for i in order]
     return chosen[:count]
+
+
+def _within(causes: Sequence[str], levels: Sequence[Level], seed: int, factor: str) -> list[Level]:
+    """Levels balanced among the flights of each cause."""
+    own = {cause: iter(balanced(levels, count, seed, f"{factor} {cause}")) for cause, count in Counter(causes).items()}
+    return [next(own[cause]) for cause in causes]
 
 
 def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequence:

@@ -23,7 +23,7 @@ from sitl_plant.plant import PlantConfig
 from sitl_plant.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.vehicle import qdrone2
 
-__all__ = ["Answer", "FlightLine", "LearnLine", "MonitorLine", "fly_task", "learn_task"]
+__all__ = ["Answer", "FlightLine", "LearnLine", "MonitorLine", "fly_task", "learn_task", "specimen"]
 
 CREATED = "2026-01-01T00:00:00+00:00"  # fixed, so that equal campaigns learn equal baselines
 ONSET = (0.3, 0.5)  # share of the flight; healthy before

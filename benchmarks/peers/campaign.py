@@ -61,7 +61,8 @@ class Catch:
 
 @dataclass(slots=True)
 class Tally:
-    """What one contender did over the campaign. spent_s: CPU time on `rows` rows; fitting_s: to learn and calibrate."""
+    """What one contender did over the campaign. spent_s: CPU time on `rows` rows, the way
+    from telemetry to rows included; fitting_s: to study, learn and calibrate, all airframes."""
 
     contender: Contender
     catches: list[Catch] = field(default_factory=list)
@@ -139,6 +140,8 @@ def _count(tally: Tally, watch: Watch, one: Flown) -> None:
     started = time.process_time()
     scored = watch.scorer(one)
     tally.spent_s += time.process_time() - started
+    if tally.contender.rule is not None:  # else it makes its rows from the telemetry itself
+        tally.spent_s += one.front_s
     tally.rows += len(one)
     found = alarms(scored, watch.threshold)
     if one.truth is None:

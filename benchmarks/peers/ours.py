@@ -7,14 +7,14 @@ import numpy as np
 
 from mavdiag.diagnose.exceedance import exceedance, start
 from mavdiag.identify import ArxModel, fit
-from mavdiag.judging import Verdict, judge
+from mavdiag.judging import JudgedEvent, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import Log
 from mavdiag.quantities import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 
-__all__ = ["product", "thesis_rule"]
+__all__ = ["named", "product", "thesis_rule"]
 
 CREATED = "2025-01-01T00:00:00Z"
 AXES = (0, 1)  # roll and pitch
@@ -32,7 +32,7 @@ def thesis_rule(_others: Sequence[Flown]) -> Learner:
 
 
 def product(_others: Sequence[Flown]) -> Learner:
-    """`mavdiag.learning.learn` and `mavdiag.judging.judge` as they stand, with their own thresholds."""
+    """`mavdiag.learning.learn` and `mavdiag.judging.judge` as they stand, with their own thresholds and budget."""
 
     def learner(healthy: Sequence[Flown]) -> Scorer:
         baseline = learn([one.flight for one in healthy], LearnOptions(), created=CREATED)
@@ -42,15 +42,22 @@ def product(_others: Sequence[Flown]) -> Learner:
             found = judge(Log(flight.name, flight.sha256, flight.profile, flight.telemetry, 0), baseline)
             if found.verdict not in (Verdict.HEALTHY, Verdict.FAULT):
                 raise RuntimeError(f"an emulated flight cannot be judged: {found.reason}")
-            raised = np.zeros(len(one))
+            raised, rotor = np.zeros(len(one)), np.zeros(len(one), dtype=np.int64)
             for each in found.events:
                 end_s = np.inf if each.end_s is None else each.end_s
-                raised[(one.t_s >= each.t_s) & (one.t_s <= end_s)] = 1.0
-            return Scored.anonymous(one.t_s + one.delay_s, raised)
+                inside = (one.t_s >= each.t_s) & (one.t_s <= end_s)
+                raised[inside] = 1.0
+                rotor[inside] = named(each)
+            return Scored(one.t_s + one.delay_s, raised, rotor)
 
         return score
 
     return learner
+
+
+def named(_event: JudgedEvent) -> int:
+    """The rotor that an event names: none yet. Once events carry one, return it and set `names_rotor` in the table."""
+    return 0
 
 
 @lru_cache(maxsize=4)  # one model for the thesis's statistic under either rule

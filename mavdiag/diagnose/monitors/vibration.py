@@ -135,9 +135,9 @@ class Vibration:
     turns the first two by 60 degrees. evidence = (cosine to rotor j + s_j turning)/2, less where the shift is small.
 
     Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and the share of the window that
-    lifts the mean square over the threshold, (threshold^2 - healthy^2)/fault^2 of it. Price: see `threshold`. Blind
-    spots: cracks (0.22 g mm is what a healthy rotor may have); streams that are low-passed; below 400 Hz the line is
-    folded into the band above a quarter of the rate, or out of it. The estimate reads some percent low for what the
+    lifts the mean square over the threshold, (threshold^2 - healthy^2)/fault^2 of it. Price: see `threshold`.
+    Blind spots: cracks (0.22 g mm is what a healthy rotor may have); streams that are low-passed; below 400 Hz the line
+    is folded into the band above a quarter of the rate, or out of it. The estimate reads some percent low for what the
     sensor's own filter takes at 167 Hz.
 
     >>> from mavdiag.diagnose.monitors.made_rows import made_rows

@@ -1,0 +1,193 @@
+"""A tiny campaign: the same numbers however many work on it, and going on where it stopped."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mavdiag.errors import UsageError
+from sitl_plant.__main__ import main
+from sitl_plant.campaign import Crew, Journal, Results, dask_crew, local_crew, run_campaign
+from sitl_plant.campaign_plan import Design, make_plan
+from sitl_plant.campaign_summary import summarise
+
+TINY = Design(
+    seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,
+    cause=("F2/SV3", "gyro-noise", "ejection"), phenomenology=(1.0,), manoeuvre=("square",), wind=(0.0,),
+    payload=(0.0,),
+)  # fmt: skip
+
+
+@contextmanager
+def alone() -> Iterator[Crew]:
+    """One thread of this process: no start of worker processes to wait for."""
+    with ThreadPoolExecutor(1) as pool:
+        yield Crew(pool, 1)
+
+
+def run(path: Path, design: Design = TINY, fresh: bool = False) -> Results:
+    journal = Journal(path, fresh)
+    with alone() as crew:
+        results = run_campaign(make_plan(design), journal, crew)
+    journal.close()
+    return results
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Results]:
+    path = tmp_path_factory.mktemp("campaign") / "results.jsonl"
+    return path, run(path)
+
+
+def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
+    _, results = finished
+    (learnt,) = results.learnt
+    assert learnt.error == ""
+    assert learnt.judged_s == pytest.approx(2 * (12.0 - 1.1), abs=0.1)  # start-up and windows are not judged
+    by_cause = {flight.cause: flight for flight in results.flights}
+    assert by_cause["healthy"].onset_s is None
+    assert by_cause["healthy"].flown_s == 12.0
+    assert by_cause["healthy"].healthy_s == by_cause["healthy"].judged_s
+    crack, gone = by_cause["F2/SV3"], by_cause["ejection"]
+    assert crack.onset_s is not None
+    assert 0.3 * 12 <= crack.onset_s <= 0.5 * 12
+    assert gone.onset_s is not None
+    assert gone.onset_s < gone.flown_s < gone.onset_s + 2.0  # it falls
+    assert gone.latency_s is not None
+    assert gone.latency_s > 0.0
+    assert summarise(results).flights == 4
+
+
+def test_one_and_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:
+    found = []
+    stages: list[tuple[str, int, int]] = []
+    for workers in (1, 2):
+        journal = Journal(tmp_path / f"{workers}.jsonl")
+        with local_crew(workers) as crew:
+            found.append(run_campaign(make_plan(TINY), journal, crew, lambda *told: stages.append(told)))
+        journal.close()
+    assert stages[: len(stages) // 2] == stages[len(stages) // 2 :]
+    assert (stages[0], stages[-1]) == (("learning", 0, 1), ("flying", 4, 4))
+    assert found[0] == found[1]
+    assert found[0].flights == finished[1].flights  # a process with more threads of arithmetic rounds otherwise
+
+
+def test_a_rerun_flies_only_what_is_missing(finished: tuple[Path, Results], tmp_path: Path) -> None:
+    path, results = finished
+    lines = path.read_text().splitlines()
+    assert len(lines) == 5
+    torn = tmp_path / "torn.jsonl"
+    torn.write_text("\n".join(lines[:3]) + "\n" + lines[3][:100])
+    again = run(torn)
+    assert again.reused == 3
+    assert (again.learnt, again.flights) == (results.learnt, results.flights)
+    kept = torn.read_text().splitlines()
+    assert kept[:3] == lines[:3]
+    assert [json.loads(line)["key"] for line in kept[4:]] == [json.loads(line)["key"] for line in lines[3:]]
+    assert run(torn).reused == 5
+
+
+def test_another_seed_is_another_campaign_and_fresh_forgets(finished: tuple[Path, Results], tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text(finished[0].read_text())
+    other = run(path, replace(TINY, seed=5))
+    assert other.reused == 0
+    assert [one.key for one in other.flights] != [one.key for one in finished[1].flights]
+    assert [one.onset_s for one in other.flights] != [one.onset_s for one in finished[1].flights]
+    assert len(path.read_text().splitlines()) == 10
+    assert run(path, fresh=True).reused == 0
+    assert len(path.read_text().splitlines()) == 5
+
+
+def test_an_airframe_that_cannot_be_learnt_is_told_not_hidden(tmp_path: Path) -> None:
+    design = Design(
+        airframes=1, learn_flights=1, flights=1, hours=0.0, duration_s=10.0, cause=("bending",),
+        manoeuvre=("hover",), link=("qdrone2@2",),
+    )  # fmt: skip
+    results = run(tmp_path / "results.jsonl", design)
+    assert results.learnt[0].error
+    assert results.flights[0].verdict == "not_judgeable"
+    assert "no baseline" in results.flights[0].reason
+    assert summarise(results).detection[0:1] == ()
+
+
+def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="choose another --output"):
+        Journal(tmp_path)
+
+
+def test_dask_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
+    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"), dask_crew("tcp://127.0.0.1:1"):
+        pass
+
+
+def sitl_plant(
+    arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of the command."""
+    monkeypatch.setattr(sys, "argv", ["sitl-plant", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr()
+    return int(ended.value.code or 0), told.out, told.err
+
+
+def test_the_command_reuses_and_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, summary = tmp_path / "results.jsonl", tmp_path / "summary.json"
+    arguments = (
+        "campaign", "-o", str(path), "--flights", "1", "--hours", "0", "--airframes", "1", "--learn-flights", "2",
+        "--learn", "square", "--duration", "12", "--conditions", "cause=ejection", "--conditions", "wind=0",
+        "--workers", "1", "--seed", "2",
+    )  # fmt: skip
+    code, out, err = sitl_plant([*arguments, "--summary", str(summary)], monkeypatch, capsys)
+    assert code == 0, err
+    assert "ejection" in out
+    before = path.read_text()
+    code, out, err = sitl_plant([*arguments, "--json"], monkeypatch, capsys)
+    assert code == 0, err
+    assert json.loads(out) == json.loads(summary.read_text())
+    assert path.read_text() == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--conditions", "wind=strong"), ("--flights", "-3"), ("-o", "."), ("--summary", "/nowhere/at/all.json")],
+)
+def test_the_command_says_no_in_one_line(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nothing = ("-o", str(tmp_path / "r.jsonl"), "--flights", "0", "--hours", "0", "--workers", "1")
+    code, _, err = sitl_plant(["campaign", *nothing, *arguments], monkeypatch, capsys)
+    assert code == 2
+    assert len([line for line in err.splitlines() if line.startswith("sitl-plant: ")]) == 1, err
+
+
+def test_parquet_is_asked_for_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
+    nothing = ("-o", str(tmp_path / "r.jsonl"), "--flights", "0", "--hours", "0", "--workers", "1")
+    code, _, err = sitl_plant(["campaign", *nothing, "--parquet", str(tmp_path / "x.parquet")], monkeypatch, capsys)
+    assert code == 2
+    assert "mavdiag[fleet]" in err
+
+
+def test_the_stand_command_prints_the_same_numbers_for_the_same_seed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, same, other = (
+        sitl_plant(["stand", "--json", "--seed", seed], monkeypatch, capsys) for seed in ("3", "3", "4")
+    )
+    assert one == same != other
+    assert [bar["name"] for bar in json.loads(one[1])["bars"]][-1] == "F3/SV3"
+    code, _, err = sitl_plant(["stand", "--rpm", "5"], monkeypatch, capsys)
+    assert (code, len(err.strip().splitlines())) == (2, 1)
+    assert "estimates" in sitl_plant(["stand"], monkeypatch, capsys)[1]

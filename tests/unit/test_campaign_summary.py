@@ -1,0 +1,135 @@
+"""Intervals against scipy's own, and the tables of a made campaign counted by hand."""
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, poisson
+
+from sitl_plant.campaign import Results
+from sitl_plant.campaign_plan import Conditions, Design, Plan
+from sitl_plant.campaign_summary import poisson as poisson_rate
+from sitl_plant.campaign_summary import summarise, wilson
+from sitl_plant.campaign_tables import print_summary
+from sitl_plant.campaign_worker import Answer, FlightLine, MonitorLine
+
+PLAN = Plan(Design(airframes=2, seed=9), (), ())
+
+
+@pytest.mark.parametrize(("hits", "of"), [(0, 1), (0, 9), (3, 9), (9, 9), (57, 100), (499, 500)])
+def test_the_share_has_wilsons_interval(hits: int, of: int) -> None:
+    oracle = binomtest(hits, of).proportion_ci(method="wilson")
+    found = wilson(hits, of)
+    assert (found.low, found.high) == pytest.approx((oracle.low, oracle.high), abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 40])
+def test_the_rate_has_the_exact_poisson_interval(count: int) -> None:
+    """At its ends, what was seen is just 2.5 % likely from either side."""
+    found = poisson_rate(count, 4.0)
+    assert found.high is not None
+    assert poisson.cdf(count, 4.0 * found.high) == pytest.approx(0.025)
+    if count:
+        assert poisson.sf(count - 1, 4.0 * found.low) == pytest.approx(0.025)
+    else:
+        assert found.low == 0.0
+
+
+def test_nothing_seen_tells_nothing() -> None:
+    assert (wilson(0, 0).low, wilson(0, 0).high) == (0.0, 1.0)
+    assert poisson_rate(0, 0.0).high is None
+
+
+def line(
+    index: int,
+    cause: str,
+    episodes: int = 0,
+    latency_s: float | None = None,
+    answer: Answer = Answer("nothing"),  # noqa: B008  # frozen
+    verdict: str = "healthy",
+    phenomenology: float = 1.0,
+) -> FlightLine:
+    onset_s = None if cause == "healthy" else 20.0
+    after = 0 if latency_s is None else 1
+    return FlightLine(
+        key=str(index),
+        index=index,
+        airframe=index % 2,
+        cause=cause,
+        rotor=1 + index % 4,
+        phenomenology=phenomenology,
+        conditions=Conditions(wind_m_s=float(index % 2)),
+        link="qdrone2@1000",
+        loss=0.0,
+        flown_s=60.0,
+        verdict=verdict,
+        reason="",
+        judged_s=60.0,
+        healthy_s=60.0 if onset_s is None else 20.0,
+        onset_s=onset_s,
+        episodes=episodes,
+        latency_s=latency_s,
+        answer=answer,
+        monitors=(MonitorLine("latency", episodes, after, latency_s), MonitorLine("other", 0, 0, None)),
+    )
+
+
+def made() -> Results:
+    found = "propeller fault"
+    return Results(
+        PLAN,
+        (),
+        (
+            *(line(i, "healthy", episodes=int(i == 3)) for i in range(30)),
+            line(30, "F1/SV2", latency_s=1.0, answer=Answer(found, rotor=3, fault_type="F1", severity=2)),
+            line(31, "F1/SV2", latency_s=3.0, answer=Answer(found, rotor=1, fault_type="F2")),
+            line(32, "F2/SV1", episodes=1, phenomenology=0.5),
+            line(33, "F2/SV1", verdict="not_judgeable", answer=Answer("not_judgeable")),
+            line(34, "gyro-bias", latency_s=2.0, answer=Answer("other fault")),
+        ),
+        reused=0,
+    )
+
+
+def test_false_alarms_are_counted_on_healthy_flights_alone() -> None:
+    summary = summarise(made())
+    every = summary.alarms[0]
+    assert (every.level, every.rate.count) == ("all", 1)
+    assert every.rate.hours == pytest.approx(0.5)
+    assert (every.flights.hits, every.flights.of) == (1, 30)
+    by_wind = {row.level: row for row in summary.alarms if row.factor == "wind m/s"}
+    assert (by_wind["0"].rate.count, by_wind["1"].rate.count) == (0, 1)
+    assert not [row for row in summary.alarms if row.factor == "loss"]  # it does not vary
+    assert summary.chance == pytest.approx(1 - np.exp(-2.0 * 40 / 3600))
+
+
+def test_detections_are_counted_on_judged_faults_alone() -> None:
+    summary = summarise(made())
+    every = summary.detection[0]
+    assert (every.detected.hits, every.detected.of, every.early) == (2, 3, 1)
+    assert every.latency_median_s == pytest.approx(2.0)
+    assert every.latency_p90_s == pytest.approx(2.8)
+    assert (every.rotor_right.hits, every.rotor_right.of) == (1, 2)
+    assert (every.type_right.hits, every.type_right.of) == (1, 2)
+    assert (every.severity_right.hits, every.severity_right.of) == (1, 1)
+    cells = {row.level: row.detected for row in summary.detection if row.factor == "fault, phenomenology"}
+    assert (cells["F1/SV2 x1"].hits, cells["F2/SV1 x0.5"].of) == (2, 1)
+    assert summary.unjudged == (("not_judgeable: ", 1),)
+
+
+def test_monitors_and_answers() -> None:
+    summary = summarise(made())
+    latency, other = summary.monitors
+    assert (latency.name, latency.rate.count, latency.detected.hits, latency.detected.of) == ("latency", 1, 2, 3)
+    assert (other.rate.count, other.detected.hits) == (0, 0)
+    answers = {row.cause: row for row in summary.answers}
+    assert answers["F1/SV2"].answers == (("propeller fault", 2),)
+    assert answers["F2/SV1"].answers == (("not_judgeable", 1), ("nothing", 1))
+    assert answers["gyro-bias"].answers == (("other fault", 1),)
+
+
+def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:
+    print_summary(summarise(made()))
+    shown = capsys.readouterr().out
+    for text in ("False alarms", "2/3", "F1/SV2", "gyro-bias", "not judged: 1 flights", "seed 9"):
+        assert text in shown
+    print_summary(summarise(Results(PLAN, (), (), 0)))
+    assert "0 flights" in capsys.readouterr().out

@@ -1,0 +1,208 @@
+"""Energy: signature and amplitude against their definitions, identification and variance against scipy, refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+from scipy.optimize import nnls
+from scipy.signal import lfilter
+
+from mavdiag.diagnose.geometry import frame_named
+from mavdiag.diagnose.monitors import energy
+from mavdiag.diagnose.monitors.base import Rows
+from mavdiag.diagnose.monitors.disturbance import Arx, HealthyMotion, Observer
+from mavdiag.diagnose.monitors.energy import Energy, EnergySpec, fit, judgeable
+from mavdiag.diagnose.monitors.made_rows import made_rows
+from mavdiag.errors import IdentificationError, InputError, UsageError
+from mavdiag.quantities import FloatArray
+
+N, DT_S, WINDOW = 3000, 0.01, 5
+MODEL = ((1.0, -1.6, 0.66), (0.0, 0.03, 0.03))
+
+
+def flown(seed: int, push: FloatArray, *, n: int = N, noise: float = 0.02) -> Rows:
+    """A linear airframe at 100 Hz. push: (n, 3) added to roll rate, pitch rate and vertical acceleration."""
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.normal(0, 0.1, (n // 200 + 1, 3)), 200, axis=0)[:n]
+    setpoint = lfilter([0.1], [1, -0.9], steps, axis=0)
+    rate = lfilter(MODEL[1], MODEL[0], np.gradient(setpoint, DT_S, axis=0), axis=0)
+    thrust = 0.3 + lfilter([0.05], [1, -0.95], rng.normal(0, 0.05, n))
+    force = np.zeros((n, 3))
+    force[:, 2] = -9.81 * lfilter([0.3], [1, -0.7], thrust) / 0.3
+    rate[:, :2] += push[:, :2]
+    force[:, 2] += push[:, 2]
+    rate += rng.normal(0, noise, (n, 3))
+    force += rng.normal(0, 0.1, (n, 3))
+    return made_rows(n, DT_S, setpoint=setpoint, rate=rate, force=force, thrust=thrust)
+
+
+def wander(seed: int, n: int = N) -> FloatArray:
+    """(n, 1) slow noise of unit rms."""
+    rng = np.random.default_rng([seed, 7])
+    slow = lfilter([0.1], [1, -0.9], rng.normal(size=n))
+    return np.asarray(slow / slow.std())[:, None]
+
+
+CALM = np.zeros((N, 3))
+
+
+@pytest.fixture(scope="module")
+def spec() -> EnergySpec:
+    return fit([[flown(seed, CALM)] for seed in range(3)], frame_named("qdrone2"), window=WINDOW)
+
+
+def test_the_models_are_those_of_the_airframe(spec: EnergySpec) -> None:
+    u = flown(50, CALM).rates.u
+    for axis, arx in enumerate((spec.motion.roll, spec.motion.pitch)):
+        expected = lfilter(MODEL[1], MODEL[0], u[:, axis])
+        found = lfilter(arx.b, arx.a, u[:, axis])
+        assert float(np.std(found - expected)) < 0.05 * float(np.std(expected))
+    assert spec.motion.heave.a != (1.0, 0.0)
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: EnergySpec, rotor: int) -> None:
+    roll, pitch, _ = frame_named("qdrone2").signs[rotor - 1]
+    monitor = Energy(spec)
+    push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
+    _, faulty = monitor.step(monitor.start(), flown(10, push))
+    _, calm = monitor.step(monitor.start(), flown(10, CALM))
+    assert float(calm.statistic[calm.valid].max()) < 3.0
+    assert float(faulty.statistic[faulty.valid].min()) > 5.0
+    assert (faulty.rotors[faulty.valid].argmax(axis=1) + 1 == rotor).all()
+    assert float(faulty.rotors[faulty.valid].max(axis=1).min()) > 0.6
+
+
+def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: EnergySpec) -> None:
+    monitor = Energy(spec)
+    gust = 0.1 * wander(3) * [1.0, 1.0, 0.0]
+    _, reading = monitor.step(monitor.start(), flown(11, gust))
+    assert float(reading.rotors[reading.valid].max()) < 0.65  # one pair of three agrees, the others are noise
+    rotors = np.sort(reading.rotors[reading.valid], axis=1)
+    assert float(np.median(rotors[:, -1] - rotors[:, -2])) < 0.3
+
+
+def test_the_level_is_the_arms_rms_in_radians_per_second(spec: EnergySpec) -> None:
+    monitor = Energy(spec)
+    push = 0.2 * wander(4) * [-1.0, 1.0, -4.0]
+    _, reading = monitor.step(monitor.start(), flown(12, push, noise=1e-4))
+    expected = 0.2 * np.sqrt(2)  # roll and pitch together, less what the 1 s high-pass takes
+    assert float(np.sqrt(np.mean(reading.level[reading.valid] ** 2))) == pytest.approx(expected, rel=0.1)
+
+
+def test_statistic_follows_its_formula(spec: EnergySpec) -> None:
+    rows = flown(13, 0.1 * wander(5) * [1.0, 1.0, -4.0])
+    d = Observer(spec.motion).step(Observer(spec.motion).start(), rows)[1]
+    _, reading = Energy(spec).step(Energy(spec).start(), rows)
+    n = d.n[-spec.samples :]
+    cor = [
+        np.sum(n[:, i] * n[:, j]) / np.sqrt(np.sum(n[:, i] ** 2) * np.sum(n[:, j] ** 2))
+        for i, j in ((0, 1), (0, 2), (1, 2))
+    ]
+    best = 0.0
+    for roll, pitch, _ in frame_named("qdrone2").signs:
+        S = (roll * pitch * cor[0] - roll * cor[1] - pitch * cor[2]) / 3
+        A = np.sqrt(np.mean(((roll * n[:, 0] + pitch * n[:, 1]) / np.sqrt(2)) ** 2))
+        best = max(best, float(A * np.exp(S)))
+    assert reading.statistic[-1] == pytest.approx(best, rel=1e-9)
+
+
+def test_residuals_are_free_run_by_scipy(spec: EnergySpec) -> None:
+    motion = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0))
+    rows = flown(14, CALM)
+    d = Observer(motion).step(Observer(motion).start(), rows)[1]
+    r = rows.rates.y[:, 0] - lfilter(motion.roll.b, motion.roll.a, rows.rates.u[:, 0])
+    alpha = 1 - np.exp(-DT_S)
+    r[:150] = 0
+    r -= lfilter([alpha], [1, alpha - 1], r)
+    np.testing.assert_allclose(d.r[600:, 0], r[600:], atol=1e-6)  # the start from the first measured rate dies out
+    np.testing.assert_array_equal(d.r, d.n)
+
+
+def test_on_a_plus_frame_the_idle_axis_does_not_count() -> None:
+    spec = fit([[flown(seed, CALM)] for seed in range(2)], frame_named("plus"), window=WINDOW)
+    for rotor, (roll, pitch, _) in enumerate(frame_named("plus").signs, start=1):
+        push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
+        _, reading = Energy(spec).step(Energy(spec).start(), flown(15, push))
+        assert (reading.rotors[reading.valid].argmax(axis=1) + 1 == rotor).mean() > 0.99
+
+
+def test_variance_is_the_non_negative_least_squares_by_scipy() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        busy = rng.gamma(0.5, 2.0, 400)
+        squares = (rng.normal() + rng.normal() * busy + 3 * rng.random(400)) ** 2
+        k0, k1 = energy._variance(squares, busy)
+        expected = nnls(np.column_stack((np.ones(400), busy)), squares)[0]
+        assert k1 == pytest.approx(expected[1], rel=1e-6, abs=1e-9), seed
+        assert k0 == pytest.approx(max(expected[0], 0.05 * squares.mean()), rel=1e-6), seed
+
+
+def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: EnergySpec) -> None:
+    _, reading = Energy(spec).step(Energy(spec).start(), flown(16, CALM))
+    first_s = float(reading.t_ns[reading.valid][0]) / 1e9
+    assert first_s == pytest.approx(1.5 + 3.0 + 0.04, abs=0.03)
+
+
+def test_thrust_need_not_be_told() -> None:
+    rows = flown(17, CALM)
+    silent = Rows(dataclasses.replace(rows.block, thrust=np.full(N, np.nan)), rows.rates)
+    spec = fit([[silent]], frame_named("qdrone2"), window=WINDOW)
+    assert spec.motion.heave.b == (0.0,)
+    assert Energy(spec).step(Energy(spec).start(), silent)[1].valid.any()
+
+
+def test_a_number_that_is_none_is_not_judged(spec: EnergySpec) -> None:
+    rows = flown(18, CALM)
+    rows.block.force[1500, 2] = np.nan
+    _, reading = Energy(spec).step(Energy(spec).start(), rows)
+    assert not reading.valid[len(reading.valid) // 2 : len(reading.valid) // 2 + 100].any()
+    assert reading.valid[-1]
+    assert np.isfinite(reading.statistic[reading.valid]).all()
+
+
+def test_the_spec_survives_json(spec: EnergySpec) -> None:
+    adapter = TypeAdapter(EnergySpec)
+    assert adapter.validate_json(adapter.dump_json(spec)) == spec
+
+
+def test_what_cannot_be_judged_is_refused_with_a_reason() -> None:
+    frame = frame_named("qdrone2")
+    blind = made_rows(N, DT_S, rate=np.ones((N, 3)))
+    assert "rotor layout" in str(judgeable([blind], None))
+    assert "no accelerometer" in str(judgeable([blind], frame))
+    assert "comes at 20 Hz" in str(judgeable([made_rows(N, 0.05)], frame))
+    assert "no flight" in str(judgeable([made_rows(3, DT_S)], frame))
+    assert judgeable([flown(19, CALM)], frame) is None
+    with pytest.raises(InputError, match="energy: no accelerometer"):
+        fit([[blind]], frame)
+
+
+def test_flights_that_cannot_teach_are_refused() -> None:
+    frame = frame_named("qdrone2")
+    with pytest.raises(IdentificationError, match="fly longer"):
+        fit([[flown(20, CALM[:80], n=80)]], frame, window=WINDOW)
+    still = made_rows(N, DT_S, rate=np.random.default_rng(1).normal(size=(N, 3)), force=np.zeros((N, 3)))
+    with pytest.raises(IdentificationError, match="energy, roll: u is constant"):
+        fit([[still]], frame, window=WINDOW)
+
+
+def test_a_spec_that_describes_nothing_is_refused(spec: EnergySpec) -> None:
+    with pytest.raises(UsageError):
+        dataclasses.replace(spec, frame="none such")
+    with pytest.raises(InputError):
+        dataclasses.replace(spec, window_s=0.0)
+    with pytest.raises(InputError):
+        dataclasses.replace(spec.motion, k0=(0.0, 1.0, 1.0))
+    with pytest.raises(InputError):
+        HealthyMotion(
+            dt_s=0.01,
+            stride=1,
+            window=4,
+            roll=Arx((1.0, 0.0), (0.0,)),
+            pitch=spec.motion.pitch,
+            heave=spec.motion.heave,
+        )
+    with pytest.raises(IdentificationError):
+        Arx((2.0, 0.0), (1.0,))

@@ -1,0 +1,174 @@
+"""Type and severity from the features: what was trained is found again, what is missing or far is said to be so."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mavdiag.diagnose import severity
+from mavdiag.diagnose.events import Reading
+from mavdiag.diagnose.severity import (
+    FaultTypes,
+    Features,
+    Gathered,
+    Outcome,
+    assess,
+    balance_report,
+    features_of,
+    gather,
+    known_fault_types,
+    parse_fault_types,
+)
+from mavdiag.errors import InputError
+from mavdiag.propellers import FaultType
+from mavdiag.quantities import NS_PER_S
+
+KNOWN = known_fault_types()
+LATE = max(KNOWN, key=lambda one: one.after_s)
+NONE = (0.0, 0)
+
+
+def gathered(features: Features, after_s: float = 9.0) -> Gathered:
+    square = [NONE if x is None else (x * x, 1) for x in (features.unbalance_g_mm, features.motion_rad_s)]
+    rise = NONE if features.rise is None else (features.rise, 1)
+    return Gathered(0, square[0], square[1], rise, round(after_s * NS_PER_S))
+
+
+def centre(code: str, strength: float = 1.0) -> Features:
+    """The middle of a trained cloud."""
+    kind, level = FaultType(code[:2]), int(code[-1])
+    cloud = next(c for c in LATE.clouds if (c.fault_type, c.severity, c.strength) == (kind, level, strength))
+    return Features(math.exp(cloud.mean[0]), math.exp(cloud.mean[1]), float(cloud.mean[2]) / 100)
+
+
+def reading(t_s: float, level: float, *, rotors: tuple[float, ...] = ()) -> Reading:
+    """One second of readings from t_s on."""
+    t_ns = np.round((t_s + np.arange(50) * 0.02) * NS_PER_S).astype(np.int64)
+    levels = np.full(50, level)
+    return Reading(t_ns, levels, levels, levels, np.ones(50, dtype=bool), np.tile(rotors, (50, 1)))
+
+
+def test_the_packaged_parameters_hold_nine_faults_at_three_strengths_and_say_what_they_are() -> None:
+    assert [one.after_s for one in KNOWN] == [3.0, 8.0]
+    for one in KNOWN:
+        assert len({(c.fault_type, c.severity, c.strength) for c in one.clouds}) == 27
+        assert "emulated" in one.trained_on
+
+
+@pytest.mark.parametrize("strength", [1.0, 0.5])
+@pytest.mark.parametrize("code", ["F1/SV1", "F1/SV2", "F1/SV3", "F2/SV1", "F3/SV1", "F3/SV3"])
+def test_the_middle_of_a_cloud_is_its_fault(code: str, strength: float) -> None:
+    found = assess(gathered(centre(code, strength)), KNOWN)
+    assert (found.outcome, found.fault_type) == (Outcome.NAMED, code[:2])
+    assert found.severity is not None
+    assert abs(found.severity - int(code[-1])) <= 1
+    assert found.confidence is not None
+    assert found.confidence > 0.8
+
+
+def test_the_shares_are_those_of_bayes_by_scipy() -> None:
+    from scipy.stats import multivariate_normal
+
+    near = np.add(centre("F3/SV1", 0.5).vector, (0.05, 0.1, 0.2))
+    features = Features(math.exp(near[0]), math.exp(near[1]), near[2] / 100)
+    density = {
+        (c.fault_type, c.severity, c.strength): multivariate_normal(c.mean, c.covariance).pdf(features.vector)
+        for c in LATE.clouds
+    }
+    total = sum(density.values())
+    found = assess(gathered(features), KNOWN)
+    share = sum(v for k, v in density.items() if k[0] is found.fault_type) / total
+    assert found.confidence == pytest.approx(share, rel=1e-9)
+
+
+def test_without_the_trim_the_other_features_decide() -> None:
+    full = centre("F2/SV2")
+    found = assess(gathered(Features(full.unbalance_g_mm, full.motion_rad_s)), KNOWN)
+    assert found.fault_type is FaultType.CRACK
+
+
+def test_it_is_too_early_before_three_seconds_and_with_one_feature() -> None:
+    assert assess(gathered(centre("F1/SV1"), after_s=2.0), KNOWN).outcome is Outcome.TOO_EARLY
+    assert assess(gathered(Features(2.0)), KNOWN).outcome is Outcome.TOO_EARLY
+    assert assess(gathered(Features(2.0, None, 0.01)), KNOWN).outcome is Outcome.TOO_EARLY
+
+
+def test_what_no_fault_looks_like_gets_no_name() -> None:
+    found = assess(gathered(Features(60.0, 2.0, 0.3)), KNOWN)
+    assert (found.outcome, found.fault_type, found.severity) == (Outcome.FAR, None, None)
+    assert found.distance is not None
+    assert found.distance > severity.FAR
+
+
+def test_between_two_types_none_is_named() -> None:
+    a, b = centre("F2/SV3", 0.5), centre("F3/SV1", 1.0)
+    known = [FaultTypes(0.0, tuple(c for c in LATE.clouds if c.strength == 1.0), "")]
+    outcomes = set()
+    for weight in np.linspace(0, 1, 60):
+        x = (1 - weight) * a.vector + weight * b.vector
+        outcomes.add(assess(gathered(Features(math.exp(x[0]), math.exp(x[1]), x[2] / 100)), known).outcome)
+    assert Outcome.NAMED in outcomes
+    assert outcomes & {Outcome.BETWEEN, Outcome.FAR}
+
+
+def test_only_windows_after_the_declaration_are_gathered() -> None:
+    state = severity.start(10 * NS_PER_S)
+    for t_s in range(5, 20):
+        level = 9.0 if t_s < 10 else 2.0
+        rise = (0.0, 0.5 if t_s < 14 else 0.03, 0.0, 0.0)
+        state = gather(
+            state,
+            vibration=reading(t_s + 0.61, level),
+            energy=reading(t_s + 2.96, 9.0 if t_s < 10 else 0.1),
+            effort=reading(t_s, 0.0, rotors=rise),
+            rotor=2,
+        )
+    found = features_of(state)
+    assert found.unbalance_g_mm == pytest.approx(2.0)
+    assert found.motion_rad_s == pytest.approx(0.1)
+    assert found.rise == pytest.approx(0.03)
+
+
+def test_a_trim_counts_only_for_a_named_rotor() -> None:
+    state = gather(severity.start(0), effort=reading(5.0, 0.0, rotors=(0.1, 0.2)), rotor=None)
+    assert features_of(state) == Features()
+    assert features_of(gather(state, effort=reading(5.0, 0.0, rotors=(0.1, 0.2)), rotor=3)) == Features()
+
+
+def test_however_the_readings_are_cut_the_features_are_the_same() -> None:
+    whole = gather(severity.start(0), vibration=reading(3.0, 2.0), energy=reading(5.0, 0.2))
+    state = severity.start(0)
+    for first in range(0, 50, 7):
+        a, b = reading(3.0, 2.0), reading(5.0, 0.2)
+        cut = slice(first, first + 7)
+        parts = [
+            Reading(*(getattr(r, n)[cut] for n in ("t_ns", "statistic", "level", "signal", "valid"))) for r in (a, b)
+        ]
+        state = gather(state, vibration=parts[0], energy=parts[1])
+    one, other = features_of(whole), features_of(state)
+    np.testing.assert_allclose(one.vector[:2], other.vector[:2], rtol=1e-12)
+    assert whole.latest_ns == state.latest_ns
+
+
+def test_the_unbalance_is_held_against_iso_1940() -> None:
+    report = balance_report(Features(0.36), rotor_mass_g=30.0, speed_rpm=10_000)
+    assert report is not None
+    assert report.ratio == pytest.approx(2.0, rel=0.01)  # T Eq 3.6 permits 0.18 g mm
+    assert not report.within
+    assert balance_report(Features(), rotor_mass_g=30.0, speed_rpm=10_000) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"schema": "other/1"}', '{"schema": "mavdiag.fault_types/1", "tables": [{}]}']
+)
+def test_a_damaged_file_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="fault types"):
+        parse_fault_types(text)
+
+
+def test_a_covariance_that_is_none_is_refused() -> None:
+    row = {"type": "F1", "severity": 1, "strength": 1, "mean": [0, 0, 0], "covariance": (-np.eye(3)).tolist()}
+    tables = [{"after_s": 3, "clouds": [row]}]
+    with pytest.raises(InputError, match="positive definite"):
+        parse_fault_types(json.dumps({"schema": severity.SCHEMA, "trained_on": "", "tables": tables}))
