@@ -8,7 +8,7 @@ logits a unit of its evidence is worth, chosen on emulated flights so that a nam
 
     vibration   8   the sense of turning and the place agree (1) or do not (0 and below)
     energy      8   a difference of 0.3 between mean correlations has named the right rotor in 99 of 100
-    effort      3   evidence over its own threshold: a trim shift has the threshold's size when it counts
+    effort     10   evidence over its own threshold: of 35 recorded cuts a lead of 0.12 of it was right every time
 """
 
 import math
@@ -35,7 +35,7 @@ class Voice:
 VOICES: Mapping[str, Voice] = {
     "vibration": Voice(8.0),
     "energy": Voice(8.0),
-    "effort": Voice(3.0, relative=True),
+    "effort": Voice(10.0, relative=True),
 }
 
 
