@@ -56,7 +56,7 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
-    """Healthy flights under one condition: episodes of alarms an hour, and flights with any."""
+    """Healthy flight under one condition: episodes of alarms an hour, and flights with any."""
 
     factor: str
     level: str
@@ -84,7 +84,7 @@ class DetectionRow:
 
 @dataclass(frozen=True, slots=True)
 class MonitorRow:
-    """One monitor: its own false alarms on healthy flights, and T's faults that it found."""
+    """One monitor: its own false alarms in healthy flight, and T's faults that it found."""
 
     name: str
     rate: Rate
@@ -104,7 +104,10 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All tables. chance: share of healthy flight stretches, as long as those after an onset, that would alarm."""
+    """All tables. healthy_hours: of healthy flights, and of the others up to their onset; alarms there are false.
+
+    chance: share of healthy stretches, as long as those after an onset, in which an alarm would begin.
+    """
 
     seed: int
     airframes: int
@@ -157,6 +160,11 @@ _FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
     "loss": lambda flight: f"{flight.loss:g}",
     "airframe": lambda flight: "aged" if flight.airframe % 2 else "new",
 }
+_ALARM_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
+    "all": lambda flight: "all",
+    "flight": lambda flight: HEALTHY if flight.cause == HEALTHY else "before an onset",
+    **{name: level for name, level in _FACTORS.items() if name != "all"},
+}
 _FAULT_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
     "all": lambda flight: "all",
     "phenomenology": lambda flight: f"{flight.phenomenology:g}",
@@ -170,18 +178,17 @@ _FAULT_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
 def summarise(results: Results) -> Summary:
     """All tables of a campaign."""
     judged = [flight for flight in results.flights if flight.verdict not in UNJUDGED]
-    healthy = [flight for flight in judged if flight.cause == HEALTHY]
     faulty = [flight for flight in judged if flight.cause in CAUSES and CAUSES[flight.cause].group is Group.FAULT]
     return Summary(
         seed=results.plan.design.seed,
         airframes=results.plan.design.airframes,
         flights=len(results.flights),
         unjudged=_counts(f"{one.verdict}: {one.reason}" for one in results.flights if one.verdict in UNJUDGED),
-        healthy_hours=_hours(healthy),
-        chance=_chance(healthy, faulty),
-        alarms=tuple(_alarm_row(*row) for row in _by_level(_FACTORS, healthy)),
+        healthy_hours=_hours(judged),
+        chance=_chance(judged, faulty),
+        alarms=tuple(_alarm_row(*row) for row in _by_level(_ALARM_FACTORS, judged)),
         detection=tuple(_detection_row(*row) for row in _by_level(_FAULT_FACTORS, faulty)),
-        monitors=_monitor_rows(healthy, faulty),
+        monitors=_monitor_rows(judged, faulty),
         answers=_answer_rows(results.flights),
     )
 
@@ -219,13 +226,13 @@ def _hours(flights: Sequence[FlightLine]) -> float:
     return sum(flight.healthy_s for flight in flights) / S_PER_H
 
 
-def _chance(healthy: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> float:
+def _chance(judged: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> float:
     """1 - exp(-rate T), T the mean flight after an onset: what "detected" would be if nothing were to detect."""
-    hours = _hours(healthy)
+    hours = _hours(judged)
     after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
     if not (hours and after_h):
         return 0.0
-    return 1.0 - math.exp(-sum(flight.episodes for flight in healthy) / hours * float(np.mean(after_h)))
+    return 1.0 - math.exp(-sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)))
 
 
 def _alarm_row(factor: str, level: str, flights: Sequence[FlightLine]) -> AlarmRow:
@@ -254,13 +261,13 @@ def _detection_row(factor: str, level: str, flights: Sequence[FlightLine]) -> De
     )
 
 
-def _monitor_rows(healthy: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> tuple[MonitorRow, ...]:
-    names = sorted({monitor.name for flight in (*healthy, *faulty) for monitor in flight.monitors})
+def _monitor_rows(judged: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> tuple[MonitorRow, ...]:
+    names = sorted({monitor.name for flight in judged for monitor in flight.monitors})
     rows = []
     for name in names:
-        quiet = [one for flight in healthy for one in flight.monitors if one.name == name]
+        every = [one for flight in judged for one in flight.monitors if one.name == name]
         loud = [one for flight in faulty for one in flight.monitors if one.name == name]
-        rate = poisson(sum(one.before for one in quiet), _hours(healthy))
+        rate = poisson(sum(one.before for one in every), _hours(judged))
         rows.append(MonitorRow(name, rate, wilson(sum(one.after > 0 for one in loud), len(loud))))
     return tuple(rows)
 

@@ -23,7 +23,7 @@ def print_summary(summary: Summary) -> None:
             console.print(table)
     console.print(
         f"seed {summary.seed}, {summary.airframes} airframes, {summary.flights} flights, "
-        f"{summary.healthy_hours:.2f} healthy hours judged"
+        f"{summary.healthy_hours:.2f} hours of healthy flight judged"
     )
     for reason, count in summary.unjudged:
         console.print(f"not judged: {count} flights, {reason}")
@@ -40,7 +40,7 @@ def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -
 
 def _alarms(summary: Summary) -> Table:
     return _table(
-        "False alarms on healthy flights: episodes an hour, and flights with any",
+        "False alarms in healthy flight (the time before an onset counts): episodes an hour, and flights with any",
         ("condition", "alarms", "hours", "per hour", "95 %", "flights", "95 %"),
         (
             (
@@ -126,7 +126,7 @@ def _answers(summary: Summary) -> Table:
 
 
 def _level(factor: str, level: str) -> str:
-    return level if factor in ("all", "fault") else f"{factor} {level}"
+    return level if factor in ("all", "fault", "flight") else f"{factor} {level}"
 
 
 def _interval(share: Share) -> str:

@@ -89,16 +89,19 @@ def made() -> Results:
     )
 
 
-def test_false_alarms_are_counted_on_healthy_flights_alone() -> None:
+def test_false_alarms_are_counted_in_healthy_flight_and_before_an_onset() -> None:
     summary = summarise(made())
-    every = summary.alarms[0]
-    assert (every.level, every.rate.count) == ("all", 1)
-    assert every.rate.hours == pytest.approx(0.5)
-    assert (every.flights.hits, every.flights.of) == (1, 30)
-    by_wind = {row.level: row for row in summary.alarms if row.factor == "wind m/s"}
-    assert (by_wind["0"].rate.count, by_wind["1"].rate.count) == (0, 1)
-    assert not [row for row in summary.alarms if row.factor == "loss"]  # it does not vary
-    assert summary.chance == pytest.approx(1 - np.exp(-2.0 * 40 / 3600))
+    hours = (30 * 60 + 4 * 20) / 3600  # the flight that was not judged does not count
+    assert summary.healthy_hours == pytest.approx(hours)
+    rows = {(row.factor, row.level): row for row in summary.alarms}
+    every = rows["all", "all"]
+    assert (every.rate.count, every.flights.hits, every.flights.of) == (2, 2, 34)
+    assert every.rate.hours == pytest.approx(hours)
+    assert (rows["flight", "healthy"].rate.count, rows["flight", "before an onset"].rate.count) == (1, 1)
+    assert rows["flight", "before an onset"].rate.hours == pytest.approx(80 / 3600)
+    assert (rows["wind m/s", "0"].rate.count, rows["wind m/s", "1"].rate.count) == (1, 1)
+    assert "loss" not in {row.factor for row in summary.alarms}  # it does not vary
+    assert summary.chance == pytest.approx(1 - np.exp(-2 / hours * 40 / 3600))
 
 
 def test_detections_are_counted_on_judged_faults_alone() -> None:
@@ -118,7 +121,7 @@ def test_detections_are_counted_on_judged_faults_alone() -> None:
 def test_monitors_and_answers() -> None:
     summary = summarise(made())
     latency, other = summary.monitors
-    assert (latency.name, latency.rate.count, latency.detected.hits, latency.detected.of) == ("latency", 1, 2, 3)
+    assert (latency.name, latency.rate.count, latency.detected.hits, latency.detected.of) == ("latency", 2, 2, 3)
     assert (other.rate.count, other.detected.hits) == (0, 0)
     answers = {row.cause: row for row in summary.answers}
     assert answers["F1/SV2"].answers == (("propeller fault", 2),)
