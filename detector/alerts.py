@@ -122,7 +122,10 @@ class Cause:
 
 
 # How a monitor's statistic and threshold are called and in what unit; another one goes by its name.
-_LABELS: Mapping[str, tuple[str, str, str]] = {"latency": ("FSD ", "FML ", "s")}
+_LABELS: Mapping[str, tuple[str, str, str]] = {
+    "latency": ("FSD ", "FML ", "s"),
+    "effort": ("trim shift ", "", ""),
+}
 _NAME_CHARS = 9
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from detector.alerts import Cause, Kind, Notice, evidence, figure
 from detector.effects import EventClosed, EventOpened
 from mavdiag.baseline import Baseline
+from mavdiag.diagnose.diagnosis import Opinion
 from mavdiag.diagnose.events import Event
 from mavdiag.pipeline import Chain, ChainState, Findings, Watch
 from mavdiag.quantities import Axis, Instant, Telemetry
@@ -40,12 +41,17 @@ class Judge:
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """An alert so far. seen: when an event was last seen; sure: whether a monitor that declares faults took part."""
+    """An alert so far.
+
+    seen: when an event was last seen. worst: by the ratio of statistic to threshold, of the events that decide if there
+    are any. sure: whether there are. opinion: the latest of rotor, type and severity.
+    """
 
     since: Instant
     seen: Instant
     worst: Event
     sure: bool
+    opinion: Opinion | None = None
 
 
 def judge_step(judge: Judge, telemetry: Telemetry, now: Instant) -> tuple[Judge, Findings]:
@@ -74,14 +80,21 @@ def alarmed(
     seen = findings.events if findings.now_ns is None else (*findings.events, *open_events(judge))
     if not seen:
         return alarm
-    worst = max(seen if alarm is None else (*seen, alarm.worst), key=_ratio)
-    sure = not all(_suspicious(event, suspect) for event in seen) or (alarm is not None and alarm.sure)
-    return Alarm(now if alarm is None else alarm.since, now, worst, sure)
+    deciding = tuple(event for event in seen if _decides(event, judge.chain) and not _suspicious(event, suspect))
+    opinion = judge.memory.opinion or (None if alarm is None else alarm.opinion)
+    since = now if alarm is None else alarm.since
+    if alarm is None or (deciding and not alarm.sure):
+        return Alarm(since, now, max(deciding or seen, key=_ratio), bool(deciding), opinion)
+    news = deciding if alarm.sure else seen
+    return Alarm(since, now, max((*news, alarm.worst), key=_ratio), alarm.sure, opinion)
 
 
 def alarm_notice(alarm: Alarm) -> Notice:
     """The alert as it is said while it lasts."""
-    who = Cause().who(alarm.worst)
+    held = alarm.opinion
+    fault_type = None if held is None or held.fault_type is None else held.fault_type.value
+    cause = Cause() if held is None else Cause(held.rotor, fault_type, held.severity)
+    who = cause.who(alarm.worst)
     return Notice(Kind.FAULT if alarm.sure else Kind.SUSPECT, (who, evidence(alarm.worst)), who)
 
 
@@ -104,6 +117,14 @@ def _names(monitor: str, axis: Axis | None) -> tuple[str, str]:
 
 def _suspicious(event: Event, suspect: tuple[str, ...]) -> bool:
     return any(name in suspect for name in _names(event.monitor, event.axis))
+
+
+def _decides(event: Event, chain: Chain) -> bool:
+    return any(
+        watch.decides
+        for watch in chain.watches
+        if (watch.monitor.name, watch.monitor.axis) == (event.monitor, event.axis)
+    )
 
 
 def _ratio(event: Event) -> float:

@@ -14,7 +14,7 @@ from mavdiag.pipeline import Chain, Watch, chain_of
 from mavdiag.quantities import NS_PER_S, Axis, Series, Signal, Telemetry
 from mavdiag.signal.align import measure_grid
 
-__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge", "origin_ns"]
+__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge"]
 
 MIN_JUDGED_S = 1.0  # less airborne flight than this supports no verdict (our choice)
 
@@ -42,7 +42,7 @@ class MonitorSummary:
 
 @dataclass(frozen=True, slots=True)
 class JudgedEvent:
-    """An event in seconds since the first sample of the log. end_s is None if it lasted to the end of the log."""
+    """An event in seconds of the vehicle's clock. end_s is None if it lasted to the end of the log."""
 
     t_s: float
     end_s: float | None
@@ -80,21 +80,17 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
 
 
 def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
-    """The part of a log between two times, in seconds since its first sample. Raises InputError if it is empty."""
+    """The part of a log between two times of the vehicle's clock [s]. Raises InputError if it is empty."""
     if from_s is None and to_s is None:
         return telemetry
-    first_ns = origin_ns(telemetry)
-    low = first_ns if from_s is None else first_ns + round(from_s * NS_PER_S)
-    high = np.iinfo(np.int64).max if to_s is None else first_ns + round(to_s * NS_PER_S)
-    kept = tuple(_cut(series, low, int(high)) for series in telemetry.series)
+    low = np.iinfo(np.int64).min if from_s is None else round(from_s * NS_PER_S)
+    high = np.iinfo(np.int64).max if to_s is None else round(to_s * NS_PER_S)
+    kept = tuple(_cut(series, int(low), int(high)) for series in telemetry.series)
     if not any(len(series) for series in kept):
-        raise InputError(f"no data between {from_s} s and {to_s} s of the log")
+        times = [int(t) for series in telemetry.series if len(series) for t in (series.t_ns.min(), series.t_ns.max())]
+        span = f"it goes from {min(times) / NS_PER_S:.1f} to {max(times) / NS_PER_S:.1f} s" if times else "it is empty"
+        raise InputError(f"no data between {from_s} s and {to_s} s of the vehicle's clock; {span}")
     return Telemetry(kept)
-
-
-def origin_ns(telemetry: Telemetry) -> int:
-    """Vehicle time of the first sample of any signal: second 0 of the log."""
-    return min((int(series.t_ns.min()) for series in telemetry.series if len(series)), default=0)
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
@@ -118,10 +114,11 @@ def _run(log: Log, chain: Chain, rate_hz: float) -> LogVerdict:
     events = _merged((*first.events, *last.events))
     peaks = tuple(max(a, b) for a, b in zip(first.peaks, last.peaks, strict=True))
     monitors = _summaries(chain.watches, peaks, events)
-    zero = origin_ns(log.telemetry)
-    judged = tuple(JudgedEvent((e.start_ns - zero) / NS_PER_S, _seconds(e.end_ns, zero), e) for e in events)
-    verdict = Verdict.FAULT if events else Verdict.HEALTHY
-    return LogVerdict(log.name, verdict, _reason(events), judged_s, log.profile, rate_hz, monitors, judged)
+    judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
+    deciding = {(watch.monitor.name, watch.monitor.axis) for watch in chain.watches if watch.decides}
+    faults = [event for event in events if (event.monitor, event.axis) in deciding]
+    verdict = Verdict.FAULT if faults else Verdict.HEALTHY
+    return LogVerdict(log.name, verdict, _reason(faults, events), judged_s, log.profile, rate_hz, monitors, judged)
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:
@@ -142,13 +139,18 @@ def _summaries(watches: Sequence[Watch], peaks: Sequence[float], events: Sequenc
     return tuple(nearest.values())
 
 
-def _seconds(t_ns: int | None, zero_ns: int) -> float | None:
-    return None if t_ns is None else (t_ns - zero_ns) / NS_PER_S
+def _seconds(t_ns: int | None) -> float | None:
+    return None if t_ns is None else t_ns / NS_PER_S
 
 
-def _reason(events: Sequence[Event]) -> str:
+def _reason(faults: Sequence[Event], events: Sequence[Event]) -> str:
+    """The worst evidence in one line; a suspicion that nothing confirmed is said to be one."""
     if not events:
         return "no monitor above its threshold"
-    worst = max(events, key=lambda event: event.statistic / event.threshold if event.threshold else event.statistic)
+    worst = max(faults or events, key=lambda event: event.statistic / event.threshold if event.threshold else 0.0)
     axis = f" on {worst.axis}" if worst.axis is not None else ""
-    return f"{worst.monitor}{axis}: {worst.statistic:.3g} > {worst.threshold:.3g}, {len(events)} alarms"
+    rotor = f"; rotor {worst.rotor}" if worst.rotor is not None else ""
+    kind = f"; {worst.fault_type}" if worst.fault_type is not None else ""
+    count = f"{len(faults or events)} alarm{'s' if len(faults or events) > 1 else ''}"
+    evidence = f"{worst.monitor}{axis} {worst.statistic:.3g} > {worst.threshold:.3g}{rotor}{kind}, {count}"
+    return evidence if faults else f"only suspected: {evidence}"

@@ -6,14 +6,17 @@
 all memory is in their states.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mavdiag.baseline import Baseline, MonitorEntry
+from mavdiag.diagnose import diagnosis
 from mavdiag.diagnose import events as event_step
+from mavdiag.diagnose.diagnosis import DiagnosisSpec, DiagnosisState, Opinion, opinion_at
 from mavdiag.diagnose.events import Event, EventSpec, EventState, Reading
+from mavdiag.diagnose.fusion import Channel, FusionSpec
 from mavdiag.diagnose.monitors.base import Monitor, Rows
 from mavdiag.diagnose.monitors.effort import Effort, EffortSpec
 from mavdiag.diagnose.monitors.energy import Energy, EnergySpec
@@ -21,6 +24,7 @@ from mavdiag.diagnose.monitors.innovation import Innovation, InnovationSpec
 from mavdiag.diagnose.monitors.latency import Latency, LatencySpec
 from mavdiag.diagnose.monitors.shake import Shake, ShakeSpec
 from mavdiag.diagnose.monitors.vibration import Vibration, VibrationSpec
+from mavdiag.diagnose.severity import known_fault_types
 from mavdiag.identify import ArxModel, Method
 from mavdiag.quantities import Axis, Telemetry
 from mavdiag.signal import align as align_step
@@ -45,6 +49,8 @@ __all__ = [
 ]
 
 
+FEATURES = ("vibration", "energy", "effort")
+NO_DIAGNOSIS = DiagnosisSpec(FusionSpec(()), {})
 CLEAR_S = 2.0  # how long a windowed statistic must have been back before its event is over (our choice)
 
 
@@ -97,13 +103,15 @@ class Watch:
     """A monitor and the threshold it is held against.
 
     reference: what its signal is held against, if anything (for the thesis rule the margin [rad/s]); clear_s: how
-    long the statistic must have been back before an event closes.
+    long the statistic must have been back before an event closes. decides: its event is a fault by itself; else it is
+    a suspicion that others must confirm.
     """
 
     monitor: Monitor[Any]
     threshold: float
     reference: float = 0.0
     clear_s: float = 0.0
+    decides: bool = True
 
     @property
     def events(self) -> EventSpec:
@@ -140,24 +148,35 @@ class Findings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainState:
-    """Memory of the front and of every watch."""
+    """Memory of the front, of every watch, and of what they add up to."""
 
     front: FrontState
     monitors: tuple[Any, ...]
-    events: tuple[EventState, ...] = field(default_factory=tuple)
+    events: tuple[EventState, ...]
+    diagnosis: DiagnosisState
+
+    @property
+    def opinion(self) -> Opinion | None:
+        """What is held of the fault that is declared now; None while there is none."""
+        return opinion_at(self.diagnosis, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Front and watches: the whole way from telemetry to events."""
+    """Front, watches and diagnosis: the whole way from telemetry to events.
+
+    diagnosis: its channels are the deciding watches, in their order; without one, events name no rotor.
+    """
 
     front: Front
     watches: tuple[Watch, ...]
+    diagnosis: DiagnosisSpec = NO_DIAGNOSIS
 
     def start(self) -> ChainState:
         """Nothing heard yet."""
         monitors = tuple(watch.monitor.start() for watch in self.watches)
-        return ChainState(self.front.start(), monitors, tuple(event_step.start() for _ in self.watches))
+        events = tuple(event_step.start() for _ in self.watches)
+        return ChainState(self.front.start(), monitors, events, diagnosis.start(self.diagnosis))
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, Findings]:
         """Take in a chunk of telemetry; return what it brought."""
@@ -168,27 +187,36 @@ class Chain:
         """The end of a log: the last rows, and events that are still open with their highest figures."""
         front, rows = self.front.finish(state.front)
         state, findings = self._watch(state, front, rows)
-        still_open = tuple(event for one in state.events for event in event_step.finish(one))
+        still_open = tuple(
+            diagnosis.named(state.diagnosis, event) for one in state.events for event in event_step.finish(one)
+        )
         return replace(findings, events=(*findings.events, *still_open))
 
     def _watch(self, state: ChainState, front: FrontState, all_rows: tuple[Rows, ...]) -> tuple[ChainState, Findings]:
-        monitors, event_states = list(state.monitors), list(state.events)
+        monitors, event_states, opinions = list(state.monitors), list(state.events), state.diagnosis
+        channels = {channel.monitor for channel in self.diagnosis.fusion.channels}
         found: list[Event] = []
         levels: list[Level] = []
         judged, peaks = 0, [0.0] * len(self.watches)
         now_ns: int | None = None
         for rows in all_rows:
             levels.clear()
+            readings: list[Reading] = []
+            fresh: list[Event] = []
             for i, watch in enumerate(self.watches):
                 monitors[i], reading = watch.monitor.step(monitors[i], rows)
                 event_states[i], seen = event_step.events(watch.events, event_states[i], reading)
-                found += seen
+                fresh += seen
+                if watch.decides and watch.monitor.name in channels:
+                    readings.append(reading)
                 peaks[i] = max(peaks[i], float(reading.statistic.max(where=reading.valid, initial=0.0)))
                 if len(reading.t_ns):
                     levels.append(_level(watch, reading))
+            opinions = diagnosis.step(self.diagnosis, opinions, readings)
+            found += [diagnosis.named(opinions, event) for event in fresh]
             judged += int(rows.rates.valid.sum())
             now_ns = int(rows.block.t_ns[-1])
-        state = ChainState(front, tuple(monitors), tuple(event_states))
+        state = ChainState(front, tuple(monitors), tuple(event_states), opinions)
         return state, Findings(tuple(found), tuple(levels), judged * self.front.align.dt_s, now_ns, tuple(peaks))
 
 
@@ -208,9 +236,21 @@ def front_of(baseline: Baseline) -> Front:
 
 
 def chain_of(baseline: Baseline) -> Chain:
-    """The chain that judges by a baseline. Raises BaselineError if it does not hold together."""
-    watches = [_watch_of(baseline, entry) for entry in baseline.monitors]
-    return Chain(front_of(baseline), tuple(watches))
+    """The chain that judges by a baseline. Raises BaselineError if it does not hold together.
+
+    The thesis's rule decides only where it stands alone: it alarms on trajectories that its flights did not have.
+    """
+    watches = tuple(_watch_of(baseline, entry) for entry in baseline.monitors)
+    others = [watch for watch in watches if watch.monitor.name != "latency"]
+    if not others:
+        return Chain(front_of(baseline), watches)
+    watches = tuple(replace(watch, decides=watch in others) for watch in watches)
+    names = [watch.monitor.name for watch in others]
+    unbalance = any(watch.monitor.name == "vibration" and watch.monitor.unit == "g mm" for watch in others)
+    feature = {name: names.index(name) for name in FEATURES if name in names and (name != "vibration" or unbalance)}
+    channels = tuple(Channel(watch.monitor.name, watch.monitor.unit, watch.threshold) for watch in others)
+    known = known_fault_types() if "energy" in feature else ()
+    return Chain(front_of(baseline), watches, DiagnosisSpec(FusionSpec(channels), feature, known))
 
 
 def _watch_of(baseline: Baseline, entry: MonitorEntry) -> Watch:

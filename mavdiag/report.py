@@ -10,7 +10,7 @@ __all__ = ["EventJson", "MonitorJson", "VerdictJson", "event_json", "verdict_jso
 
 
 class EventJson(TypedDict):
-    """One alarm. t_s, end_s: seconds since the first sample; fsd_s, fml_s: of the thesis rule, else null."""
+    """One alarm. t_s, end_s: of the vehicle's clock [s]; fsd_s, fml_s: of the thesis rule, else null."""
 
     t_s: float
     end_s: float | None
@@ -61,10 +61,10 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> EventJson:
         threshold=_number(event.threshold),
         fsd_s=_number(event.statistic) if thesis else None,
         fml_s=_number(event.threshold) if thesis else None,
-        rotor=None,
-        fault_type=None,
-        severity=None,
-        confidence=None,
+        rotor=event.rotor,
+        fault_type=None if event.fault_type is None else event.fault_type.value,
+        severity=event.severity,
+        confidence=None if event.confidence is None else round(event.confidence, 3),
     )
 
 

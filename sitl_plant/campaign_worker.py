@@ -11,10 +11,9 @@ import numpy as np
 
 from mavdiag.baseline import dump, parse
 from mavdiag.errors import MavdiagError
-from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge, origin_ns
+from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs import Log
-from mavdiag.quantities import NS_PER_S
 from mavdiag.report import event_json
 from sitl_plant.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.campaign_causes import HEALTHY, injections_of
@@ -155,14 +154,11 @@ def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnLine) -> Flight
             verdict = judge(log, parse(learnt.baseline))
         except MavdiagError as error:
             verdict = LogVerdict(log.name, Verdict.ERROR, str(error), profile=log.profile)
-    return _line(key, task, verdict, onset_s, flown_s, origin_ns(telemetry) / NS_PER_S)
+    return _line(key, task, verdict, onset_s, flown_s)
 
 
-def _line(
-    key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float, first_s: float
-) -> FlightLine:
-    """first_s: flight time of the log's second 0."""
-    border_s = (flown_s if onset_s is None else onset_s) - first_s
+def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float) -> FlightLine:
+    border_s = flown_s if onset_s is None else onset_s
     before = [one for one in verdict.events if one.t_s < border_s]
     after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
     return FlightLine(

@@ -40,8 +40,8 @@ def identify(
     airframe: Annotated[str, typer.Option(help="Name of the airframe or type.")] = "unnamed",
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id to read from a .tlog.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Start this far into each log.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Stop this far into each log.")] = None,
+    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Vehicle time to start at.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Vehicle time to stop at.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the baseline as JSON.")] = False,
 ) -> None:
     """Fit a baseline to healthy flights, and say what its alarms will cost."""

@@ -21,8 +21,8 @@ def scan(
     baseline: Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a line per log.")] = False,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id to read from a .tlog.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Start this far into each log.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Stop this far into each log.")] = None,
+    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Vehicle time to start at.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Vehicle time to stop at.")] = None,
 ) -> None:
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable; of several logs the first of 2, 1, 3, 0."""
     reference = load_baseline(baseline)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mavdiag.propellers import FaultType
 from mavdiag.quantities import NS_PER_S, Axis, BoolArray, FloatArray, IntArray
 
 __all__ = ["Event", "EventSpec", "EventState", "Reading", "events", "finish", "start"]
@@ -44,7 +45,8 @@ class EventSpec:
 class Event:
     """One alarm of one monitor. Times are of the vehicle's clock; end_ns is None while it lasts.
 
-    statistic, level: the highest so far; judge them against `threshold`, which has the statistic's unit.
+    statistic, level: the highest so far; judge them against `threshold`, which has the statistic's unit. rotor (from
+    1), fault_type, severity (1..3), confidence of the rotor (0..1): as far as the diagnosis knew at the event's end.
     """
 
     monitor: str
@@ -54,6 +56,10 @@ class Event:
     statistic: float
     threshold: float
     level: float
+    rotor: int | None = None
+    fault_type: FaultType | None = None
+    severity: int | None = None
+    confidence: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ logits a unit of its evidence is worth, chosen on emulated flights so that a nam
 
     vibration   8   the sense of turning and the place agree (1) or do not (0 and below)
     energy      8   a difference of 0.3 between mean correlations has named the right rotor in 99 of 100
-    effort      3   evidence over its own threshold: a trim shift has the threshold's size when it counts
+    effort     10   evidence over its own threshold: of 35 recorded cuts a lead of 0.12 of it was right every time
 """
 
 import math
@@ -26,16 +26,21 @@ SILENT_BELOW = 0.5  # of the threshold (our choice)
 
 @dataclass(frozen=True, slots=True)
 class Voice:
-    """weight: logits per unit of evidence. relative: the evidence counts in units of the monitor's threshold."""
+    """weight: logits per unit of evidence. relative: the evidence counts in units of the monitor's threshold.
+
+    direct: it hears the damaged rotor itself. One that is not direct is heard only where no direct one is above its
+    threshold: a trim tells which rotor is commanded more, and a blade with more drag has the others commanded more.
+    """
 
     weight: float
     relative: bool = False
+    direct: bool = True
 
 
 VOICES: Mapping[str, Voice] = {
     "vibration": Voice(8.0),
     "energy": Voice(8.0),
-    "effort": Voice(3.0, relative=True),
+    "effort": Voice(10.0, relative=True, direct=False),
 }
 
 
@@ -82,8 +87,13 @@ def isolate(witnesses: Sequence[Witness], voices: Mapping[str, Voice] = VOICES) 
     (2, 0.998, 'SILENT')
     """
     logits: list[float] = []
+    heard = any(
+        one.ratio > 1 and one.rotors and voices[one.monitor].direct for one in witnesses if one.monitor in voices
+    )
     for one in witnesses:
         voice = voices.get(one.monitor)
+        if voice is not None and heard and not voice.direct:
+            continue
         gate = min(max((one.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
         if voice is None or not one.rotors or gate == 0.0 or not all(math.isfinite(x) for x in one.rotors):
             continue

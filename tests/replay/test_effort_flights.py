@@ -12,7 +12,7 @@ from mavdiag.diagnose.heldout import Flights
 from mavdiag.diagnose.monitors import effort, innovation, shake
 from mavdiag.diagnose.monitors.base import Monitor, Rows
 from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, Threshold, calibrate
-from mavdiag.judging import between, origin_ns
+from mavdiag.judging import between
 from mavdiag.learning import Flight, front_for, rows_of
 from mavdiag.logs import read_log
 
@@ -24,9 +24,7 @@ Watched = tuple[Monitor[effort.EffortState], Threshold]
 def flight(path: Path, from_s: float | None = None, to_s: float | None = None) -> tuple[Rows, ...]:
     """Airborne rows of a log, between two times of the vehicle's clock."""
     log = read_log(path)
-    zero = origin_ns(log.telemetry) / 1e9
-    low, high = (None if s is None else s - zero for s in (from_s, to_s))
-    telemetry = between(log.telemetry, low, high)
+    telemetry = between(log.telemetry, from_s, to_s)
     return rows_of(front_for([Flight(log.name, log.sha256, log.profile, telemetry)], 0.1), telemetry)
 
 

@@ -96,7 +96,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     verdict = judge(logged(50, flight(10_000, 50, push=push)), baseline)
     assert verdict.verdict is Verdict.FAULT
     first = verdict.events[0]
-    assert 5.0 < first.t_s < 5.3
+    assert 6.0 < first.t_s < 6.3
     assert first.event.statistic == pytest.approx(0.6, abs=0.12)
     assert verdict.monitors[0].maximum == first.event.statistic
     healthy = [judge(logged(seed, flight(8000, seed)), baseline).verdict for seed in range(60, 80)]
@@ -120,11 +120,11 @@ def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reas
     assert verdict.reason.startswith(reason)
 
 
-def test_a_part_of_a_log_is_cut_by_seconds_since_its_start() -> None:
-    part = between(flight(8000, 1), 2.0, 3.0)
+def test_a_part_of_a_log_is_cut_by_the_vehicle_s_clock() -> None:
+    part = between(flight(8000, 1), 3.0, 4.0)
     t = part.need(Signal.BODY_RATE).t_ns
-    assert ((t[0] - 1_000_000_000) / 1e9, len(t)) == (2.0, 1000)
-    with pytest.raises(InputError, match="no data between"):
+    assert (t[0] / 1e9, len(t)) == (3.0, 1000)
+    with pytest.raises(InputError, match=r"no data between 5.0 s and 6.0 s .* from 1\.0 to 1\.8 s"):
         between(flight(800, 1), 5.0, 6.0)
     assert len(cut(part, [])) == 1
 
