@@ -3,8 +3,9 @@
     python benchmarks/loopback.py [--healthy-flights 20] [--healthy-minutes 10] [--seed 0] [--at-once 2]
 
 FML is the maximum of the healthy flights (fast-recorded, drone 1). Each fault on rotor 1 sets in at 10 s of its flight
-and must be alerted over MAVLink within 60 s. Then drone 1 flies healthy; its alarms stand beside the 1/(n+1) that the
-rule costs per flight of equal length. The detector's CPU share and the datagrams it lost are its own report.
+and must be alerted over MAVLink within 60 s. Then drone 1 flies ten minutes of healthy flights, as long as those that
+FML comes from; the alarmed ones stand beside the 1/(n+1) that the rule costs per equal flight. The detector's CPU
+share and the datagrams it lost are its own report.
 """
 
 import argparse
@@ -78,25 +79,26 @@ def main() -> None:
     parser.add_argument("--at-once", type=int, default=2)
     arguments = parser.parse_args()
     flights = [Flight(ONSET_S + WITHIN_S, code, 1, ONSET_S, 500 + arguments.seed + i) for i, code in enumerate(FAULTS)]
-    healthy = Flight(60 * arguments.healthy_minutes, seed=900 + arguments.seed)
+    count = round(60 * arguments.healthy_minutes / HEALTHY_FLIGHT_S)
+    healthy = [Flight(HEALTHY_FLIGHT_S, seed=900 + arguments.seed + i) for i in range(count)]
     table = Table(title=f"loopback at 1 kHz, FML from {arguments.healthy_flights} healthy flights")
     for heading in ("flight", "alerted after s", "alarms before onset", "detector CPU %", "datagrams lost"):
         table.add_column(heading, justify="right")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.at_once) as pool:
         baseline = learn(Path(folder), arguments.healthy_flights, 100 + arguments.seed)
-        results = list(pool.map(partial(fly, baseline=baseline), [healthy, *flights]))
-    for flight, result in zip(flights, results[1:], strict=True):
+        results = list(pool.map(partial(fly, baseline=baseline), [*flights, *healthy]))
+    for flight, result in zip(flights, results[: len(flights)], strict=True):
         found = result.outcome.detected_s
         latency = "missed" if found is None else f"{found - flight.onset_s:.2f}"
         table.add_row(flight.fault, latency, str(result.outcome.false_alarms), f"{result.cpu:.1f}", str(result.lost))
     console = Console(width=120)
     console.print(table)
-    first = results[0]
-    declared = [one for one in first.outcome.texts if one in first.outcome.alerts]
-    expected = 60 * arguments.healthy_minutes / HEALTHY_FLIGHT_S / (arguments.healthy_flights + 1)
+    rest = results[len(flights) :]
+    alarmed = sum(bool(one.outcome.alerts) for one in rest)
+    expected, cpu = count / (arguments.healthy_flights + 1), max(one.cpu for one in rest)
+    console.print(f"healthy: {alarmed} of {count} flights of {HEALTHY_FLIGHT_S:g} s alarmed, {expected:.2f} expected")
     console.print(
-        f"healthy: {len(declared)} alert texts in {arguments.healthy_minutes:g} minutes "
-        f"({expected:.2f} alarmed flights expected by 1/(n+1)); detector {first.cpu:.1f} % CPU, {first.lost} lost"
+        f"detector in healthy flight: at most {cpu:.1f} % CPU, {sum(one.lost for one in rest)} datagrams lost"
     )
 
 
