@@ -1,0 +1,90 @@
+"""What the streaming chain costs for each pair of set-point and IMU sample, after decoding.
+
+    python benchmarks/chain_speed.py [--seconds 60] [--repeats 5]
+
+The same flight of the emulator goes through the chain in blocks, as the daemon cuts it. The peer in the same run is
+the work that no chain can avoid: the Savitzky-Golay filters and a free-run model by scipy, over the flight at once.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from emulated import as_flight
+from scipy.signal import lfilter, savgol_filter
+
+from mavdiag.baseline import Baseline
+from mavdiag.learning import LearnOptions, learn, thesis_options
+from mavdiag.pipeline import chain_of
+from mavdiag.quantities import NS_PER_S, Axis, Series, Signal, Telemetry
+from sitl_plant.plant import PlantConfig
+
+STAMP = "1970-01-01T00:00:00+00:00"
+
+
+def blocks(telemetry: Telemetry, block_s: float) -> list[Telemetry]:
+    """The telemetry as a daemon gets it, a block at a time."""
+    start = min(int(one.t_ns[0]) for one in telemetry.series)
+    stop = max(int(one.t_ns[-1]) for one in telemetry.series)
+    edges = np.arange(start, stop + 1, round(block_s * NS_PER_S))
+    cuts = [np.searchsorted(one.t_ns, edges) for one in telemetry.series]
+    pieces = []
+    for i in range(len(edges)):
+        parts = []
+        for one, cut in zip(telemetry.series, cuts, strict=True):
+            rows = slice(cut[i], cut[i + 1] if i + 1 < len(edges) else len(one))
+            if one.t_ns[rows].size:
+                parts.append(Series(one.signal, one.t_ns[rows], one.host_ns[rows], one.values[rows]))
+        pieces.append(Telemetry(tuple(parts)))
+    return pieces
+
+
+def chain_seconds(baseline: Baseline, pieces: list[Telemetry]) -> float:
+    """CPU time of the whole flight through the chain."""
+    chain = chain_of(baseline)
+    state, started = chain.start(), time.process_time()
+    for piece in pieces:
+        state, _ = chain.step(state, piece)
+    return time.process_time() - started
+
+
+def peer_seconds(baseline: Baseline, telemetry: Telemetry) -> float:
+    """CPU time of filters and models by scipy, all at once."""
+    setpoint, gyro = telemetry.need(Signal.ATTITUDE_SETPOINT).values, telemetry.need(Signal.BODY_RATE).values
+    window, model = baseline.window, baseline.model_of(Axis.ROLL)
+    started = time.process_time()
+    u = savgol_filter(setpoint, window.samples, window.order, deriv=1, delta=baseline.link.dt_s, axis=0)
+    y = savgol_filter(gyro, window.samples, window.order, axis=0)
+    np.abs(y[:, 0] - lfilter(model.b, model.a, u[:, 0])).max()
+    return time.process_time() - started
+
+
+def best(repeats: int, run: Callable[[], float]) -> float:
+    """Median of the runs."""
+    return statistics.median(run() for _ in range(repeats))
+
+
+def main() -> None:
+    """Print microseconds for each pair."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--repeats", type=int, default=5)
+    arguments = parser.parse_args()
+    flights = [as_flight(PlantConfig(seed=seed), 30.0) for seed in range(4)]
+    telemetry = as_flight(PlantConfig(seed=99), arguments.seconds).telemetry
+    pairs = len(telemetry.need(Signal.BODY_RATE))
+    contenders = (("thesis rule", thesis_options()), ("all monitors", LearnOptions(axes=(Axis.ROLL,))))
+    for name, options in contenders:
+        baseline = learn(flights, options, created=STAMP)
+        peer = 1e6 * best(arguments.repeats, partial(peer_seconds, baseline, telemetry)) / pairs
+        for block_s in (0.04, 0.1, 0.25):
+            pieces = blocks(telemetry, block_s)
+            cost = 1e6 * best(arguments.repeats, partial(chain_seconds, baseline, pieces)) / pairs
+            print(f"{name}, blocks of {1e3 * block_s:.0f} ms: {cost:.2f} us a pair, {cost / peer:.1f} x the peer")
+
+
+if __name__ == "__main__":
+    main()
