@@ -1,0 +1,62 @@
+"""The price of the longest healthy run: how often does one more healthy flight beat the FML of n?
+
+    python benchmarks/false_alarm_law.py [--flights 1640] [--seed 0]
+
+Healthy flights of drone 1, all different seeds; model and margin come from other flights. The flights are dealt, in
+order and without reuse, into groups of n + 1; a group counts if its last flight's longest run is longer than those of
+the n before it. Theory says 1/(n + 1), whatever the airframe, because equal flights are exchangeable.
+"""
+
+import argparse
+import multiprocessing
+from functools import partial
+
+import numpy as np
+from emulated import as_flight
+
+from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.diagnose.calibrate import latency_of
+from mavdiag.learning import airborne, learn, residuals_of, thesis_options
+from mavdiag.pipeline import front_of, model_of
+from mavdiag.quantities import Axis
+from sitl_plant.plant import PlantConfig
+
+FLIGHT_S = 12.0
+TEACHING = 8
+GROUPS = (3, 10, 40)
+
+
+def longest_run(seed: int, text: str) -> float:
+    """Longest run above the margin in one healthy flight [s]."""
+    baseline = parse(text)
+    flown = airborne(front_of(baseline), as_flight(PlantConfig(drone=1, seed=seed), FLIGHT_S))
+    residuals = residuals_of(flown, Axis.ROLL, model_of(baseline, Axis.ROLL))
+    return float(latency_of([residuals], baseline.latency[0][0].margin_rad_s)[0])
+
+
+def teach(seed: int) -> Baseline:
+    """Model and margin from flights that are not judged."""
+    flights = [as_flight(PlantConfig(drone=1, seed=seed + i), FLIGHT_S) for i in range(TEACHING)]
+    return learn(flights, thesis_options(), created="1970-01-01T00:00:00+00:00")
+
+
+def main() -> None:
+    """Print the rate of each group size beside the law."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=1640)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    text = dump(teach(100_000 + arguments.seed))
+    seeds = range(200_000 + arguments.seed, 200_000 + arguments.seed + arguments.flights)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        runs = np.array(pool.map(partial(longest_run, text=text), seeds, chunksize=20))
+    for n in GROUPS:
+        groups = runs[: len(runs) // (n + 1) * (n + 1)].reshape(-1, n + 1)
+        beaten = groups[:, -1] > groups[:, :-1].max(axis=1)
+        rate, law = float(beaten.mean()), 1 / (n + 1)
+        error = float(np.sqrt(law * (1 - law) / len(groups)))
+        print(f"n = {n:2d}: {rate:.3f} of {len(groups)} groups, law {law:.3f}, standard error {error:.3f}")
+
+
+if __name__ == "__main__":
+    main()
