@@ -15,16 +15,19 @@ from detector.values import Handler, Inbox, LearningFailed, Next, SessionSpec, S
 from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
 from mavdiag.errors import BaselineError
 from mavdiag.learning import gate_for
+from mavdiag.link.samples import joined
 from mavdiag.pipeline import chain_of
 from mavdiag.quantities import Instant
 
 __all__ = ["HANDLERS"]
 
+WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
 PROGRESS_STEP = 25  # percent of learning between two texts
 
 
 def _waiting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
+    state = replace(state, waited=(*state.waited, inbox.telemetry)[-WAITED_CHUNKS:])
     baseline, lack = state.baseline, hindrance(state.streams, spec.min_rate_hz)
     refusal = None if baseline is None else _mismatch(spec, baseline, baseline.link.dt_s)
     if baseline is not None and refusal is None and lack is None:
@@ -37,7 +40,7 @@ def _waiting(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant)
     if lack is not None:
         return replace(state, reason=lack.text), (Notice(Kind.WAITING, (lack.text,), lack.reason),)
     if baseline is None:
-        state, changed = move(state, Trigger.READY_TO_LEARN)
+        state, changed = move(replace(state, waited=()), Trigger.READY_TO_LEARN)
         return state, (changed,)
     return _begin(spec, state, baseline, now)
 
@@ -51,9 +54,11 @@ def _begin(spec: SessionSpec, state: SessionState, baseline: Baseline, now: Inst
         except BaselineError as error:
             return _off(state, Trigger.REFUSED, str(error))
         judge = Judge(baseline, chain, chain.start(), now)
-    state, changed = move(replace(state, judge=replace(judge, judged=now)), Trigger.READY_TO_JUDGE)
+    judge, findings = judge_step(replace(judge, judged=now), joined(state.waited), now)
+    state, changed = move(replace(state, judge=judge, waited=()), Trigger.READY_TO_JUDGE)
     unknown = set(spec.suspect) - {name for watch in judge.chain.watches for name in names_of(watch)}
-    return state, (changed, *(Note(f"suspect: there is no monitor {name!r}") for name in sorted(unknown)))
+    notes = (Note(f"suspect: there is no monitor {name!r}") for name in sorted(unknown))
+    return state, (changed, *recorded(findings), *notes)
 
 
 def _mismatch(spec: SessionSpec, baseline: Baseline, period_s: float) -> str | None:

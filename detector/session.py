@@ -10,7 +10,6 @@ from detector.alerts import Kind, Notice, Speaker, figure, speak
 from detector.collect import Collection
 from detector.effects import Effect, EventClosed
 from detector.handlers import HANDLERS
-from detector.judge import open_events
 from detector.negotiate import Negotiation, Want, negotiate
 from detector.states import TABLE, State, Trigger
 from detector.streams import Streams, observe, rate_hz
@@ -39,8 +38,13 @@ def step(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> 
 
 
 def finish(state: SessionState) -> tuple[Effect, ...]:
-    """The daemon stops, or the vehicle started anew: events that are still open, with the end not seen."""
-    return tuple(EventClosed(event) for event in open_events(state.judge))
+    """The daemon stops, or the vehicle started anew: the rows that waited are judged, and events that are still open
+    are told with the end not seen."""
+    if state.judge is None:
+        return ()
+    findings = state.judge.chain.finish(state.judge.memory)
+    latest = {(event.monitor, event.axis, event.start_ns): event for event in findings.events}
+    return tuple(EventClosed(event) for event in latest.values())
 
 
 def healthy(state: SessionState) -> bool:

@@ -69,7 +69,11 @@ class Inbox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionState:
-    """All that a session remembers. reason: why it is where it is; heard: when the vehicle was heard last (host)."""
+    """All that a session remembers.
+
+    reason: why it is where it is; heard: when the vehicle was heard last (host). waited: the latest telemetry that came
+    while it waited; judging begins with it, as a scan of the recording does.
+    """
 
     state: State
     reason: str
@@ -80,6 +84,7 @@ class SessionState:
     streams: Streams = field(default_factory=Streams)
     negotiation: Negotiation = field(default_factory=Negotiation)
     collection: Collection = field(default_factory=Collection)
+    waited: tuple[Telemetry, ...] = ()
     judge: Judge | None = None
     alarm: Alarm | None = None
     reboots: int = 0

@@ -61,6 +61,8 @@ class Child:
         """Wait for its end and return its exit code."""
         code = self._process.wait(timeout_s)
         self._reader.join(GRACE_S)
+        if self._process.stdout is not None and not self._reader.is_alive():
+            self._process.stdout.close()
         return code
 
     def end(self) -> None:

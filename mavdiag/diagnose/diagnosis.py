@@ -141,8 +141,9 @@ def _look(spec: DiagnosisSpec, state: DiagnosisState, due_ns: int) -> DiagnosisS
                 effort=upto.get("effort"),
                 rotor=None if opinion is None else opinion.rotor,
             )
-        rest.append({name: _cut(reading, due_ns, None) for name, reading in chunk.items()})
-    left = tuple(chunk for chunk in rest if any(len(reading.t_ns) for reading in chunk.values()))
+        after = {name: _cut(reading, due_ns, None) for name, reading in chunk.items()}
+        rest.append({name: reading for name, reading in after.items() if len(reading.t_ns)})
+    left = tuple(chunk for chunk in rest if chunk)
     state = replace(state, gathered=gathered, pending=left, looked=state.looked + 1)
     if gathered is None or opinion is None:
         return state

@@ -1,0 +1,62 @@
+"""A live loopback flight and the scan of its recording tell the same events."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from mavdiag.commands.children import child
+from mavdiag.judging import judge
+from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.link.endpoint import Endpoint, open_endpoint, wait
+from mavdiag.logs import read_log
+from mavdiag.logs.tlog import tlog_record
+from mavdiag.report import event_json
+from mavdiag.storage import save_baseline
+from sitl_plant.plant import PlantConfig
+from sitl_plant.telemetry import flight_telemetry
+
+SECONDS, ONSET_S = 18.0, 7.0
+FIELDS = ("t_s", "end_s", "monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity")
+
+
+def record(endpoint: Endpoint, seconds: float) -> bytes:
+    """What arrives, as a telemetry log: every datagram is one frame."""
+    records, until = [], time.monotonic() + seconds
+    while time.monotonic() < until:
+        wait([endpoint], 0.1)
+        records += [tlog_record(host_ns // 1000, data) for data, host_ns in endpoint.receive(0.0)]
+    return b"".join(records)
+
+
+@pytest.mark.realtime
+def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None:
+    flights = [
+        Flight(f"f{i}", f"{i:064x}", "qdrone2", flight_telemetry(PlantConfig(seed=50 + i), 20.0)[0]) for i in range(4)
+    ]
+    baseline = learn(flights, LearnOptions(), created="2026-01-01T00:00:00+00:00")
+    file, journal, log = tmp_path / "b.json", tmp_path / "events.jsonl", tmp_path / "flight.tlog"
+    save_baseline(file, baseline)
+    with (
+        open_endpoint("udpin:127.0.0.1:0") as endpoint,
+        child(
+            "detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(file), "--journal", str(journal)
+        ) as detector,
+    ):
+        bound = detector.wait_for("ready", 60.0).split(",")[0].split()[-1].replace("udpin", "udpout")
+        own = endpoint.address.replace("udpin", "udpout")
+        fault = ("--fault", "F2/SV2", "--rotor", "3", "--onset", f"{ONSET_S:g}", "--duration", f"{SECONDS:g}")
+        with child("sitl_plant", "run", "--out", bound, "--out", own, "--seed", "9", *fault) as plant:
+            plant.wait_for("flies", 120.0)
+            log.write_bytes(record(endpoint, SECONDS + 1.0))
+            plant.finish(30.0)
+        detector.end()
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    live = [{key: line[key] for key in FIELDS} for line in lines if line.get("kind") == "event"]
+    verdict = judge(read_log(log), baseline)
+    scanned = [{key: dict(event_json(one.t_s, one.end_s, one.event))[key] for key in FIELDS} for one in verdict.events]
+    order = lambda event: (event["t_s"], event["monitor"])  # noqa: E731  # a sort key, used twice
+    assert scanned, verdict.reason
+    assert sorted(live, key=order) == sorted(scanned, key=order)
+    assert {event["rotor"] for event in scanned} == {3}
