@@ -1,6 +1,6 @@
 """Latency and grading of the faults in a campaign's result file: `python benchmarks/campaign_grades.py FILE.jsonl`.
 
-Beside what `sitl-plant campaign` prints: median and 95th percentile of the latency for each phenomenology, and how often
+Beside what `sitl-plant campaign` prints: median and 95th percentile of the latency by phenomenology, and how often
 type, type with severity (nine classes), and severity within one grade are right where they are named.
 """
 

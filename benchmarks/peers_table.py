@@ -41,7 +41,7 @@ CONTENDERS = (
     Contender("neural network *", neural_network, needs_faults=True, names_rotor=True),
     Contender("thesis FSD, common rule", thesis_rule),
     Contender("thesis FSD > FML (longest healthy)", thesis_rule, rule=ThresholdRule.MAXIMUM),
-    Contender("mavdiag, all its monitors", product, rule=None),
+    Contender("mavdiag, all its monitors", product, rule=None, names_rotor=True),
 )
 KINDS = ("F1", "F2", "F3")
 

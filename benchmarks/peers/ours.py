@@ -7,14 +7,14 @@ import numpy as np
 
 from mavdiag.diagnose.exceedance import exceedance, start
 from mavdiag.identify import ArxModel, fit
-from mavdiag.judging import JudgedEvent, Verdict, judge
+from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import Log
 from mavdiag.quantities import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 
-__all__ = ["named", "product", "thesis_rule"]
+__all__ = ["product", "thesis_rule"]
 
 CREATED = "2025-01-01T00:00:00Z"
 AXES = (0, 1)  # roll and pitch
@@ -44,20 +44,17 @@ def product(_others: Sequence[Flown]) -> Learner:
                 raise RuntimeError(f"an emulated flight cannot be judged: {found.reason}")
             raised, rotor = np.zeros(len(one)), np.zeros(len(one), dtype=np.int64)
             for each in found.events:
+                if each.event.monitor == "latency":  # beside others the thesis rule only raises a suspicion
+                    continue
                 end_s = np.inf if each.end_s is None else each.end_s
                 inside = (one.t_s >= each.t_s) & (one.t_s <= end_s)
                 raised[inside] = 1.0
-                rotor[inside] = named(each)
+                rotor[inside] = each.event.rotor or 0
             return Scored(one.t_s + one.delay_s, raised, rotor)
 
         return score
 
     return learner
-
-
-def named(_event: JudgedEvent) -> int:
-    """The rotor that an event names: none yet. Once events carry one, return it and set `names_rotor` in the table."""
-    return 0
 
 
 @lru_cache(maxsize=4)  # one model for the thesis's statistic under either rule

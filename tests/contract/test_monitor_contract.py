@@ -14,7 +14,7 @@ from made_telemetry import cut
 
 from mavdiag.diagnose.events import Reading
 from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import effort, innovation, shake
+from mavdiag.diagnose.monitors import effort, energy, innovation, shake, vibration
 from mavdiag.diagnose.monitors.base import Monitor, Rows
 from mavdiag.diagnose.monitors.latency import Latency
 from mavdiag.identify import ArxModel, Method
@@ -38,6 +38,8 @@ CASES = (
     Case("effort", lambda: effort.Effort(effort.fit(HEALTHY, frame_named("x")))),
     Case("innovation", lambda: innovation.Innovation(innovation.fit(HEALTHY))),
     Case("shake", lambda: shake.Shake(shake.fit(HEALTHY))),
+    Case("energy", lambda: energy.Energy(energy.fit(HEALTHY, frame_named("x")))),
+    Case("vibration", lambda: vibration.Vibration(vibration.fit(HEALTHY, frame_named("x")))),
 )
 FIELDS = ("t_ns", "statistic", "level", "signal", "valid", "rotors")
 
