@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from recorded_flights import BINS, total_cut_mm
 from rich.console import Console
 from rich.table import Table
 
@@ -23,8 +24,6 @@ from mavdiag.learning import Flight, LearntFlight, airborne, front_for, residual
 from mavdiag.logs import read_log
 from mavdiag.quantities import Axis, FloatArray
 
-PROPELLER_MM = 47.0
-BINS = ((0.0, 1.5), (1.5, 3.0), (3.0, 5.0), (5.0, 99.0))
 Residuals = Callable[[LearntFlight, Axis, ArxModel], list[ResidualPiece]]
 
 
@@ -55,14 +54,6 @@ def one_step(flight: LearntFlight, axis: Axis, model: ArxModel) -> list[Residual
             r = y[model.lag :] - model.predict(u, y)
             pieces.append(ResidualPiece(rates.t_ns[model.lag :], r, rates.valid[model.lag :], rates.dt_s))
     return pieces
-
-
-def total_cut_mm(folder: str) -> float | None:
-    """Total length cut off, from a name such as cut_propeller_M3_4mm_3.5mm_39.5mm."""
-    if not folder.startswith("cut_propeller"):
-        return None
-    lengths = [float(part.removesuffix("mm")) for part in folder.split("_") if part.endswith("mm")]
-    return PROPELLER_MM - lengths[-1] if lengths[-1] > PROPELLER_MM / 2 else lengths[-1]
 
 
 def load(root: Path) -> tuple[list[Labelled], list[Labelled]]:
