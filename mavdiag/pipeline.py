@@ -248,7 +248,16 @@ def chain_of(baseline: Baseline) -> Chain:
     names = [watch.monitor.name for watch in others]
     unbalance = any(watch.monitor.name == "vibration" and watch.monitor.unit == "g mm" for watch in others)
     feature = {name: names.index(name) for name in FEATURES if name in names and (name != "vibration" or unbalance)}
-    channels = tuple(Channel(watch.monitor.name, watch.monitor.unit, watch.threshold) for watch in others)
+    half_window_s = baseline.window.samples // 2 * baseline.link.dt_s  # readings of filtered rates are known that late
+    channels = tuple(
+        Channel(
+            watch.monitor.name,
+            watch.monitor.unit,
+            watch.threshold,
+            half_window_s if watch.monitor.name == "innovation" else 0.0,
+        )
+        for watch in others
+    )
     known = known_fault_types() if "energy" in feature else ()
     return Chain(front_of(baseline), watches, DiagnosisSpec(FusionSpec(channels), feature, known))
 

@@ -85,7 +85,7 @@ def folds(flights: Flights, block_s: float = BLOCK_S) -> Iterator[tuple[Flights,
 
 
 def _judged(monitor: Monitor[Any], flight: Sequence[Rows]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """For each segment: time since its first valid row [s] and statistic of the judged rows, and the row period."""
+    """For each segment: time since its first valid row [s] and statistic of the judged rows, and their period."""
     state = monitor.start()
     first_ns: dict[int, int] = {}
     times: dict[int, list[IntArray]] = {}
@@ -100,7 +100,9 @@ def _judged(monitor: Monitor[Any], flight: Sequence[Rows]) -> Iterator[tuple[Flo
     for segment, start_ns in first_ns.items():
         t_ns = np.concatenate(times[segment])
         if len(t_ns):
-            yield (t_ns - start_ns) / NS_PER_S, np.concatenate(values[segment]), flight[0].block.dt_s
+            # a monitor may speak more seldom than there are rows: what counts is the time that its readings stand for
+            period_s = float(np.median(np.diff(t_ns))) / NS_PER_S if len(t_ns) > 1 else flight[0].block.dt_s
+            yield (t_ns - start_ns) / NS_PER_S, np.concatenate(values[segment]), period_s
 
 
 def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, Flights]]:
