@@ -17,9 +17,9 @@ from emulated import as_flight
 from scipy.signal import lfilter, savgol_filter
 
 from mavdiag.baseline import Baseline
+from mavdiag.chain import chain_of
 from mavdiag.learning import LearnOptions, learn, thesis_options
-from mavdiag.pipeline import chain_of
-from mavdiag.quantities import NS_PER_S, Axis, Series, Signal, Telemetry
+from mavdiag.telemetry import NS_PER_S, Axis, Series, Signal, Telemetry
 from sitl_plant.plant import PlantConfig
 
 STAMP = "1970-01-01T00:00:00+00:00"

@@ -18,11 +18,11 @@ from recorded_flights import BINS, total_cut_mm
 from rich.console import Console
 from rich.table import Table
 
-from mavdiag.diagnose.calibrate import ResidualPiece, latency_of, margin_of
 from mavdiag.identify import ArxModel, fit
 from mavdiag.learning import Flight, LearntFlight, airborne, front_for, residuals_of, training_pieces
 from mavdiag.logs import read_log
-from mavdiag.quantities import Axis, FloatArray
+from mavdiag.monitors.margin import ResidualPiece, latency_of, margin_of
+from mavdiag.telemetry import Axis, FloatArray
 
 Residuals = Callable[[LearntFlight, Axis, ArxModel], list[ResidualPiece]]
 

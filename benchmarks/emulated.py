@@ -2,8 +2,8 @@
 
 from mavdiag.learning import Flight
 from mavdiag.logs import Log
+from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
 from sitl_plant.plant import PlantConfig
-from sitl_plant.telemetry import flight_telemetry, telemetry_digest
 
 __all__ = ["as_flight", "as_log"]
 

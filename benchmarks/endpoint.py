@@ -11,8 +11,8 @@ from contextlib import closing
 from pymavlink import mavutil
 
 from mavdiag.link.codec import Decoder, Encoder
-from mavdiag.link.endpoint import open_endpoint
 from mavdiag.link.messages import MessageId
+from mavdiag.link.ports import open_endpoint
 
 BURST, REPEATS = 100, 100  # a burst fits the default buffer of a socket, which mavutil keeps
 

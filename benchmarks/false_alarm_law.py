@@ -15,10 +15,10 @@ import numpy as np
 from emulated import as_flight
 
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.diagnose.calibrate import latency_of
+from mavdiag.chain import front_of, model_of
 from mavdiag.learning import airborne, learn, residuals_of, thesis_options
-from mavdiag.pipeline import front_of, model_of
-from mavdiag.quantities import Axis
+from mavdiag.monitors.margin import latency_of
+from mavdiag.telemetry import Axis
 from sitl_plant.plant import PlantConfig
 
 FLIGHT_S = 12.0

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 from mixed_flights import FAULT_CODES, HOVER, Fault, airframe_of, fly
 
-from mavdiag.diagnose import fusion, severity
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.fusion import Change, Channel, Finding, FusionSpec
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import effort, energy, vibration
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.severity import Assessment
-from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, calibrate
-from sitl_plant.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.decision import fusion, grading
+from mavdiag.decision.events import Reading
+from mavdiag.decision.fusion import Change, Channel, Finding, FusionSpec
+from mavdiag.decision.grading import Assessment
+from mavdiag.monitors import rotor_signature, rotor_trim, unbalance
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, calibrate
+from sitl_plant.physics.airframe import Airframe
 
 SEED = 30_000
 LEARN, FLIGHT_S, BUDGET_SHARES = 15, 40.0, 5
 AFTER_S, LOOK_S = 8.6, 10.0
-FRAME = frame_named("qdrone2")
+FRAME = layout_named("qdrone2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +54,15 @@ def learn(airframe: Airframe, rng: np.random.Generator) -> Detector:
     flights = [fly(airframe, rng, FLIGHT_S) for _ in range(LEARN)]
     share = BUDGET_PER_HOUR / BUDGET_SHARES
     shaking, at_shaking = calibrate(
-        flights, lambda some: vibration.fit(some, FRAME, HOVER), vibration.Vibration, budget_per_hour=share
+        flights, lambda some: unbalance.fit(some, FRAME, HOVER), unbalance.Unbalance, budget_per_hour=share
     )
-    moving, at_moving = calibrate(flights, lambda some: energy.fit(some, FRAME), energy.Energy, budget_per_hour=share)
-    judges: tuple[Monitor[Any], ...] = (vibration.Vibration(shaking), energy.Energy(moving))
+    moving, at_moving = calibrate(
+        flights, lambda some: rotor_signature.fit(some, FRAME), rotor_signature.RotorSignature, budget_per_hour=share
+    )
+    judges: tuple[Monitor[Any], ...] = (unbalance.Unbalance(shaking), rotor_signature.RotorSignature(moving))
     levels = (at_shaking.value, at_moving.value)
     channels = tuple(Channel(one.name, one.unit, level) for one, level in zip(judges, levels, strict=True))
-    return Detector(judges, effort.Effort(effort.fit(flights, FRAME)), FusionSpec(channels))
+    return Detector(judges, rotor_trim.RotorTrim(rotor_trim.fit(flights, FRAME)), FusionSpec(channels))
 
 
 def judge(detector: Detector, rows: Sequence[Rows]) -> Verdict:
@@ -90,11 +92,11 @@ def grade(readings: Sequence[Sequence[Reading]], found: Sequence[Finding]) -> tu
     rotor = next((one.rotor for one in reversed(found) if one.rotor is not None), None)
     out = []
     for after_s in (3.1, 8.1):
-        state, end_ns = severity.start(declared_ns), declared_ns + round(after_s * 1e9)
+        state, end_ns = grading.start(declared_ns), declared_ns + round(after_s * 1e9)
         for new in readings:
             a, b, c = (replace(one, valid=one.valid & (one.t_ns <= end_ns)) for one in new)
-            state = severity.gather(state, vibration=a, energy=b, effort=c, rotor=rotor)
-        out.append(severity.assess(replace(state, latest_ns=end_ns), severity.known_fault_types()))
+            state = grading.gather(state, vibration=a, energy=b, effort=c, rotor=rotor)
+        out.append(grading.assess(replace(state, latest_ns=end_ns), grading.known_fault_types()))
     return tuple(out)
 
 

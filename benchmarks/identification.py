@@ -24,10 +24,10 @@ from rich.table import Table
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit, freerun
-from mavdiag.identify.select import window_sweep
+from mavdiag.identify.lab.sweep import window_sweep
 from mavdiag.identify.validate import r_squared
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import SavgolFilter, derivative, smooth
+from mavdiag.rows.savgol import SavgolFilter, derivative, smooth
+from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
 DT_S = 0.001

@@ -19,9 +19,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from mavdiag.commands.children import run_child
 from mavdiag.commands.identify import make_baseline
-from mavdiag.commands.loop import POLL_S, Flight, Outcome, closed_loop
+from mavdiag.demo.closed_loop import POLL_S, Flight, Outcome, closed_loop
+from mavdiag.demo.subprocesses import run_child
 from mavdiag.learning import thesis_options
 from mavdiag.storage import save_baseline
 

@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.diagnose.monitors.base import Rows
+from mavdiag.chain import Front
 from mavdiag.learning import gate_for, rows_of
-from mavdiag.pipeline import Front
-from mavdiag.signal.align import AlignSpec, Grid
-from mavdiag.signal.rates import RateSpec
-from mavdiag.signal.savgol import window_samples
-from sitl_plant.airframe import Airframe, Payload, draw_airframe
+from mavdiag.monitors.base import Rows
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import window_samples
+from sitl_plant.autopilot.telemetry import flight_telemetry
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.plant import PlantConfig
-from sitl_plant.telemetry import flight_telemetry
 from sitl_plant.vehicle import qdrone2
 
 __all__ = ["FAULT_CODES", "HOVER", "Fault", "airframe_of", "fly"]

@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import chi2
 
-from mavdiag.diagnose.threshold import ThresholdRule
+from mavdiag.thresholds.rule import ThresholdRule
 
 CONTENDERS = (
     Contender("fixed threshold on |rate error|", fixed_threshold),

@@ -10,14 +10,14 @@ from collections import Counter
 
 import numpy as np
 
-from mavdiag.diagnose.calibrate import ResidualPiece, latency_of, margin_of
-from mavdiag.diagnose.classify import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
-from mavdiag.diagnose.exceedance import exceedance, runs, start
+from mavdiag.airframe.propellers import PROPELLERS
+from mavdiag.decision.thesis_plane import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.propellers import PROPELLERS
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import derivative, smooth, window_samples
+from mavdiag.monitors.exceedance import exceedance, runs, start
+from mavdiag.monitors.margin import ResidualPiece, latency_of, margin_of
+from mavdiag.rows.savgol import derivative, smooth, window_samples
+from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
 DT = 0.001

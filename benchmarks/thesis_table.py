@@ -20,11 +20,11 @@ from emulated import as_flight
 from rich.console import Console
 from rich.table import Table
 
-from mavdiag.diagnose.calibrate import latency_of, margin_of
-from mavdiag.diagnose.exceedance import exceedance, runs, start
 from mavdiag.identify import ArxModel, fit
 from mavdiag.learning import LearntFlight, airborne, front_for, residuals_of, training_pieces
-from mavdiag.quantities import Axis, FloatArray
+from mavdiag.monitors.exceedance import exceedance, runs, start
+from mavdiag.monitors.margin import latency_of, margin_of
+from mavdiag.telemetry import Axis, FloatArray
 from sitl_plant.plant import PlantConfig
 
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))

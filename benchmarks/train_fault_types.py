@@ -3,7 +3,7 @@
 Each airframe, drawn by a seed, flies eight healthy flights for its monitors and then each of the nine faults at full,
 half and no fluctuation, on rotors drawn by chance. The features 3 s and 8 s after the onset make one Gaussian for each
 fault and strength. Printed: how often airframes that were left out are named rightly, at each strength. With --write
-the clouds of all airframes become mavdiag/diagnose/fault_types.json. About ten seconds an airframe.
+the clouds of all airframes become mavdiag/decision/fault_types.json. About ten seconds an airframe.
 """
 
 import json
@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from mixed_flights import FAULT_CODES, HOVER, Fault, airframe_of, fly
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import effort, energy, vibration
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.severity import (
+from mavdiag.airframe.layout import layout_named
+from mavdiag.airframe.propellers import FaultType
+from mavdiag.decision.grading import (
     SCHEMA,
     FaultCloud,
     FaultTypes,
@@ -30,8 +29,9 @@ from mavdiag.diagnose.severity import (
     gather,
     start,
 )
-from mavdiag.propellers import FaultType
-from mavdiag.quantities import FloatArray
+from mavdiag.monitors import rotor_signature, rotor_trim, unbalance
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.telemetry import FloatArray
 
 SEED = 20_000
 AFTER_S = (3.0, 8.0)
@@ -39,8 +39,8 @@ STRENGTHS = (1.0, 0.5, 0.0)
 SHRINK = 0.3  # share of the mean covariance in each (our choice)
 FLOOR = 1e-4  # least variance
 ONSET_S = 8.0
-FRAME = frame_named("qdrone2")
-OUT = Path(__file__).resolve().parents[1] / "mavdiag" / "diagnose" / "fault_types.json"
+FRAME = layout_named("qdrone2")
+OUT = Path(__file__).resolve().parents[1] / "mavdiag" / "decision" / "fault_types.json"
 
 
 def features_at(monitors: Sequence[Monitor[Any]], rows: Sequence[Rows], rotor: int, after_s: float) -> Features:
@@ -60,9 +60,9 @@ def record(airframe_seed: int) -> FloatArray:
     airframe, rng = airframe_of(airframe_seed), np.random.default_rng([airframe_seed, 2])
     flights = [fly(airframe, rng, 40.0) for _ in range(8)]
     monitors: list[Monitor[Any]] = [
-        vibration.Vibration(vibration.fit(flights, FRAME, HOVER)),
-        energy.Energy(energy.fit(flights, FRAME)),
-        effort.Effort(effort.fit(flights, FRAME)),
+        unbalance.Unbalance(unbalance.fit(flights, FRAME, HOVER)),
+        rotor_signature.RotorSignature(rotor_signature.fit(flights, FRAME)),
+        rotor_trim.RotorTrim(rotor_trim.fit(flights, FRAME)),
     ]
     x = np.empty((len(STRENGTHS) * len(FAULT_CODES), len(AFTER_S), 3))
     for i, (strength, code) in enumerate((strength, code) for strength in STRENGTHS for code in FAULT_CODES):

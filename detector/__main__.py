@@ -18,7 +18,7 @@ from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal
 from mavdiag import __version__, commandline
-from mavdiag.link.endpoint import open_endpoint
+from mavdiag.link.ports import open_endpoint
 from mavdiag.storage import load_baseline
 
 if TYPE_CHECKING:

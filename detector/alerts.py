@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from detector.effects import Effect, SendText, TextSuppressed
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.link.messages import Severity
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 __all__ = [
     "GAP_S",

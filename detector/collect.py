@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from mavdiag.link.samples import joined
-from mavdiag.quantities import Signal, Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 
 __all__ = ["Collection", "collect"]
 

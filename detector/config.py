@@ -11,9 +11,9 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mavdiag.errors import UsageError
-from mavdiag.link.endpoint import parse_address
+from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
-from mavdiag.quantities import Axis
+from mavdiag.telemetry import Axis
 
 __all__ = ["Settings", "load_settings", "split_metrics_address"]
 

@@ -35,10 +35,10 @@ from mavdiag import __version__
 from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
-from mavdiag.link.endpoint import Chunk, Endpoint, Kind, parse_address
+from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.quantities import NS_PER_S, Instant
 from mavdiag.storage import save_baseline
+from mavdiag.telemetry import NS_PER_S, Instant
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics  # brings prometheus_client with it

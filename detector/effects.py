@@ -5,9 +5,9 @@ from typing import TypeAlias
 
 from detector.states import State
 from mavdiag.baseline import Baseline
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.link.messages import Severity
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
 
 __all__ = [
     "AskInterval",

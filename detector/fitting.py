@@ -17,7 +17,7 @@ from typing import Protocol, TypeAlias
 
 from detector.values import Learned, LearningFailed
 from mavdiag.errors import MavdiagError
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
 
 __all__ = ["Fitter", "FittingJob", "Outcome", "ProcessFitter", "fit_baseline"]
 

@@ -19,7 +19,7 @@ from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import PROFILES, Profile, detect_profile
 from mavdiag.link.samples import Converter, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 __all__ = ["Asked", "Fleet", "Newcomer", "Turn", "Vehicle", "VehicleFigures"]
 

@@ -13,11 +13,11 @@ from detector.streams import Hindrance, Reason, hindrance, on_ground
 from detector.twins import tell
 from detector.values import Handler, Inbox, LearningFailed, Next, SessionSpec, SessionState, move
 from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
+from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.learning import gate_for
 from mavdiag.link.samples import joined
-from mavdiag.pipeline import chain_of
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 __all__ = ["HANDLERS"]
 

@@ -24,10 +24,10 @@ from detector.effects import (
     StateChanged,
     TextSuppressed,
 )
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.errors import UsageError
-from mavdiag.quantities import NS_PER_S
 from mavdiag.report import event_json
+from mavdiag.telemetry import NS_PER_S
 
 __all__ = ["Journal", "When", "line", "mark"]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from detector.alerts import Cause, Kind, Notice, evidence, figure
 from detector.effects import EventClosed, EventOpened
 from mavdiag.baseline import Baseline
-from mavdiag.diagnose.diagnosis import Opinion
-from mavdiag.diagnose.events import Event
-from mavdiag.pipeline import Chain, ChainState, Findings, Watch
-from mavdiag.quantities import Axis, Instant, Telemetry
+from mavdiag.chain import Chain, ChainState, Findings, Watch
+from mavdiag.decision.diagnosis import Opinion
+from mavdiag.decision.events import Event
+from mavdiag.telemetry import Axis, Instant, Telemetry
 
 __all__ = [
     "Alarm",

@@ -11,7 +11,7 @@ from detector.alerts import Kind, Notice
 from detector.effects import AskInterval, Effect, Note
 from mavdiag.link.codec import message_name
 from mavdiag.link.messages import MavCmd, MavResult
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 __all__ = ["Ack", "Negotiation", "Want", "in_hand", "negotiate"]
 

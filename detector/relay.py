@@ -6,8 +6,8 @@ What a ground station sends goes to the vehicle unchanged: whoever forwards to a
 
 from collections.abc import Iterable, Sequence
 
-from mavdiag.link.endpoint import Chunk, Endpoint
-from mavdiag.link.endpoint_stream import whole_frames
+from mavdiag.link.ports import Chunk, Endpoint
+from mavdiag.link.ports.stream import whole_frames
 
 __all__ = ["Cutter", "Relay"]
 

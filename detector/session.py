@@ -16,7 +16,7 @@ from detector.streams import Streams, observe, rate_hz
 from detector.twins import Twins
 from detector.values import Inbox, Learned, LearningFailed, Next, Out, SessionSpec, SessionState, move
 from mavdiag.baseline import RATE_TOLERANCE, Baseline
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 __all__ = ["Inbox", "Learned", "LearningFailed", "SessionSpec", "SessionState", "finish", "healthy", "start", "step"]
 

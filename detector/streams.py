@@ -8,9 +8,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from mavdiag.quantities import NS_PER_S, Instant, IntArray, Series, Signal, Telemetry
-from mavdiag.signal.align import NATIVE_TOLERANCE
-from mavdiag.signal.gate import GateSpec
+from mavdiag.rows.align import NATIVE_TOLERANCE
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import NS_PER_S, Instant, IntArray, Series, Signal, Telemetry
 
 __all__ = [
     "MEASURE_S",

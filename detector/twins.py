@@ -9,8 +9,8 @@ PF_FML  [s] its limit
 from dataclasses import dataclass, replace
 
 from detector.effects import SendFloat
-from mavdiag.pipeline import Findings, Level, Watch
-from mavdiag.quantities import Axis, Instant
+from mavdiag.chain import Findings, Level, Watch
+from mavdiag.telemetry import Axis, Instant
 
 __all__ = ["NAMES", "NAME_BYTES", "Twins", "tell"]
 

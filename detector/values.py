@@ -14,7 +14,7 @@ from detector.streams import Streams
 from detector.twins import Twins
 from mavdiag.baseline import Baseline
 from mavdiag.link.profiles import Profile
-from mavdiag.quantities import Axis, Instant, Telemetry
+from mavdiag.telemetry import Axis, Instant, Telemetry
 
 __all__ = ["Handler", "Inbox", "Learned", "LearningFailed", "Next", "Out", "SessionSpec", "SessionState", "move"]
 

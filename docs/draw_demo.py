@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mavdiag.commands.demo import own_baseline
-from mavdiag.commands.display import picture
-from mavdiag.commands.loop import POLL_S, Flight, closed_loop
+from mavdiag.demo.closed_loop import POLL_S, Flight, closed_loop
+from mavdiag.demo.command import own_baseline
+from mavdiag.demo.display import picture
 
 FLIGHT = Flight(duration_s=30.0, fault="F2/SV2", rotor=1, onset_s=12.0, seed=1)
 UNTIL_S = 22.5  # of flight, when the picture is taken

@@ -3,7 +3,7 @@
 from mavdiag.judging import judge
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs import Log
-from mavdiag.quantities import Axis, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, Series, Signal, Telemetry
 from sitl_plant.plant import Plant, PlantConfig
 
 

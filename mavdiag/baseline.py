@@ -12,16 +12,16 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mavdiag.diagnose.monitors.effort import EffortSpec
-from mavdiag.diagnose.monitors.energy import EnergySpec
-from mavdiag.diagnose.monitors.innovation import InnovationSpec
-from mavdiag.diagnose.monitors.latency import LatencySpec
-from mavdiag.diagnose.monitors.shake import ShakeSpec
-from mavdiag.diagnose.monitors.vibration import VibrationSpec
-from mavdiag.diagnose.threshold import Threshold
 from mavdiag.errors import BaselineError, InputError
-from mavdiag.quantities import Axis
-from mavdiag.signal.align import Grid
+from mavdiag.monitors.innovation import InnovationSpec
+from mavdiag.monitors.rotor_signature import RotorSignatureSpec
+from mavdiag.monitors.rotor_trim import RotorTrimSpec
+from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.monitors.unbalance import UnbalanceSpec
+from mavdiag.monitors.vibration_level import VibrationLevelSpec
+from mavdiag.rows.align import Grid
+from mavdiag.telemetry import Axis
+from mavdiag.thresholds.rule import Threshold
 
 __all__ = [
     "SCHEMA",
@@ -60,7 +60,7 @@ Scope: TypeAlias = Literal["airframe", "type"]
 class Airframe(_Part):
     """Whose baseline it is: one airframe, or a type from several vehicles (T 4.4.1).
 
-    frame: rotor layout, a key of `mavdiag.diagnose.geometry.FRAMES`; None if it is not known.
+    frame: rotor layout, a key of `mavdiag.airframe.layout.FRAMES`; None if it is not known.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -69,7 +69,7 @@ class Airframe(_Part):
 
 
 class GateLimits(_Part):
-    """What counts as flying; see `mavdiag.signal.gate`."""
+    """What counts as flying; see `mavdiag.rows.gate`."""
 
     min_height_m: float | None
     min_thrust: float | None
@@ -127,7 +127,8 @@ class AxisModel(_Part):
 
 
 Spec = Annotated[
-    LatencySpec | InnovationSpec | EnergySpec | VibrationSpec | ShakeSpec | EffortSpec, Field(discriminator="kind")
+    RunLengthSpec | InnovationSpec | RotorSignatureSpec | UnbalanceSpec | VibrationLevelSpec | RotorTrimSpec,
+    Field(discriminator="kind"),
 ]
 
 
@@ -186,10 +187,10 @@ class Baseline(_Part):
         return self
 
     @property
-    def latency(self) -> tuple[tuple[LatencySpec, Threshold], ...]:
+    def latency(self) -> tuple[tuple[RunLengthSpec, Threshold], ...]:
         """The thesis's monitors, one an axis; each threshold is the FML [s] of its axis."""
         found = ((entry.spec, entry.threshold) for entry in self.monitors)
-        return tuple((spec, threshold) for spec, threshold in found if isinstance(spec, LatencySpec))
+        return tuple((spec, threshold) for spec, threshold in found if isinstance(spec, RunLengthSpec))
 
     def model_of(self, axis: Axis) -> AxisModel:
         """The model of an axis. Raises BaselineError if there is none."""

@@ -5,7 +5,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from mavdiag import __version__, commandline
-from mavdiag.commands import balance, baseline, demo, identify, inspect, scan
+from mavdiag.commands import balance, baseline, identify, inspect, scan
+from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
 

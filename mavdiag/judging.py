@@ -7,12 +7,12 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.diagnose.events import Event
+from mavdiag.chain import Chain, Watch, chain_of
+from mavdiag.decision.events import Event
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.logs import Log
-from mavdiag.pipeline import Chain, Watch, chain_of
-from mavdiag.quantities import NS_PER_S, Axis, Series, Signal, Telemetry
-from mavdiag.signal.align import measure_grid
+from mavdiag.rows.align import measure_grid
+from mavdiag.telemetry import NS_PER_S, Axis, Series, Signal, Telemetry
 
 __all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge"]
 

@@ -3,7 +3,7 @@
 import math
 from typing import TypedDict
 
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary
 
 __all__ = ["EventJson", "MonitorJson", "VerdictJson", "event_json", "verdict_json"]

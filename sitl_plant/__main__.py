@@ -16,8 +16,8 @@ import typer
 
 from mavdiag import __version__, commandline
 from mavdiag.errors import UsageError
-from mavdiag.link.endpoint import open_endpoint
-from sitl_plant.campaign_command import campaign
+from mavdiag.link.ports import open_endpoint
+from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.options import (
     Drone,
@@ -36,10 +36,10 @@ from sitl_plant.options import (
     flight_plan,
     parse_speed,
 )
+from sitl_plant.physics.trajectory import Shape
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
-from sitl_plant.trajectory import Shape
 from sitl_plant.truth import Truth
 
 __all__ = ["app", "main", "record", "run"]

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.endpoint import Endpoint, wait
 from mavdiag.link.messages import Component
-from sitl_plant.autopilot import Autopilot, Forward, Reply
-from sitl_plant.flavours import Flavour
+from mavdiag.link.ports import Endpoint, wait
+from sitl_plant.autopilot.commands import Autopilot, Forward, Reply
+from sitl_plant.autopilot.dialect import Flavour
+from sitl_plant.autopilot.imu_filters import Sensed, Sensing
+from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.stream import Message, Streamer
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
-from sitl_plant.schedule import Schedule
-from sitl_plant.sensed import Sensed, Sensing
-from sitl_plant.stream import Message, Streamer
 
 __all__ = ["SYSID", "FlightReport", "Link", "fly"]
 

@@ -7,10 +7,10 @@ from typing import Annotated, TypeAlias
 import typer
 
 from mavdiag.errors import UsageError
-from sitl_plant.airframe import Payload
-from sitl_plant.flavours import FLAVOURS, Flavour, flavour
+from sitl_plant.autopilot.dialect import FLAVOURS, Flavour, flavour
+from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.trajectory import Shape
 from sitl_plant.plant import PlantConfig
-from sitl_plant.trajectory import Shape
 
 __all__ = [
     "Drone",

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.quantities import FloatArray, IntArray
-from sitl_plant.airframe import NO_PAYLOAD, Airframe, Payload, drone
-from sitl_plant.faults import parse_fault
-from sitl_plant.injections import NEVER, Injection, rotor_condition, sensor_condition
-from sitl_plant.kernel import Model, Noise, Rows, fly
-from sitl_plant.parameters import STEP_S, initial_state, make_model
-from sitl_plant.trajectory import Shape, path
+from mavdiag.telemetry import FloatArray, IntArray
+from sitl_plant.physics.airframe import NO_PAYLOAD, Airframe, Payload, drone
+from sitl_plant.physics.faults import parse_fault
+from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
+from sitl_plant.physics.kernel import Model, Noise, Rows, fly
+from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
+from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.vehicle import qdrone2
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
@@ -32,7 +32,7 @@ class PlantConfig:
     """One flight. Rotors are numbered as in T Eq 2.2-2.4: 1 rear right, 2 front right, 3 rear left, 4 front left.
 
     drone: 1 (aged), 2, 3 (new). airframe: another specimen instead. fault: a code such as "F2/SV2", on `rotor` from
-    `onset_s` of flight time (0: from the start); phenomenology: see `sitl_plant.faults`. injections: anything more.
+    `onset_s` of flight time (0: from the start); phenomenology: see `sitl_plant.physics.faults`. injections: anything more.
     wind_m_s: mean speed, blowing towards `wind_towards_rad` (0 north, pi/2 east). Raises UsageError if it cannot be.
     """
 

@@ -7,12 +7,12 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Component
 from mavdiag.logs.tlog import tlog_record
+from sitl_plant.autopilot.imu_filters import Sensing
+from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.stream import Streamer
 from sitl_plant.emulator import SYSID
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
-from sitl_plant.schedule import Schedule
-from sitl_plant.sensed import Sensing
-from sitl_plant.stream import Streamer
 
 __all__ = ["EPOCH_US", "record_flight", "recorded"]
 

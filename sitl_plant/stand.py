@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.spectrum import band_power, welch
-from sitl_plant.faults import FAULTS
+from mavdiag.rows.spectrum import band_power, welch
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.faults import FAULTS
 from sitl_plant.vehicle import qdrone2
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Vehicles are data: a TOML file with every number and its source becomes these frozen values.
 
 Body frame FRD, origin at the geometric centre. Rotor count and geometry come from the file, so a hexacopter or an
-octocopter is another file. What the file says is the *type*; one specimen of it is drawn in `sitl_plant.airframe`.
+octocopter is another file. What the file says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
 """
 
 import tomllib
@@ -15,7 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
 from mavdiag.errors import InputError
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = [
     "Battery",

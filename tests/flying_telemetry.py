@@ -4,13 +4,13 @@ import numpy as np
 from made_telemetry import series, setpoints
 from scipy.signal import lfilter
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors.base import Rows
-from mavdiag.pipeline import Front
-from mavdiag.quantities import Series, Signal, Telemetry
-from mavdiag.signal.align import AlignSpec, Grid
-from mavdiag.signal.gate import GateSpec
-from mavdiag.signal.rates import RateSpec
+from mavdiag.airframe.layout import layout_named
+from mavdiag.chain import Front
+from mavdiag.monitors.base import Rows
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.telemetry import Series, Signal, Telemetry
 
 DT_S = 0.01
 DT_NS = 10_000_000
@@ -30,7 +30,7 @@ def flying(n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: 
     wanted = np.gradient(setpoint, DT_S, axis=0)
     rate = np.asarray(lfilter([0.3], [1, -0.7], wanted, axis=0)) + 0.02 * rng.standard_normal((n, 3))
     torque = 0.05 * (wanted - rate) + 0.002 * rng.standard_normal((n, 3))
-    outputs = 0.5 * (1.0 + torque @ frame_named("x").mixing.T)
+    outputs = 0.5 * (1.0 + torque @ layout_named("x").mixing.T)
     if weak_rotor:
         outputs[:, weak_rotor - 1] += 0.5 * rise
     force = rng.normal([0.0, 0.0, -9.81], 0.3, (n, 3))

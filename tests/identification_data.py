@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.identify import ArxModel, Method
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 #: Well-damped second order, poles 0.6 +- 0.4j.
 WELL = ArxModel(np.array([1.0, -1.2, 0.52]), np.array([0.0, 0.5, 0.25]), 0.01, (2, 2, 1), Method.PUBLISHED)

@@ -23,13 +23,13 @@ from mavdiag.baseline import (
     Window,
     sealed,
 )
-from mavdiag.diagnose.calibrate import MarginRule
-from mavdiag.diagnose.heldout import Scores
-from mavdiag.diagnose.monitors.latency import LatencySpec
-from mavdiag.diagnose.threshold import ThresholdRule, threshold_of
 from mavdiag.link.profiles import PROFILES
-from mavdiag.quantities import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
-from mavdiag.signal.align import Grid
+from mavdiag.monitors.margin import MarginRule
+from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.rows.align import Grid
+from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.thresholds.heldout import Scores
+from mavdiag.thresholds.rule import ThresholdRule, threshold_of
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 
@@ -69,7 +69,7 @@ def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple
     )
     monitors = tuple(
         MonitorEntry(
-            spec=LatencySpec(
+            spec=RunLengthSpec(
                 axis=axis, margin_rad_s=MARGIN, margin_rule=MarginRule.PERCENTILE_90, longest_run_s=(FML_S,)
             ),
             threshold=threshold_of(

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 from scipy.signal import lfilter
 
-from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 DT_NS = 1_000_000
 A = np.array([1.0, -1.95, 0.9512])  # a well damped rate loop at 1 kHz, DC gain 1

@@ -12,9 +12,9 @@ from detector.fitting import FittingJob, Outcome
 from detector.journal import Journal
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.endpoint import Endpoint, MemoryEndpoint, memory_pair
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
-from mavdiag.quantities import NS_PER_S
+from mavdiag.link.ports import Endpoint, MemoryEndpoint, memory_pair
+from mavdiag.telemetry import NS_PER_S
 
 __all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost"]
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.airframe import Airframe, nominal_airframe
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import Airframe, nominal_airframe
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import Vehicle, qdrone2
 

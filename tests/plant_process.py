@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from mavdiag.link.codec import Encoder
-from mavdiag.link.endpoint import open_endpoint
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
+from mavdiag.link.ports import open_endpoint
 
 __all__ = ["ALERT", "Alerter", "companion", "flying", "process"]
 

@@ -19,7 +19,7 @@ from peers.flights import (
     healthy,
     other_airframe,
 )
-from sitl_plant.airframe import Airframe
+from sitl_plant.physics.airframe import Airframe
 
 __all__ = ["DEFAULT", "QUICK", "Catch", "Size", "Tally", "run"]
 

@@ -10,9 +10,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mavdiag.diagnose.heldout import BLOCK_S, Scores
-from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, ThresholdRule, threshold_of
-from mavdiag.quantities import FloatArray, IntArray
+from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.thresholds.heldout import BLOCK_S, Scores
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 from peers.flights import Flown, Truth
 
 __all__ = [

@@ -8,9 +8,9 @@ import numpy as np
 from emulated import as_flight
 
 from mavdiag.learning import Flight, front_for, rows_of
-from mavdiag.quantities import FloatArray
-from sitl_plant.airframe import Airframe, Payload, draw_airframe
-from sitl_plant.faults import FAULTS
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
+from sitl_plant.physics.faults import FAULTS
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 

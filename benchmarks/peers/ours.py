@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from mavdiag.diagnose.exceedance import exceedance, start
 from mavdiag.identify import ArxModel, fit
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import Log
-from mavdiag.quantities import FloatArray
+from mavdiag.monitors.exceedance import exceedance, start
+from mavdiag.telemetry import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 

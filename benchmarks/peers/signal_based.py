@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 from peers.windows import band_powers, cut

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.quantities import FloatArray
+from mavdiag.airframe.layout import layout_named
+from mavdiag.telemetry import FloatArray
 from peers.flights import Flown
 
 __all__ = ["TorqueModel", "blame", "drive", "fit_torque", "trims"]
@@ -73,7 +73,7 @@ def blame(model: TorqueModel, d: FloatArray, covariance: FloatArray) -> FloatArr
     with yaw reversed: a damaged blade loses thrust and gains drag, so it rolls and pitches less and yaws more than
     modelled.
     """
-    G = model.gain[:, None] * frame_named(FRAME).unmixing * np.array([[1.0], [1.0], [-1.0]])
+    G = model.gain[:, None] * layout_named(FRAME).unmixing * np.array([[1.0], [1.0], [-1.0]])
     W = np.linalg.inv(covariance)
     evidence: FloatArray = np.abs(d @ W @ G) / np.sqrt(np.einsum("kj,kl,lj->j", G, W, G))
     return evidence
@@ -83,7 +83,7 @@ def trims(one: Flown) -> FloatArray:
     """Roll, pitch and yaw trim m of the motors, (n, 3) [fraction of hover thrust]."""
     thrust = one.duty**2
     w = thrust / thrust.mean(axis=1, keepdims=True) - 1.0
-    m: FloatArray = w @ frame_named(FRAME).unmixing.T
+    m: FloatArray = w @ layout_named(FRAME).unmixing.T
     return m
 
 

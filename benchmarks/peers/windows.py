@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = ["band_powers", "cut", "mean_over"]
 

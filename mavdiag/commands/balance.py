@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from mavdiag.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
+from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
 
 __all__ = ["balance"]
 

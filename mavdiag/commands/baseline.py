@@ -8,7 +8,7 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
-from mavdiag.pipeline import chain_of
+from mavdiag.chain import chain_of
 from mavdiag.storage import load_baseline
 
 __all__ = ["app", "check", "describe", "show"]

@@ -11,10 +11,10 @@ import typer
 from mavdiag.baseline import Baseline
 from mavdiag.commands.baseline import describe
 from mavdiag.commands.options import AxisChoice, MethodChoice, parse_order, read_part
-from mavdiag.diagnose.calibrate import MarginRule
-from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
 from mavdiag.learning import ALL_MONITORS, Flight, LearnOptions, learn
+from mavdiag.monitors.margin import MarginRule
 from mavdiag.storage import save_baseline
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = ["identify", "make_baseline"]
 

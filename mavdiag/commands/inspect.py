@@ -8,7 +8,7 @@ import typer
 
 from mavdiag.commands.listen import hear
 from mavdiag.logs import Log, read_log
-from mavdiag.quantities import NS_PER_S, FloatArray, Series
+from mavdiag.telemetry import NS_PER_S, FloatArray, Series
 
 __all__ = ["inspect"]
 

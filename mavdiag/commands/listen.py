@@ -4,7 +4,7 @@ import time
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Frame
-from mavdiag.link.endpoint import Endpoint, open_endpoint, wait
+from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.profiles import PROFILES, detect_profile
 from mavdiag.link.samples import Converter, SampleState, by_vehicle
 from mavdiag.logs import Log

@@ -8,7 +8,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.judging import between
 from mavdiag.logs import Log, read_log
-from mavdiag.quantities import Axis
+from mavdiag.telemetry import Axis
 
 __all__ = ["AxisChoice", "MethodChoice", "parse_order", "read_part"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError
 from mavdiag.identify.data import EPSILON, Segment, lag_matrix, numerical_rank, triangle
 from mavdiag.identify.model import Order
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = ["Estimate", "least_squares", "polynomials", "regressors", "solve"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify.model import Order
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = [
     "EPSILON",

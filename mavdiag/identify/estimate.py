@@ -10,7 +10,7 @@ from mavdiag.identify.data import Records, Segment, check_excitation, to_segment
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.identify.sriv import sriv
 from mavdiag.identify.validate import free_run, nrmse_percent, r_squared
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = ["fit"]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 if TYPE_CHECKING:
     import control

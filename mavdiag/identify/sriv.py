@@ -14,7 +14,7 @@ from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressor
 from mavdiag.identify.data import EPSILON, Segment, triangle
 from mavdiag.identify.model import Order
 from mavdiag.identify.uncertainty import coloured_errors
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = ["reflect_poles", "sriv"]
 

@@ -5,7 +5,7 @@ import numpy as np
 from mavdiag.identify.arx import polynomials, regressors
 from mavdiag.identify.data import Segment, triangle
 from mavdiag.identify.model import Order
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = ["coloured_errors"]
 

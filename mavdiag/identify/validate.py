@@ -9,7 +9,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError
 from mavdiag.identify.data import Records, Segment, to_segments
 from mavdiag.identify.model import ArxModel
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 __all__ = [
     "ResidualReport",

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.diagnose.monitors.base import Rows
+from mavdiag.chain import Front
 from mavdiag.errors import InputError
-from mavdiag.pipeline import Front
-from mavdiag.quantities import NS_PER_S, Signal, Telemetry
-from mavdiag.signal.align import AlignSpec, Grid, measure_grid
-from mavdiag.signal.gate import GateSpec
-from mavdiag.signal.rates import RateSpec
-from mavdiag.signal.savgol import window_samples
+from mavdiag.monitors.base import Rows
+from mavdiag.rows.align import AlignSpec, Grid, measure_grid
+from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import window_samples
+from mavdiag.telemetry import NS_PER_S, Signal, Telemetry
 
 __all__ = ["Flight", "LearntFlight", "airborne", "check_signals", "front_for", "gate_for", "rows_of"]
 

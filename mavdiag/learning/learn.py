@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavdiag import __version__
+from mavdiag.airframe.layout import RotorLayout, detect_layout, layout_named
 from mavdiag.baseline import (
     Airframe,
     Baseline,
@@ -17,17 +18,16 @@ from mavdiag.baseline import (
     Window,
     sealed,
 )
-from mavdiag.diagnose.calibrate import MarginRule
-from mavdiag.diagnose.geometry import Frame, detect_frame, frame_named
-from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, ThresholdRule
+from mavdiag.chain import Front
 from mavdiag.errors import InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import Flight, LearntFlight, airborne, check_signals, front_for
-from mavdiag.learning.latency import ModelOptions, learn_axis
 from mavdiag.learning.monitors import KINDS, LearnContext, learn_monitors
+from mavdiag.learning.run_length import ModelOptions, learn_axis
 from mavdiag.link.profiles import PROFILES
-from mavdiag.pipeline import Front
-from mavdiag.quantities import Axis
+from mavdiag.monitors.margin import MarginRule
+from mavdiag.telemetry import Axis
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
 
 __all__ = ["ALL_MONITORS", "LearnOptions", "learn", "thesis_options"]
 
@@ -117,9 +117,9 @@ def learn(flights: Sequence[Flight], options: LearnOptions, *, created: str) -> 
     )
 
 
-def _frame(flights: Sequence[LearntFlight], profile: str, options: LearnOptions) -> Frame | None:
+def _frame(flights: Sequence[LearntFlight], profile: str, options: LearnOptions) -> RotorLayout | None:
     name = options.frame or _FRAMES.get(profile)
-    return frame_named(name) if name else detect_frame([rows for one in flights for rows in one.rows])
+    return layout_named(name) if name else detect_layout([rows for one in flights for rows in one.rows])
 
 
 def _provenance(flights: Sequence[LearntFlight], created: str) -> Provenance:

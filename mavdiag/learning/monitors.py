@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import MonitorEntry, Refusal
-from mavdiag.diagnose.geometry import Frame
-from mavdiag.diagnose.heldout import Flights
-from mavdiag.diagnose.monitors import effort, energy, innovation, shake, vibration
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.threshold import Guard, ThresholdRule, calibrate
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors import innovation, rotor_signature, rotor_trim, unbalance, vibration_level
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.thresholds.heldout import Flights
+from mavdiag.thresholds.rule import Guard, ThresholdRule, calibrate
 
 __all__ = ["KINDS", "LearnContext", "learn_monitors"]
 
@@ -25,7 +25,7 @@ class LearnContext:
     rotor speed that carries it [rad/s].
     """
 
-    frame: Frame | None
+    frame: RotorLayout | None
     imu_corner_hz: float | None
     hover: tuple[float, float] | None
     rule: ThresholdRule
@@ -42,7 +42,7 @@ class _Kind:
     guard: Guard
 
 
-def _frame(context: LearnContext) -> Frame:
+def _frame(context: LearnContext) -> RotorLayout:
     if context.frame is None:
         raise InputError("the rotor layout is not known; name the frame")
     return context.frame
@@ -52,17 +52,20 @@ def _accelerometer_refuses(rows: Sequence[Rows], context: LearnContext) -> str |
     if not any(np.isfinite(one.block.force[one.block.valid, :2]).any() for one in rows):
         return "the link carries no accelerometer of all axes"
     rotor_hz = context.hover[1] / (2 * np.pi) if context.hover else None
-    return vibration.judgeable(1 / rows[0].block.dt_s, context.imu_corner_hz, rotor_hz)
+    return unbalance.judgeable(1 / rows[0].block.dt_s, context.imu_corner_hz, rotor_hz)
 
 
 _ACCELEROMETER = _Kind(
     _accelerometer_refuses,
-    lambda flights, context: vibration.fit(flights, context.frame, context.hover),
-    vibration.Vibration,
-    vibration.GUARD,
+    lambda flights, context: unbalance.fit(flights, context.frame, context.hover),
+    unbalance.Unbalance,
+    unbalance.GUARD,
 )
 _MESSAGE = _Kind(
-    lambda rows, context: shake.judgeable(rows), lambda flights, context: shake.fit(flights), shake.Shake, shake.GUARD
+    lambda rows, context: vibration_level.judgeable(rows),
+    lambda flights, context: vibration_level.fit(flights),
+    vibration_level.VibrationLevel,
+    vibration_level.GUARD,
 )
 _INNOVATION = _Kind(
     lambda rows, context: innovation.judgeable(rows),
@@ -71,16 +74,16 @@ _INNOVATION = _Kind(
     innovation.GUARD,
 )
 _ENERGY = _Kind(
-    lambda rows, context: energy.judgeable(rows, context.frame),
-    lambda flights, context: energy.fit(flights, _frame(context)),
-    energy.Energy,
-    energy.GUARD,
+    lambda rows, context: rotor_signature.judgeable(rows, context.frame),
+    lambda flights, context: rotor_signature.fit(flights, _frame(context)),
+    rotor_signature.RotorSignature,
+    rotor_signature.GUARD,
 )
 _EFFORT = _Kind(
-    lambda rows, context: effort.judgeable(rows, context.frame),
-    lambda flights, context: effort.fit(flights, _frame(context)),
-    effort.Effort,
-    effort.GUARD,
+    lambda rows, context: rotor_trim.judgeable(rows, context.frame),
+    lambda flights, context: rotor_trim.fit(flights, _frame(context)),
+    rotor_trim.RotorTrim,
+    rotor_trim.GUARD,
 )
 # By public name; of several ways to the same evidence the first that the link allows is taken. The thesis's latency
 # monitor is not here: its model and margin are learnt with the axis (`learning.latency`).

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.quantities import NS_PER_S, IntArray
+from mavdiag.telemetry import NS_PER_S, IntArray
 
 __all__ = [
     "MS_32",

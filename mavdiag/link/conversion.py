@@ -16,7 +16,7 @@ from mavdiag.link.clock import MS_32, US_32, US_64, Counter
 from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import Profile
-from mavdiag.quantities import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 __all__ = ["Part", "Source", "euler_angles", "is_vehicle", "sources"]
 

@@ -20,7 +20,7 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.conversion import Part, Record, Source, sources
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
-from mavdiag.quantities import IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
 __all__ = ["Converter", "SampleState", "by_vehicle", "joined"]
 

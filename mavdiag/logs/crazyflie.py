@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mavdiag.errors import InputError
 from mavdiag.logs.log import Log, read_bytes, sha256_of
 from mavdiag.logs.records import as_floats, gather, recorded
-from mavdiag.quantities import IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_crazyflie"]
 

@@ -15,7 +15,7 @@ from mavdiag.errors import InputError
 from mavdiag.logs.dataflash_format import INTEGERS, Table, read_tables
 from mavdiag.logs.log import Log, read_bytes, sha256_of
 from mavdiag.logs.records import recorded
-from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_dataflash"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.logs.records import as_floats, gather
-from mavdiag.quantities import FloatArray, IntArray
+from mavdiag.telemetry import FloatArray, IntArray
 
 __all__ = ["INTEGERS", "Table", "read_tables"]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavdiag.errors import InputError
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
 
 __all__ = ["Log", "read_bytes", "sha256_of"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from mavdiag.quantities import FloatArray, IntArray, Series, Signal
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal
 
 __all__ = ["as_floats", "gather", "recorded"]
 

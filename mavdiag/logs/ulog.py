@@ -20,7 +20,7 @@ from pyulog import ULog, ULogException
 from mavdiag.errors import InputError
 from mavdiag.logs.log import Log, read_bytes, sha256_of
 from mavdiag.logs.records import as_floats, recorded
-from mavdiag.quantities import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 __all__ = ["read_ulog"]
 

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut
 
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import effort, energy, innovation, shake, vibration
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.monitors.latency import Latency
+from mavdiag.airframe.layout import layout_named
+from mavdiag.decision.events import Reading
 from mavdiag.identify import ArxModel, Method
-from mavdiag.quantities import Axis, Telemetry
+from mavdiag.monitors import innovation, rotor_signature, rotor_trim, unbalance, vibration_level
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.monitors.run_length import RunLength
+from mavdiag.telemetry import Axis, Telemetry
 
 SAMPLES = 3200
 HEALTHY = [flying_rows(flying(SAMPLES, 100))]  # what the monitors are fitted to
@@ -34,12 +34,12 @@ class Case:
 
 MODEL = ArxModel(np.array([1.0, -0.7]), np.array([0.0, 0.3]), DT_S, (1, 1, 1), Method.PUBLISHED)
 CASES = (
-    Case("latency", lambda: Latency(MODEL, Axis.ROLL, 0.05)),
-    Case("effort", lambda: effort.Effort(effort.fit(HEALTHY, frame_named("x")))),
+    Case("latency", lambda: RunLength(MODEL, Axis.ROLL, 0.05)),
+    Case("effort", lambda: rotor_trim.RotorTrim(rotor_trim.fit(HEALTHY, layout_named("x")))),
     Case("innovation", lambda: innovation.Innovation(innovation.fit(HEALTHY))),
-    Case("shake", lambda: shake.Shake(shake.fit(HEALTHY))),
-    Case("energy", lambda: energy.Energy(energy.fit(HEALTHY, frame_named("x")))),
-    Case("vibration", lambda: vibration.Vibration(vibration.fit(HEALTHY, frame_named("x")))),
+    Case("shake", lambda: vibration_level.VibrationLevel(vibration_level.fit(HEALTHY))),
+    Case("energy", lambda: rotor_signature.RotorSignature(rotor_signature.fit(HEALTHY, layout_named("x")))),
+    Case("vibration", lambda: unbalance.Unbalance(unbalance.fit(HEALTHY, layout_named("x")))),
 )
 FIELDS = ("t_ns", "statistic", "level", "signal", "valid", "rotors")
 
@@ -149,5 +149,5 @@ def test_the_start_state_is_not_spent_by_a_run(case: Case) -> None:
 @every_monitor
 def test_the_docstring_states_the_price(case: Case) -> None:
     text = type(case.build()).__doc__ or ""
-    for word in ("Warm-up", "Latency", "Price", "Blind spots", ">>>"):
+    for word in ("Warm-up", "RunLength", "Price", "Blind spots", ">>>"):
         assert word in text, f"{case.name} does not state: {word}"

@@ -12,9 +12,9 @@ import pytest
 
 from mavdiag.errors import UsageError
 from sitl_plant.__main__ import main
-from sitl_plant.campaign import Crew, Journal, Results, dask_crew, local_crew, run_campaign
-from sitl_plant.campaign_plan import Design, make_plan
-from sitl_plant.campaign_summary import summarise
+from sitl_plant.campaign.plan import Design, make_plan
+from sitl_plant.campaign.runner import Crew, Journal, Results, dask_crew, local_crew, run_campaign
+from sitl_plant.campaign.summary import summarise
 
 TINY = Design(
     seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,

@@ -20,10 +20,10 @@ from made_vehicle import MadeVehicle
 from detector.fitting import FittingJob, Outcome, ProcessFitter
 from detector.values import Learned, LearningFailed
 from mavdiag.link.codec import Decoder, decode_statustext
-from mavdiag.link.endpoint import Endpoint, open_endpoint
 from mavdiag.link.messages import MessageId
-from mavdiag.quantities import Telemetry
+from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.storage import save_baseline
+from mavdiag.telemetry import Telemetry
 
 COMMAND = [sys.executable, "-m", "detector"]
 PATIENCE_S = 30.0
@@ -197,7 +197,7 @@ def test_a_fit_that_takes_too_long_has_failed() -> None:
 FITTING = """
 import signal, sys, time
 from detector.fitting import FittingJob, ProcessFitter
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: None)
     fitter = ProcessFitter()

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from mavdiag.link.codec import Decoder, field_index
-from mavdiag.link.endpoint import open_endpoint
 from mavdiag.link.messages import MessageId
+from mavdiag.link.ports import open_endpoint
 from mavdiag.logs.tlog import read_tlog
-from mavdiag.quantities import Signal
+from mavdiag.telemetry import Signal
 from sitl_plant.__main__ import main
 
 PATIENCE_S = 90.0

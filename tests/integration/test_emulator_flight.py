@@ -7,10 +7,10 @@ from contextlib import ExitStack
 import pytest
 
 from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
-from mavdiag.link.endpoint import MemoryEndpoint, memory_pair
 from mavdiag.link.messages import MavCmd, MessageId, Severity
+from mavdiag.link.ports import MemoryEndpoint, memory_pair
+from sitl_plant.autopilot.dialect import FLAVOURS
 from sitl_plant.emulator import FlightReport, Link, fly
-from sitl_plant.flavours import FLAVOURS
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 FLAVOUR = FLAVOURS["qdrone2"]

@@ -7,14 +7,14 @@ import pytest
 from made_telemetry import cut
 
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.diagnose.events import Event
+from mavdiag.chain import chain_of
+from mavdiag.decision.events import Event
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs import Log
-from mavdiag.pipeline import chain_of
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
-from sitl_plant.telemetry import flight_telemetry
 
 ONSET_S = 8.0
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from mavdiag.commands.children import child
+from mavdiag.demo.subprocesses import child
 from mavdiag.judging import judge
 from mavdiag.learning import Flight, LearnOptions, learn
-from mavdiag.link.endpoint import Endpoint, open_endpoint, wait
+from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.report import event_json
 from mavdiag.storage import save_baseline
+from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
-from sitl_plant.telemetry import flight_telemetry
 
 SECONDS, ONSET_S = 18.0, 7.0
 FIELDS = ("t_s", "end_s", "monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity")

@@ -9,13 +9,13 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import Converter, SampleState, joined
-from mavdiag.quantities import Signal, Telemetry
-from sitl_plant.flavours import flavour
-from sitl_plant.injections import Injection, ejection
+from mavdiag.telemetry import Signal, Telemetry
+from sitl_plant.autopilot.dialect import flavour
+from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
 from sitl_plant.options import FlightPlan
+from sitl_plant.physics.injections import Injection, ejection
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.recording import recorded
-from sitl_plant.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
 
 SECONDS = 3.0
 CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)

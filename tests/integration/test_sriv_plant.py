@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mavdiag.identify import fit
-from mavdiag.identify.reference import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
 from mavdiag.identify.validate import r_squared, validate
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import derivative, smooth
+from mavdiag.rows.savgol import derivative, smooth
+from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 DT_S = 0.001

@@ -11,12 +11,12 @@ from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import Converter, SampleState
-from mavdiag.quantities import FloatArray, Signal, Telemetry
-from sitl_plant.flavours import FLAVOURS
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
+from sitl_plant.autopilot.dialect import FLAVOURS
+from sitl_plant.autopilot.imu_filters import Sensing
+from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.stream import Streamer
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.schedule import Schedule
-from sitl_plant.sensed import Sensing
-from sitl_plant.stream import Streamer
 
 N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor
 EVERY_PROFILE = pytest.mark.parametrize("profile", list(PROFILES))

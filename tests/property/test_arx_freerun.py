@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, freerun
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 
 @st.composite

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.balance import Grade, Piece, assess_unbalance, grade_met, resultant_unbalance_g_mm
+from mavdiag.airframe.balance import Grade, Piece, assess_unbalance, grade_met, resultant_unbalance_g_mm
 
 sizes = st.floats(1e-3, 1e3)
 speeds = st.floats(100.0, 1e5)

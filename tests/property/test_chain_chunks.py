@@ -5,21 +5,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_telemetry import DT_NS, A, B, cut, flight
 
-from mavdiag.diagnose.events import Event
-from mavdiag.diagnose.monitors.latency import Latency
+from mavdiag.chain import Chain, Front, Watch
+from mavdiag.decision.events import Event
 from mavdiag.identify import ArxModel, Method
-from mavdiag.pipeline import Chain, Front, Watch
-from mavdiag.quantities import Axis, Series, Telemetry
-from mavdiag.signal.align import AlignSpec, Grid
-from mavdiag.signal.gate import GateSpec
-from mavdiag.signal.rates import RateSpec
+from mavdiag.monitors.run_length import RunLength
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.telemetry import Axis, Series, Telemetry
 
 MODEL = ArxModel(A, B, 0.001, (2, 2, 1), Method.PUBLISHED)
 
 
 def chain(grid: Grid, trim_end_s: float) -> Chain:
     front = Front(AlignSpec(0.001, grid), GateSpec(trim_end_s=trim_end_s), RateSpec.of(0.001, 101))
-    watches = tuple(Watch(Latency(MODEL, axis, 0.005), 0.02, 0.005) for axis in (Axis.ROLL, Axis.PITCH))
+    watches = tuple(Watch(RunLength(MODEL, axis, 0.005), 0.02, 0.005) for axis in (Axis.ROLL, Axis.PITCH))
     return Chain(front, watches)
 
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.diagnose.classify import (
+from mavdiag.airframe.propellers import FaultType
+from mavdiag.decision.thesis_plane import (
     MIN_SHARE,
     Example,
     FaultPoint,
@@ -15,7 +16,6 @@ from mavdiag.diagnose.classify import (
     classify,
     fit_plane,
 )
-from mavdiag.propellers import FaultType
 
 ratios = st.floats(1.05, 50.0)
 points = st.builds(FaultPoint, ratios, ratios)

@@ -17,7 +17,7 @@ from detector.values import SessionSpec
 from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.quantities import Instant
+from mavdiag.telemetry import Instant
 
 TICK_NS = 40_000_000
 COMMANDS = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from mavdiag.quantities import BoolArray, FloatArray
-from mavdiag.signal.running import ema, forgetting, sliding_mean, start_mean
+from mavdiag.rows.running import ema, forgetting, sliding_mean, start_mean
+from mavdiag.telemetry import BoolArray, FloatArray
 
 
 def chunked(x: FloatArray, valid: BoolArray, window: int, edges: list[int]) -> tuple[FloatArray, BoolArray]:

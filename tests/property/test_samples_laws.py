@@ -8,7 +8,7 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.profiles import PROFILES, detect_profile
 from mavdiag.link.samples import Converter, SampleState, joined
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
 
 EPOCH_US = 1_763_000_000_000_000
 WRAP_US = 1 << 32

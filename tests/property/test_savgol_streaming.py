@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import SavgolFilter
+from mavdiag.rows.savgol import SavgolFilter
+from mavdiag.telemetry import FloatArray
 
 
 @given(

@@ -12,7 +12,7 @@ from detector.states import TABLE, State
 from detector.values import Inbox, Learned, LearningFailed, SessionSpec
 from mavdiag.link.messages import MavCmd, MavResult, Severity
 from mavdiag.link.profiles import PROFILES
-from mavdiag.quantities import Series, Signal, Telemetry
+from mavdiag.telemetry import Series, Signal, Telemetry
 
 SECONDS = 400
 ACTIONS = st.lists(

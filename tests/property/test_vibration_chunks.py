@@ -8,12 +8,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import energy, vibration
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.signal.block import Block
-from mavdiag.signal.rates import RateSpec, rates, start
+from mavdiag.airframe.layout import layout_named
+from mavdiag.decision.events import Reading
+from mavdiag.monitors import rotor_signature, unbalance
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.rows.block import Block
+from mavdiag.rows.rates import RateSpec, rates, start
 
 N, DT_S, SPEC = 7000, 0.001, RateSpec.of(0.001, 101)
 FIELDS = ("t_ns", "statistic", "level", "signal", "valid", "rotors")
@@ -50,8 +50,10 @@ def cut(blocks: list[Block], edges: list[int]) -> list[Rows]:
 @cache
 def monitors() -> tuple[Monitor[Any], ...]:
     flights = [cut([block(9, 0)], [])]
-    frame = frame_named("qdrone2")
-    return vibration.Vibration(vibration.fit(flights, frame)), energy.Energy(energy.fit(flights, frame))
+    frame = layout_named("qdrone2")
+    return unbalance.Unbalance(unbalance.fit(flights, frame)), rotor_signature.RotorSignature(
+        rotor_signature.fit(flights, frame)
+    )
 
 
 def run(monitor: Monitor[Any], rows: list[Rows]) -> Reading:

@@ -8,7 +8,7 @@ from scipy.signal import savgol_filter
 from shared_data import shared
 
 from mavdiag.logs.crazyflie import read_crazyflie
-from mavdiag.quantities import FloatArray, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 DT_S = 1 / 101.1
 LAGS = range(16)  # the vehicle follows its setpoint within 0.15 s

@@ -12,7 +12,7 @@ from shared_data import shared
 
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.dataflash_format import read_tables
-from mavdiag.quantities import FloatArray, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 REAL = "data/ardupilot_real/log171.bin"  # Copter 3.3-dev, 2015
 SIMULATED = "data/arducopter_sitl/jsonplant_flight.bin"  # Copter 4.5.6

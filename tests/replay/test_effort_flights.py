@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from shared_data import shared
 
-from mavdiag.diagnose.geometry import FRAMES, Frame, detect_frame, frame_named
-from mavdiag.diagnose.heldout import Flights
-from mavdiag.diagnose.monitors import effort, innovation, shake
-from mavdiag.diagnose.monitors.base import Monitor, Rows
-from mavdiag.diagnose.threshold import BUDGET_PER_HOUR, Threshold, calibrate
+from mavdiag.airframe.layout import LAYOUTS, RotorLayout, detect_layout, layout_named
 from mavdiag.judging import between
 from mavdiag.learning import Flight, front_for, rows_of
 from mavdiag.logs import read_log
+from mavdiag.monitors import innovation, rotor_trim, vibration_level
+from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.thresholds.heldout import Flights
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, calibrate
 
 SHARE = BUDGET_PER_HOUR / 4
-Watched = tuple[Monitor[effort.EffortState], Threshold]
+Watched = tuple[Monitor[rotor_trim.RotorTrimState], Threshold]
 
 
 @cache
@@ -28,12 +28,16 @@ def flight(path: Path, from_s: float | None = None, to_s: float | None = None) -
     return rows_of(front_for([Flight(log.name, log.sha256, log.profile, telemetry)], 0.1), telemetry)
 
 
-def trim_monitor(flights: Flights, frame: Frame | None) -> Watched:
+def trim_monitor(flights: Flights, frame: RotorLayout | None) -> Watched:
     assert frame is not None
     spec, threshold = calibrate(
-        flights, lambda rest: effort.fit(rest, frame), effort.Effort, budget_per_hour=SHARE, guard=effort.GUARD
+        flights,
+        lambda rest: rotor_trim.fit(rest, frame),
+        rotor_trim.RotorTrim,
+        budget_per_hour=SHARE,
+        guard=rotor_trim.GUARD,
     )
-    return effort.Effort(spec), threshold
+    return rotor_trim.RotorTrim(spec), threshold
 
 
 def trim(watched: Watched, rows: tuple[Rows, ...]) -> tuple[float, int]:
@@ -59,12 +63,12 @@ def crazypad() -> dict[str, list[tuple[Rows, ...]]]:
 def test_healthy_crazyflies_stay_silent_when_left_out(crazypad: dict[str, list[tuple[Rows, ...]]]) -> None:
     healthy = crazypad["normal_flight"]
     for one in healthy:
-        watched = trim_monitor([other for other in healthy if other is not one], frame_named("crazyflie"))
+        watched = trim_monitor([other for other in healthy if other is not one], layout_named("crazyflie"))
         assert trim(watched, one)[0] < 0.6
 
 
 def test_a_cut_propeller_is_found_and_named(crazypad: dict[str, list[tuple[Rows, ...]]]) -> None:
-    watched = trim_monitor(crazypad["normal_flight"], frame_named("crazyflie"))
+    watched = trim_monitor(crazypad["normal_flight"], layout_named("crazyflie"))
     for name, flights in crazypad.items():
         for one in flights:
             ratio, rotor = trim(watched, one)
@@ -85,18 +89,18 @@ def test_a_cut_propeller_is_found_and_named(crazypad: dict[str, list[tuple[Rows,
     ],
 )
 def test_the_frame_is_found_from_the_log(name: str, frame: str) -> None:
-    assert detect_frame(flight(shared("data") / name)) is FRAMES[frame]
+    assert detect_layout(flight(shared("data") / name)) is LAYOUTS[frame]
 
 
 def test_a_crazyflie_log_without_outputs_names_no_frame() -> None:
-    assert detect_frame(flight(shared("data/crazypad/normal_flight/E8_log00"))) is None
+    assert detect_layout(flight(shared("data/crazypad/normal_flight/E8_log00"))) is None
 
 
 @pytest.mark.parametrize("taught", ["sq1", "sq5"])
 def test_arducopter_hides_a_weak_motor_but_its_outputs_tell(taught: str) -> None:
     folder = shared("data/arducopter_sitl")
     rows = flight(folder / f"healthy_quad3kg_{taught}.tlog")
-    watched = trim_monitor([rows], detect_frame(rows))
+    watched = trim_monitor([rows], detect_layout(rows))
     for square in ("sq1", "sq5"):
         assert trim(watched, flight(folder / f"healthy_quad3kg_{square}.tlog"))[0] < 0.1
         for share in ("080", "090"):
@@ -109,8 +113,13 @@ def test_unbalance_shows_in_vibration() -> None:
     folder = shared("data/arducopter_sitl")
     healthy = folder / "healthy_jsonplant2_sq1.tlog"
     middle_s = float(flight(healthy)[0].block.t_ns[0]) / 1e9 + 60
-    spec, threshold = calibrate([flight(healthy, None, middle_s)], shake.fit, shake.Shake, guard=shake.GUARD)
-    monitor = shake.Shake(spec)
+    spec, threshold = calibrate(
+        [flight(healthy, None, middle_s)],
+        vibration_level.fit,
+        vibration_level.VibrationLevel,
+        guard=vibration_level.GUARD,
+    )
+    monitor = vibration_level.VibrationLevel(spec)
     highest = []
     for rows in (flight(healthy, middle_s, None), flight(folder / "fault_jsonplant2_m1_eff090_imb_sq1.tlog")):
         state, top = monitor.start(), 0.0

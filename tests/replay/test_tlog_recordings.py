@@ -11,7 +11,7 @@ from shared_data import shared
 from mavdiag.link.messages import MessageId
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import decode_tlog
-from mavdiag.quantities import Signal
+from mavdiag.telemetry import Signal
 
 G = 9.80665
 

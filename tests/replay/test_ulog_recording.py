@@ -6,7 +6,7 @@ from pyulog import ULog
 from shared_data import shared
 
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.quantities import Signal, Telemetry
+from mavdiag.telemetry import Signal, Telemetry
 
 FILE = "data/px4_real/pyulog_sample.ulg"
 

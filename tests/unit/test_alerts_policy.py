@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from detector.alerts import GAP_S, POLICY, TEXT_BYTES, Cause, Kind, Notice, Speaker, evidence, figure, speak
 from detector.effects import Effect, SendText, TextSuppressed
 from detector.streams import Reason
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.link.messages import Severity
-from mavdiag.quantities import Axis, Instant
+from mavdiag.telemetry import Axis, Instant
 
 FIGURES = (0.0, 0.09, 0.118, 0.41, 9.99, 12.34, 98.7, 1234.5, 1e9, float("inf"), float("nan"))
 CAUSES = [

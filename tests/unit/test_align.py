@@ -5,9 +5,9 @@ import pytest
 from made_telemetry import DT_NS, flight, series
 
 from mavdiag.errors import InputError
-from mavdiag.quantities import FloatArray, IntArray, Signal, Telemetry
-from mavdiag.signal.align import AlignCounts, AlignSpec, Grid, align, finish, measure_grid, start
-from mavdiag.signal.block import Block
+from mavdiag.rows.align import AlignCounts, AlignSpec, Grid, align, finish, measure_grid, start
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 
 SPEC = AlignSpec(0.001)
 

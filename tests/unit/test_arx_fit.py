@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.data import Records
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 
 def test_flights_are_stacked_and_never_joined() -> None:

@@ -11,7 +11,7 @@ from shared_data import shared
 
 from mavdiag.identify import ArxModel, fit
 from mavdiag.identify.validate import nrmse_percent, r_squared
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.attitude import ESTIMATE, Estimator, advance_estimate, low_pass_transition, tilt_from_accel, wrapped
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.attitude import (
+    ESTIMATE,
+    Estimator,
+    advance_estimate,
+    low_pass_transition,
+    tilt_from_accel,
+    wrapped,
+)
 
 DT = 0.001
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot import Action, Autopilot, Forward, Reply
-from sitl_plant.schedule import Schedule
+from sitl_plant.autopilot.commands import Action, Autopilot, Forward, Reply
+from sitl_plant.autopilot.schedule import Schedule
 
 GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)
 PARAMETERS = (("SYSID_THISMAV", 1.0), ("INS_GYRO_FILTER", 20.0))

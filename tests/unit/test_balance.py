@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mavdiag.balance import (
+from mavdiag.airframe.balance import (
     Grade,
     Piece,
     assess_unbalance,
@@ -16,8 +16,16 @@ from mavdiag.balance import (
     unbalance_force_n,
     unbalance_g_mm,
 )
+from mavdiag.airframe.propellers import (
+    HEALTHY_MASS_G,
+    PROPELLERS,
+    SURFACES,
+    DamagedPropeller,
+    FaultType,
+    category,
+    propeller,
+)
 from mavdiag.errors import UsageError
-from mavdiag.propellers import HEALTHY_MASS_G, PROPELLERS, SURFACES, DamagedPropeller, FaultType, category, propeller
 
 ROTOR_G, SPEED_RPM = 30.0, 10_000.0  # T 3.2.2
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from made_telemetry import flight
 
 from mavdiag.baseline import Baseline, check_link, dump, parse
-from mavdiag.diagnose.monitors.latency import Latency
+from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import Flight, learn, thesis_options
-from mavdiag.pipeline import chain_of
-from mavdiag.quantities import Axis
+from mavdiag.monitors.run_length import RunLength
 from mavdiag.storage import load_baseline, save_baseline
+from mavdiag.telemetry import Axis
 
 
 def healthy(count: int, n: int = 6000) -> list[Flight]:
@@ -120,7 +120,7 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, 
     path = tmp_path / "b.json"
     save_baseline(path, baseline)
     watch = chain_of(load_baseline(path)).watches[0]
-    assert isinstance(watch.monitor, Latency)
+    assert isinstance(watch.monitor, RunLength)
     np.testing.assert_array_equal(watch.monitor.model.a, baseline.model_of(Axis.ROLL).a)
     assert watch.threshold == baseline.latency[0][1].value
 

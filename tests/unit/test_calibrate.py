@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mavdiag.diagnose.calibrate import (
+from mavdiag.errors import InputError
+from mavdiag.monitors.margin import (
     MarginRule,
     ResidualPiece,
     false_alarms_per_flight,
     latency_of,
     margin_of,
 )
-from mavdiag.errors import InputError
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 
 
 def piece(r: FloatArray) -> ResidualPiece:

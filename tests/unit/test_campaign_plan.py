@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from mavdiag.errors import UsageError
-from sitl_plant.airframe import drone
-from sitl_plant.campaign_causes import CAUSES, HEALTHY, Group, causes_named, injections_of
-from sitl_plant.campaign_plan import (
+from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group, causes_named, injections_of
+from sitl_plant.campaign.plan import (
     MANOEUVRES,
     PRESETS,
     Design,
@@ -19,8 +18,9 @@ from sitl_plant.campaign_plan import (
     task_sequence,
     with_conditions,
 )
-from sitl_plant.campaign_worker import specimen
-from sitl_plant.injections import RotorDamage, SensorFault
+from sitl_plant.campaign.worker import specimen
+from sitl_plant.physics.airframe import drone
+from sitl_plant.physics.injections import RotorDamage, SensorFault
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2
 

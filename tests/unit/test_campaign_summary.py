@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, poisson
 
-from sitl_plant.campaign import Results
-from sitl_plant.campaign_plan import Conditions, Design, Plan
-from sitl_plant.campaign_summary import poisson as poisson_rate
-from sitl_plant.campaign_summary import summarise, wilson
-from sitl_plant.campaign_tables import print_summary
-from sitl_plant.campaign_worker import Answer, FlightLine, MonitorLine
+from sitl_plant.campaign.plan import Conditions, Design, Plan
+from sitl_plant.campaign.runner import Results
+from sitl_plant.campaign.summary import poisson as poisson_rate
+from sitl_plant.campaign.summary import summarise, wilson
+from sitl_plant.campaign.tables import print_summary
+from sitl_plant.campaign.worker import Answer, FlightLine, MonitorLine
 
 PLAN = Plan(Design(airframes=2, seed=9), (), ())
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.diagnose.classify import (
+from mavdiag.airframe.propellers import FaultType, propeller
+from mavdiag.decision.thesis_plane import (
     Classification,
     Example,
     FaultPoint,
@@ -16,9 +17,8 @@ from mavdiag.diagnose.classify import (
     fault_point,
     fit_plane,
 )
-from mavdiag.diagnose.exceedance import Run
 from mavdiag.errors import InputError, UsageError
-from mavdiag.propellers import FaultType, propeller
+from mavdiag.monitors.exceedance import Run
 
 F1, F2, F3 = FaultType
 # FSD [s] and excess [rad/s] by type as T Fig 5.10 and Table 5.2 describe them: F1 short and low, F2 long and high, F3

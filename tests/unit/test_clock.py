@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavdiag.link.clock import MS_32, US_32, US_64, Counter, Reading, Run, Timeline, place, rebooted, unwrap
-from mavdiag.quantities import IntArray
+from mavdiag.telemetry import IntArray
 
 S = 1_000_000_000
 EPOCH_US = 1_763_000_000_000_000  # a day in November 2025

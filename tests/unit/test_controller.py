@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.airframe import NO_PAYLOAD, nominal_airframe
-from sitl_plant.controller import Controller, ControlState, control
-from sitl_plant.parameters import make_model
-from sitl_plant.trajectory import Shape, path
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import NO_PAYLOAD, nominal_airframe
+from sitl_plant.physics.controller import Controller, ControlState, control
+from sitl_plant.physics.parameters import make_model
+from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.vehicle import allocation, qdrone2
 
 WEIGHT = 1.504 * 9.81

@@ -10,7 +10,7 @@ from made_logs import CrazyflieEvent, crazyflie_content, with_checksum
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
 from mavdiag.logs.crazyflie import read_crazyflie
-from mavdiag.quantities import Signal
+from mavdiag.telemetry import Signal
 
 PID = CrazyflieEvent(
     65535,

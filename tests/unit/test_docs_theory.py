@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from mavdiag.diagnose.calibrate import false_alarms_per_flight
-from mavdiag.identify.reference import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.propellers import PROPELLERS, SURFACES
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import coefficients
+from mavdiag.airframe.propellers import PROPELLERS, SURFACES
+from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.monitors.margin import false_alarms_per_flight
+from mavdiag.rows.savgol import coefficients
+from mavdiag.telemetry import FloatArray
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plant_cases import quaternion_rotation
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body, derivative, rk4_step
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body, derivative, rk4_step
 
 
 def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:

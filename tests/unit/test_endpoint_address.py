@@ -5,7 +5,7 @@ import os
 import pytest
 
 from mavdiag.errors import LinkError, UsageError
-from mavdiag.link.endpoint import Address, Kind, open_endpoint, parse_address
+from mavdiag.link.ports import Address, Kind, open_endpoint, parse_address
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mavdiag.link.endpoint import Endpoint, open_endpoint
-from mavdiag.link.endpoint_stream import CLIENTS_MAX, whole_frames
-from mavdiag.link.endpoint_udp import PEERS_MAX
+from mavdiag.link.ports import Endpoint, open_endpoint
+from mavdiag.link.ports.stream import CLIENTS_MAX, whole_frames
+from mavdiag.link.ports.udp import PEERS_MAX
 
 V1 = bytes([0xFE, 2, 0, 1, 1, 0, 7, 7, 0xAA, 0xBB])
 V2 = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB])

@@ -1,4 +1,4 @@
-"""Energy: signature and amplitude against their definitions, identification and variance against scipy, refusals."""
+"""RotorSignature: signature and amplitude against their definitions, identification and variance against scipy, refusals."""
 
 import dataclasses
 
@@ -8,14 +8,14 @@ from pydantic import TypeAdapter
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.monitors import energy
-from mavdiag.diagnose.monitors.base import Rows
-from mavdiag.diagnose.monitors.disturbance import Arx, HealthyMotion, Observer
-from mavdiag.diagnose.monitors.energy import Energy, EnergySpec, fit, judgeable
-from mavdiag.diagnose.monitors.made_rows import made_rows
+from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import IdentificationError, InputError, UsageError
-from mavdiag.quantities import FloatArray
+from mavdiag.monitors import rotor_signature
+from mavdiag.monitors.base import Rows
+from mavdiag.monitors.model_residual import Arx, HealthyMotion, Observer
+from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec, fit, judgeable
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 
 N, DT_S, WINDOW = 3000, 0.01, 5
 MODEL = ((1.0, -1.6, 0.66), (0.0, 0.03, 0.03))
@@ -34,7 +34,7 @@ def flown(seed: int, push: FloatArray, *, n: int = N, noise: float = 0.02) -> Ro
     force[:, 2] += push[:, 2]
     rate += rng.normal(0, noise, (n, 3))
     force += rng.normal(0, 0.1, (n, 3))
-    return made_rows(n, DT_S, setpoint=setpoint, rate=rate, force=force, thrust=thrust)
+    return example_rows(n, DT_S, setpoint=setpoint, rate=rate, force=force, thrust=thrust)
 
 
 def wander(seed: int, n: int = N) -> FloatArray:
@@ -48,11 +48,11 @@ CALM = np.zeros((N, 3))
 
 
 @pytest.fixture(scope="module")
-def spec() -> EnergySpec:
-    return fit([[flown(seed, CALM)] for seed in range(3)], frame_named("qdrone2"), window=WINDOW)
+def spec() -> RotorSignatureSpec:
+    return fit([[flown(seed, CALM)] for seed in range(3)], layout_named("qdrone2"), window=WINDOW)
 
 
-def test_the_models_are_those_of_the_airframe(spec: EnergySpec) -> None:
+def test_the_models_are_those_of_the_airframe(spec: RotorSignatureSpec) -> None:
     u = flown(50, CALM).rates.u
     for axis, arx in enumerate((spec.motion.roll, spec.motion.pitch)):
         expected = lfilter(MODEL[1], MODEL[0], u[:, axis])
@@ -62,9 +62,9 @@ def test_the_models_are_those_of_the_airframe(spec: EnergySpec) -> None:
 
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
-def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: EnergySpec, rotor: int) -> None:
-    roll, pitch, _ = frame_named("qdrone2").signs[rotor - 1]
-    monitor = Energy(spec)
+def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: RotorSignatureSpec, rotor: int) -> None:
+    roll, pitch, _ = layout_named("qdrone2").signs[rotor - 1]
+    monitor = RotorSignature(spec)
     push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
     _, faulty = monitor.step(monitor.start(), flown(10, push))
     _, calm = monitor.step(monitor.start(), flown(10, CALM))
@@ -74,8 +74,8 @@ def test_a_wandering_rotor_raises_the_statistic_and_is_named(spec: EnergySpec, r
     assert float(faulty.rotors[faulty.valid].max(axis=1).min()) > 0.6
 
 
-def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: EnergySpec) -> None:
-    monitor = Energy(spec)
+def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: RotorSignatureSpec) -> None:
+    monitor = RotorSignature(spec)
     gust = 0.1 * wander(3) * [1.0, 1.0, 0.0]
     _, reading = monitor.step(monitor.start(), flown(11, gust))
     assert float(reading.rotors[reading.valid].max()) < 0.65  # one pair of three agrees, the others are noise
@@ -83,32 +83,32 @@ def test_a_gust_that_lifts_nothing_looks_less_like_a_rotor(spec: EnergySpec) -> 
     assert float(np.median(rotors[:, -1] - rotors[:, -2])) < 0.3
 
 
-def test_the_level_is_the_arms_rms_in_radians_per_second(spec: EnergySpec) -> None:
-    monitor = Energy(spec)
+def test_the_level_is_the_arms_rms_in_radians_per_second(spec: RotorSignatureSpec) -> None:
+    monitor = RotorSignature(spec)
     push = 0.2 * wander(4) * [-1.0, 1.0, -4.0]
     _, reading = monitor.step(monitor.start(), flown(12, push, noise=1e-4))
     expected = 0.2 * np.sqrt(2)  # roll and pitch together, less what the 1 s high-pass takes
     assert float(np.sqrt(np.mean(reading.level[reading.valid] ** 2))) == pytest.approx(expected, rel=0.1)
 
 
-def test_statistic_follows_its_formula(spec: EnergySpec) -> None:
+def test_statistic_follows_its_formula(spec: RotorSignatureSpec) -> None:
     rows = flown(13, 0.1 * wander(5) * [1.0, 1.0, -4.0])
     d = Observer(spec.motion).step(Observer(spec.motion).start(), rows)[1]
-    _, reading = Energy(spec).step(Energy(spec).start(), rows)
+    _, reading = RotorSignature(spec).step(RotorSignature(spec).start(), rows)
     n = d.n[-spec.samples :]
     cor = [
         np.sum(n[:, i] * n[:, j]) / np.sqrt(np.sum(n[:, i] ** 2) * np.sum(n[:, j] ** 2))
         for i, j in ((0, 1), (0, 2), (1, 2))
     ]
     best = 0.0
-    for roll, pitch, _ in frame_named("qdrone2").signs:
+    for roll, pitch, _ in layout_named("qdrone2").signs:
         S = (roll * pitch * cor[0] - roll * cor[1] - pitch * cor[2]) / 3
         A = np.sqrt(np.mean(((roll * n[:, 0] + pitch * n[:, 1]) / np.sqrt(2)) ** 2))
         best = max(best, float(A * np.exp(S)))
     assert reading.statistic[-1] == pytest.approx(best, rel=1e-9)
 
 
-def test_residuals_are_free_run_by_scipy(spec: EnergySpec) -> None:
+def test_residuals_are_free_run_by_scipy(spec: RotorSignatureSpec) -> None:
     motion = dataclasses.replace(spec.motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0))
     rows = flown(14, CALM)
     d = Observer(motion).step(Observer(motion).start(), rows)[1]
@@ -121,10 +121,10 @@ def test_residuals_are_free_run_by_scipy(spec: EnergySpec) -> None:
 
 
 def test_on_a_plus_frame_the_idle_axis_does_not_count() -> None:
-    spec = fit([[flown(seed, CALM)] for seed in range(2)], frame_named("plus"), window=WINDOW)
-    for rotor, (roll, pitch, _) in enumerate(frame_named("plus").signs, start=1):
+    spec = fit([[flown(seed, CALM)] for seed in range(2)], layout_named("plus"), window=WINDOW)
+    for rotor, (roll, pitch, _) in enumerate(layout_named("plus").signs, start=1):
         push = 0.1 * wander(rotor) * [roll, pitch, -4.0]
-        _, reading = Energy(spec).step(Energy(spec).start(), flown(15, push))
+        _, reading = RotorSignature(spec).step(RotorSignature(spec).start(), flown(15, push))
         assert (reading.rotors[reading.valid].argmax(axis=1) + 1 == rotor).mean() > 0.99
 
 
@@ -133,14 +133,14 @@ def test_variance_is_the_non_negative_least_squares_by_scipy() -> None:
         rng = np.random.default_rng(seed)
         busy = rng.gamma(0.5, 2.0, 400)
         squares = (rng.normal() + rng.normal() * busy + 3 * rng.random(400)) ** 2
-        k0, k1 = energy._variance(squares, busy)
+        k0, k1 = rotor_signature._variance(squares, busy)
         expected = nnls(np.column_stack((np.ones(400), busy)), squares)[0]
         assert k1 == pytest.approx(expected[1], rel=1e-6, abs=1e-9), seed
         assert k0 == pytest.approx(max(expected[0], 0.05 * squares.mean()), rel=1e-6), seed
 
 
-def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: EnergySpec) -> None:
-    _, reading = Energy(spec).step(Energy(spec).start(), flown(16, CALM))
+def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: RotorSignatureSpec) -> None:
+    _, reading = RotorSignature(spec).step(RotorSignature(spec).start(), flown(16, CALM))
     first_s = float(reading.t_ns[reading.valid][0]) / 1e9
     assert first_s == pytest.approx(1.5 + 3.0 + 0.04, abs=0.03)
 
@@ -148,47 +148,47 @@ def test_nothing_is_judged_before_it_has_settled_and_filled_its_window(spec: Ene
 def test_thrust_need_not_be_told() -> None:
     rows = flown(17, CALM)
     silent = Rows(dataclasses.replace(rows.block, thrust=np.full(N, np.nan)), rows.rates)
-    spec = fit([[silent]], frame_named("qdrone2"), window=WINDOW)
+    spec = fit([[silent]], layout_named("qdrone2"), window=WINDOW)
     assert spec.motion.heave.b == (0.0,)
-    assert Energy(spec).step(Energy(spec).start(), silent)[1].valid.any()
+    assert RotorSignature(spec).step(RotorSignature(spec).start(), silent)[1].valid.any()
 
 
-def test_a_number_that_is_none_is_not_judged(spec: EnergySpec) -> None:
+def test_a_number_that_is_none_is_not_judged(spec: RotorSignatureSpec) -> None:
     rows = flown(18, CALM)
     rows.block.force[1500, 2] = np.nan
-    _, reading = Energy(spec).step(Energy(spec).start(), rows)
+    _, reading = RotorSignature(spec).step(RotorSignature(spec).start(), rows)
     assert not reading.valid[len(reading.valid) // 2 : len(reading.valid) // 2 + 100].any()
     assert reading.valid[-1]
     assert np.isfinite(reading.statistic[reading.valid]).all()
 
 
-def test_the_spec_survives_json(spec: EnergySpec) -> None:
-    adapter = TypeAdapter(EnergySpec)
+def test_the_spec_survives_json(spec: RotorSignatureSpec) -> None:
+    adapter = TypeAdapter(RotorSignatureSpec)
     assert adapter.validate_json(adapter.dump_json(spec)) == spec
 
 
 def test_what_cannot_be_judged_is_refused_with_a_reason() -> None:
-    frame = frame_named("qdrone2")
-    blind = made_rows(N, DT_S, rate=np.ones((N, 3)))
+    frame = layout_named("qdrone2")
+    blind = example_rows(N, DT_S, rate=np.ones((N, 3)))
     assert "rotor layout" in str(judgeable([blind], None))
     assert "no accelerometer" in str(judgeable([blind], frame))
-    assert "comes at 20 Hz" in str(judgeable([made_rows(N, 0.05)], frame))
-    assert "no flight" in str(judgeable([made_rows(3, DT_S)], frame))
+    assert "comes at 20 Hz" in str(judgeable([example_rows(N, 0.05)], frame))
+    assert "no flight" in str(judgeable([example_rows(3, DT_S)], frame))
     assert judgeable([flown(19, CALM)], frame) is None
     with pytest.raises(InputError, match="energy: no accelerometer"):
         fit([[blind]], frame)
 
 
 def test_flights_that_cannot_teach_are_refused() -> None:
-    frame = frame_named("qdrone2")
+    frame = layout_named("qdrone2")
     with pytest.raises(IdentificationError, match="fly longer"):
         fit([[flown(20, CALM[:80], n=80)]], frame, window=WINDOW)
-    still = made_rows(N, DT_S, rate=np.random.default_rng(1).normal(size=(N, 3)), force=np.zeros((N, 3)))
+    still = example_rows(N, DT_S, rate=np.random.default_rng(1).normal(size=(N, 3)), force=np.zeros((N, 3)))
     with pytest.raises(IdentificationError, match="energy, roll: u is constant"):
         fit([[still]], frame, window=WINDOW)
 
 
-def test_a_spec_that_describes_nothing_is_refused(spec: EnergySpec) -> None:
+def test_a_spec_that_describes_nothing_is_refused(spec: RotorSignatureSpec) -> None:
     with pytest.raises(UsageError):
         dataclasses.replace(spec, frame="none such")
     with pytest.raises(InputError):

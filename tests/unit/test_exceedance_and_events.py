@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.diagnose import events as event_step
-from mavdiag.diagnose.events import Event, EventSpec, Reading, events
-from mavdiag.diagnose.exceedance import exceedance, runs, start
-from mavdiag.quantities import BoolArray, FloatArray
+from mavdiag.decision import events as event_step
+from mavdiag.decision.events import Event, EventSpec, Reading, events
+from mavdiag.monitors.exceedance import exceedance, runs, start
+from mavdiag.telemetry import BoolArray, FloatArray
 
 DT = 0.01
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from plant_cases import fly, quiet_airframe
 
 from mavdiag.errors import UsageError
-from sitl_plant.airframe import drone
-from sitl_plant.injections import (
+from sitl_plant.physics.airframe import drone
+from sitl_plant.physics.injections import (
     Injection,
     RotorDamage,
     SensorFault,
@@ -22,9 +22,9 @@ from sitl_plant.injections import (
     speed_corruption,
     texture,
 )
-from sitl_plant.parameters import STEP_S
+from sitl_plant.physics.parameters import STEP_S
+from sitl_plant.physics.rotors import Condition
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.rotors import Condition
 from sitl_plant.vehicle import qdrone2
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.errors import UsageError
-from sitl_plant.faults import FAULTS, parse_fault
+from sitl_plant.physics.faults import FAULTS, parse_fault
 
 # T Table 3.2: removed masses [g] and distances [mm] as its own sums write them, and the printed result [g mm].
 PRINTED = {

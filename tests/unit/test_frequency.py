@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.frequency import compare, estimate_response, model_response
+from mavdiag.identify.lab.frequency import compare, estimate_response, model_response
 
 
 def test_model_response_equals_python_control() -> None:

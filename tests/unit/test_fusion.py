@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.diagnose import fusion
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.fusion import NEXT, Change, Channel, Finding, FusionSpec, Height, Stage, start, step
+from mavdiag.decision import fusion
+from mavdiag.decision.events import Reading
+from mavdiag.decision.fusion import NEXT, Change, Channel, Finding, FusionSpec, Height, Stage, start, step
 from mavdiag.errors import UsageError
-from mavdiag.quantities import NS_PER_S, FloatArray
+from mavdiag.telemetry import NS_PER_S, FloatArray
 
 SPEC = FusionSpec((Channel("vibration", "g mm", 0.5), Channel("energy", "x healthy rms", 4.0, delay_s=0.05)))
 STEP_S = 0.02

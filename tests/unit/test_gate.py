@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from made_telemetry import DT_NS
 
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.block import Block
-from mavdiag.signal.gate import GateSpec, finish, gate, start
+from mavdiag.rows.block import Block
+from mavdiag.rows.gate import GateSpec, finish, gate, start
+from mavdiag.telemetry import FloatArray
 
 
 def block(thrust: FloatArray, *, armed: FloatArray | None = None, first: int = 0, segment: int = 0) -> Block:

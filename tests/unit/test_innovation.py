@@ -8,12 +8,12 @@ from flying_telemetry import flying, flying_rows
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.monitors.base import Rows
-from mavdiag.diagnose.monitors.innovation import Innovation, InnovationSpec, fit, judgeable
-from mavdiag.diagnose.monitors.made_rows import made_rows
+from mavdiag.decision.events import Reading
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.quantities import FloatArray
+from mavdiag.monitors.base import Rows
+from mavdiag.monitors.innovation import Innovation, InnovationSpec, fit, judgeable
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 
 DT_S = 0.01
 
@@ -30,7 +30,7 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
     wanted = np.gradient(angle, DT_S, axis=0)
     rate = np.asarray(lfilter([0, 0.3], [1, -0.7], wanted, axis=0))
     rate += np.asarray(lfilter([1], [1, -0.7], noise * rng.standard_normal((n, 3)), axis=0))
-    return made_rows(n, DT_S, setpoint=angle, rate=rate + bias)
+    return example_rows(n, DT_S, setpoint=angle, rate=rate + bias)
 
 
 def test_the_level_is_that_of_textbook_filters() -> None:
@@ -87,7 +87,7 @@ def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
 
 
 def test_an_axis_that_is_never_commanded_is_predicted_from_itself() -> None:
-    rows = made_rows(3000, DT_S, rate=np.random.default_rng(8).normal(0, 0.1, (3000, 3)))
+    rows = example_rows(3000, DT_S, rate=np.random.default_rng(8).normal(0, 0.1, (3000, 3)))
     spec = fit([[rows]])
     assert spec.b == ((0.0,) * 4,) * 3
     assert spec.k1 == (0.0, 0.0, 0.0)
@@ -105,8 +105,8 @@ def test_broken_samples_leave_no_trace() -> None:
     rate = rng.normal(0, 0.02, (2000, 3))
     valid = np.ones(2000, dtype=bool)
     valid[[600, 900]] = False
-    clean = read(spec, made_rows(2000, DT_S, rate=rate, valid=valid))
-    broken = read(spec, made_rows(2000, DT_S, rate=spoilt(rate), valid=valid))
+    clean = read(spec, example_rows(2000, DT_S, rate=rate, valid=valid))
+    broken = read(spec, example_rows(2000, DT_S, rate=spoilt(rate), valid=valid))
     np.testing.assert_array_equal(broken.valid, clean.valid)
     assert not broken.valid[598:700].any()
     np.testing.assert_allclose(broken.statistic[broken.valid], clean.statistic[clean.valid], rtol=1e-9)
@@ -117,7 +117,7 @@ def test_one_wild_sample_is_seen_and_forgotten() -> None:
     rate = np.random.default_rng(12).normal(0, 0.02, (3000, 3))
     wild = rate.copy()
     wild[1000] = 1e300
-    calm, shocked = (read(spec, made_rows(3000, DT_S, rate=x)) for x in (rate, wild))
+    calm, shocked = (read(spec, example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
     assert np.isfinite(shocked.statistic).all()
     assert shocked.statistic[1000] > 1e3
     np.testing.assert_allclose(shocked.statistic[1200:], calm.statistic[1200:], atol=1e-3)
@@ -127,10 +127,10 @@ def test_refusals() -> None:
     with pytest.raises(IdentificationError, match="500 are needed"):
         fit([[responding(300, 13)]])
     with pytest.raises(IdentificationError, match="constant"):
-        fit([[made_rows(2000)]])
-    slow = made_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
+        fit([[example_rows(2000)]])
+    slow = example_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
     assert "10 Hz" in (judgeable([slow]) or "")
-    assert judgeable([made_rows(2)]) == "no flight with a gyro and an attitude set-point"
+    assert judgeable([example_rows(2)]) == "no flight with a gyro and an attitude set-point"
     spec = fit([[responding(3000, 15)]])
     with pytest.raises(InputError, match="three rows"):
         replace(spec, a=spec.a[:2])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.diagnose.isolate import Outcome, Voice, Witness, isolate
+from mavdiag.decision.isolation import Outcome, Voice, Witness, isolate
 from mavdiag.errors import UsageError
 
 SHAKING = (0.05, 0.95, -0.45, -0.5)

@@ -19,10 +19,10 @@ from detector.effects import (
 )
 from detector.journal import Journal, When, line, mark
 from detector.states import State
-from mavdiag.diagnose.events import Event
+from mavdiag.decision.events import Event
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
-from mavdiag.quantities import Axis
+from mavdiag.telemetry import Axis
 
 NOW = datetime(2026, 5, 1, 12, 0, 30, 250_000, tzinfo=UTC)
 WHEN = When(NOW, 1, 62_500_000_000)

@@ -10,7 +10,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.judging import LogVerdict, Verdict, between, exit_code, judge
 from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.logs import Log
-from mavdiag.quantities import Series, Signal, Telemetry
+from mavdiag.telemetry import Series, Signal, Telemetry
 
 ROLL = thesis_options()
 NOW = "2026-01-01T00:00:00+00:00"

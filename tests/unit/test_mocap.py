@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.quantities import FloatArray, IntArray
-from sitl_plant.dynamics import RIGID
-from sitl_plant.mocap import Mocap, MocapState, deliver_pose, fit_pose, observe, yaw_of
+from mavdiag.telemetry import FloatArray, IntArray
+from sitl_plant.physics.dynamics import RIGID
+from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, fit_pose, observe, yaw_of
 from sitl_plant.vehicle import qdrone2
 
 MARKERS = np.array(qdrone2().mocap.markers_m)

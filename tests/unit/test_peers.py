@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.threshold import ThresholdRule
+from mavdiag.airframe.layout import layout_named
 from mavdiag.learning import Flight
-from mavdiag.quantities import Telemetry
+from mavdiag.telemetry import Telemetry
+from mavdiag.thresholds.rule import ThresholdRule
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -39,7 +39,7 @@ def made(seed: int, *, seconds: float = 12.0, loss: float = 0.0, rotor: int = 1,
     rng = np.random.default_rng(seed)
     t_s = np.arange(round(seconds / DT_S), dtype=np.float64) * DT_S
     after = (t_s >= ONSET_S)[:, None]
-    frame = frame_named("qdrone2")
+    frame = layout_named("qdrone2")
     m = 0.02 * np.sin(np.outer(t_s, [5.0, 6.0, 7.0]) + rng.uniform(0.0, 6.0, 3))
     missing = after * loss * frame.unmixing[:, rotor - 1] * np.array([-1.0, -1.0, 1.0])
     rate = np.cumsum(GAIN * (m - m.mean(axis=0) + missing), axis=0) * DT_S

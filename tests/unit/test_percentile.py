@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from shared_data import shared
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.signal.statistics import DEFINITIONS, percentile
+from mavdiag.rows.statistics import DEFINITIONS, percentile
 
 
 @pytest.mark.parametrize("method", range(1, 10))

@@ -11,10 +11,10 @@ import pytest
 from plant_cases import fly, quiet_airframe, quiet_vehicle
 
 from mavdiag.errors import UsageError
-from mavdiag.quantities import FloatArray
-from sitl_plant.airframe import Payload, nominal_airframe
-from sitl_plant.injections import Injection, SensorFault
-from sitl_plant.jit import cached, source_digest
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import Payload, nominal_airframe
+from sitl_plant.physics.injections import Injection, SensorFault
+from sitl_plant.physics.jit import cached, source_digest
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import Rotor
 
@@ -139,7 +139,7 @@ def test_unbalance_line_has_the_amplitude_of_its_force() -> None:
     """|a| = U w^2 / m at one per revolution, through the 250 Hz filter, plus alpha × r of the lever arm."""
     from scipy.signal import butter, freqz
 
-    from sitl_plant.injections import added_mass
+    from sitl_plant.physics.injections import added_mass
 
     U = 3.0e-6
     config = PlantConfig(

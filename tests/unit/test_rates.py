@@ -3,11 +3,11 @@
 import numpy as np
 from made_telemetry import flight
 
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.align import AlignSpec, align, start
-from mavdiag.signal.block import Block
-from mavdiag.signal.rates import RateSpec, rates
-from mavdiag.signal.rates import start as rate_start
+from mavdiag.rows.align import AlignSpec, align, start
+from mavdiag.rows.block import Block
+from mavdiag.rows.rates import RateSpec, rates
+from mavdiag.rows.rates import start as rate_start
+from mavdiag.telemetry import FloatArray
 
 SPEC = RateSpec.of(0.001, 101)
 

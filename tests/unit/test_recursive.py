@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.recursive import RecursiveSpec, new_segment, snapshot, start, step
+from mavdiag.identify.lab.recursive import RecursiveSpec, new_segment, snapshot, start, step
 
 
 @pytest.mark.parametrize("order", [(1, 1, 1), (2, 2, 1), (2, 5, 0), (3, 2, 2)])

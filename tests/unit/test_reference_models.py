@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavdiag.identify import Method
-from mavdiag.identify.reference import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.quantities import Axis
+from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.telemetry import Axis
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.airframe import NO_PAYLOAD, nominal_airframe
-from sitl_plant.dynamics import STAGES, WRENCH
-from sitl_plant.injections import rotor_condition
-from sitl_plant.kernel import Model
-from sitl_plant.parameters import STEP_S, make_model
-from sitl_plant.rotors import Condition, RotorState, advance_noise, advance_rotors
-from sitl_plant.trajectory import Shape, path
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import NO_PAYLOAD, nominal_airframe
+from sitl_plant.physics.dynamics import STAGES, WRENCH
+from sitl_plant.physics.injections import rotor_condition
+from sitl_plant.physics.kernel import Model
+from sitl_plant.physics.parameters import STEP_S, make_model
+from sitl_plant.physics.rotors import Condition, RotorState, advance_noise, advance_rotors
+from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.vehicle import allocation, qdrone2
 
 K_F, RATIO, HOVER = 3.364e-6, 68.9055, 1047.2

@@ -12,7 +12,7 @@ from mavdiag.link.conversion import euler_angles
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile, detect_profile, profile_named
 from mavdiag.link.samples import Converter, SampleState, by_vehicle, joined
-from mavdiag.quantities import FloatArray, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 G = 9.80665
 LEVEL = (1.0, 0.0, 0.0, 0.0)

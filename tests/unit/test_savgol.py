@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from shared_data import shared
 
 from mavdiag.errors import UsageError
-from mavdiag.signal.savgol import SavgolFilter, coefficients, derivative, smooth, window_samples
+from mavdiag.rows.savgol import SavgolFilter, coefficients, derivative, smooth, window_samples
 
 
 @pytest.mark.parametrize(("window", "order"), [(5, 2), (11, 2), (25, 3), (101, 2), (101, 4), (401, 2)])
@@ -101,5 +101,5 @@ def test_impossible_arguments_are_refused() -> None:
 
 
 def test_scipy_is_not_imported() -> None:
-    code = "import sys, mavdiag.signal.savgol; sys.exit('scipy' in sys.modules)"
+    code = "import sys, mavdiag.rows.savgol; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,9 +7,9 @@ from identification_data import WELL, record
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method
 from mavdiag.identify.data import Records
-from mavdiag.identify.select import best_row, order_sweep, window_sweep
-from mavdiag.quantities import FloatArray
-from mavdiag.signal.savgol import smooth
+from mavdiag.identify.lab.sweep import best_row, order_sweep, window_sweep
+from mavdiag.rows.savgol import smooth
+from mavdiag.telemetry import FloatArray
 
 
 @pytest.mark.parametrize("seed", range(2))

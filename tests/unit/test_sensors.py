@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.dynamics import GRAVITY, RIGID
-from sitl_plant.injections import Injection, SensorFault, sensor_condition
-from sitl_plant.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, butterworth, feel
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.dynamics import GRAVITY, RIGID
+from sitl_plant.physics.injections import Injection, SensorFault, sensor_condition
+from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, butterworth, feel
 
 HEALTHY = sensor_condition(())
 

@@ -23,7 +23,7 @@ from detector.states import State
 from detector.values import Learned, LearningFailed, SessionSpec
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
-from mavdiag.quantities import Axis, Signal
+from mavdiag.telemetry import Axis, Signal
 
 QDRONE2 = PROFILES["qdrone2"]
 

@@ -6,9 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from mavdiag.diagnose import severity
-from mavdiag.diagnose.events import Reading
-from mavdiag.diagnose.severity import (
+from mavdiag.airframe.propellers import FaultType
+from mavdiag.decision import grading
+from mavdiag.decision.events import Reading
+from mavdiag.decision.grading import (
     FaultTypes,
     Features,
     Gathered,
@@ -21,8 +22,7 @@ from mavdiag.diagnose.severity import (
     parse_fault_types,
 )
 from mavdiag.errors import InputError
-from mavdiag.propellers import FaultType
-from mavdiag.quantities import NS_PER_S
+from mavdiag.telemetry import NS_PER_S
 
 KNOWN = known_fault_types()
 LATE = max(KNOWN, key=lambda one: one.after_s)
@@ -98,7 +98,7 @@ def test_what_no_fault_looks_like_gets_no_name() -> None:
     found = assess(gathered(Features(60.0, 2.0, 0.3)), KNOWN)
     assert (found.outcome, found.fault_type, found.severity) == (Outcome.FAR, None, None)
     assert found.distance is not None
-    assert found.distance > severity.FAR
+    assert found.distance > grading.FAR
 
 
 def test_between_two_types_none_is_named() -> None:
@@ -113,7 +113,7 @@ def test_between_two_types_none_is_named() -> None:
 
 
 def test_only_windows_after_the_declaration_are_gathered() -> None:
-    state = severity.start(10 * NS_PER_S)
+    state = grading.start(10 * NS_PER_S)
     for t_s in range(5, 20):
         level = 9.0 if t_s < 10 else 2.0
         rise = (0.0, 0.5 if t_s < 14 else 0.03, 0.0, 0.0)
@@ -131,14 +131,14 @@ def test_only_windows_after_the_declaration_are_gathered() -> None:
 
 
 def test_a_trim_counts_only_for_a_named_rotor() -> None:
-    state = gather(severity.start(0), effort=reading(5.0, 0.0, rotors=(0.1, 0.2)), rotor=None)
+    state = gather(grading.start(0), effort=reading(5.0, 0.0, rotors=(0.1, 0.2)), rotor=None)
     assert features_of(state) == Features()
     assert features_of(gather(state, effort=reading(5.0, 0.0, rotors=(0.1, 0.2)), rotor=3)) == Features()
 
 
 def test_however_the_readings_are_cut_the_features_are_the_same() -> None:
-    whole = gather(severity.start(0), vibration=reading(3.0, 2.0), energy=reading(5.0, 0.2))
-    state = severity.start(0)
+    whole = gather(grading.start(0), vibration=reading(3.0, 2.0), energy=reading(5.0, 0.2))
+    state = grading.start(0)
     for first in range(0, 50, 7):
         a, b = reading(3.0, 2.0), reading(5.0, 0.2)
         cut = slice(first, first + 7)
@@ -171,4 +171,4 @@ def test_a_covariance_that_is_none_is_refused() -> None:
     row = {"type": "F1", "severity": 1, "strength": 1, "mean": [0, 0, 0], "covariance": (-np.eye(3)).tolist()}
     tables = [{"after_s": 3, "clouds": [row]}]
     with pytest.raises(InputError, match="positive definite"):
-        parse_fault_types(json.dumps({"schema": severity.SCHEMA, "trained_on": "", "tables": tables}))
+        parse_fault_types(json.dumps({"schema": grading.SCHEMA, "trained_on": "", "tables": tables}))

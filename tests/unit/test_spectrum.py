@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.signal.spectrum import band_power, log_band_vector, welch
+from mavdiag.rows.spectrum import band_power, log_band_vector, welch
 
 
 @pytest.mark.parametrize(("n", "segment"), [(1000, 128), (1000, 127), (128, 128), (5000, 256), (300, 2)])
@@ -55,5 +55,5 @@ def test_impossible_requests_are_refused() -> None:
 
 
 def test_scipy_is_not_imported() -> None:
-    code = "import sys, mavdiag.signal.spectrum, mavdiag.signal.statistics; sys.exit('scipy' in sys.modules)"
+    code = "import sys, mavdiag.rows.spectrum, mavdiag.rows.statistics; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

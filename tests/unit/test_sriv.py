@@ -11,7 +11,7 @@ from shared_data import shared
 from mavdiag.identify import ArxModel, Method, fit
 from mavdiag.identify.sriv import reflect_poles
 from mavdiag.identify.validate import examine_residual, nrmse_percent
-from mavdiag.signal.savgol import smooth
+from mavdiag.rows.savgol import smooth
 
 
 @pytest.mark.parametrize(

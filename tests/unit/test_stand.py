@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavdiag.balance import unbalance_force_n
+from mavdiag.airframe.balance import unbalance_force_n
 from mavdiag.errors import UsageError
-from mavdiag.quantities import FloatArray
+from mavdiag.telemetry import FloatArray
 from sitl_plant.stand import Peak, Propeller, Stand, StandReport, fit_scale, peak_of, stand_run, stand_test
 
 QUIET = Stand(noise_rms_m_s2=0.0, second_m_s2=0.0, wander_rms=0.0)

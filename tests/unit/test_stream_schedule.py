@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.schedule import DEFAULT_INTERVAL, NEVER, Schedule
+from sitl_plant.autopilot.schedule import DEFAULT_INTERVAL, NEVER, Schedule
 
 FAST, SLOW, QUIET = 27, 0, 105
 STEP_NS = 1_000_000

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows, without
 
-from mavdiag.diagnose.heldout import Flights, Scores, folds, held_out_scores, score
-from mavdiag.diagnose.monitors.base import Rows
-from mavdiag.diagnose.monitors.made_rows import made_rows
-from mavdiag.diagnose.monitors.shake import GUARD, Shake, ShakeSpec, fit
-from mavdiag.diagnose.threshold import (
+from mavdiag.errors import IdentificationError, UsageError
+from mavdiag.monitors.base import Rows
+from mavdiag.monitors.vibration_level import GUARD, VibrationLevel, VibrationLevelSpec, fit
+from mavdiag.testing import example_rows
+from mavdiag.thresholds.heldout import Flights, Scores, folds, held_out_scores, score
+from mavdiag.thresholds.rule import (
     Guard,
     Threshold,
     ThresholdRule,
@@ -21,13 +22,12 @@ from mavdiag.diagnose.threshold import (
     more_flights,
     threshold_of,
 )
-from mavdiag.errors import IdentificationError, UsageError
 
 
 def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1) -> list[Rows]:
     n = round(seconds * 100)
     vibration = np.random.default_rng(seed).normal([0.0, 0.0, level], 0.1, (n, 3))
-    return [made_rows(n, 0.01, segment=segment, vibration=np.abs(vibration))]
+    return [example_rows(n, 0.01, segment=segment, vibration=np.abs(vibration))]
 
 
 def known(maxima: list[float], flights: int = 5, seconds: float = 360.0) -> Threshold:
@@ -96,7 +96,7 @@ def test_broken_scores_are_refused(maxima: list[float]) -> None:
     [(6.0, 1), (10.0, 1), (14.0, 1), (16.0, 2), (20.0, 2), (33.0, 3)],  # a remainder counts from half a block on
 )
 def test_blocks_of_a_segment(seconds: float, blocks: int) -> None:
-    found = score(Shake(ShakeSpec(healthy=0.3)), shaken(0.3, seconds))
+    found = score(VibrationLevel(VibrationLevelSpec(healthy=0.3)), shaken(0.3, seconds))
     assert len(found.maxima) == blocks
     assert found.judged_s == pytest.approx(seconds)
 
@@ -111,9 +111,9 @@ def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
     def marking(rest: Flights) -> Marked:
         return Marked(tuple(sorted({rows.block.segment for flight in rest for rows in flight})))
 
-    def watching(marked: Marked) -> Shake:
+    def watching(marked: Marked) -> VibrationLevel:
         seen.append(marked.segments)
-        return Shake(ShakeSpec(healthy=0.0))
+        return VibrationLevel(VibrationLevelSpec(healthy=0.0))
 
     flights = [shaken(0.3, segment=i) for i in range(3)]
     scores = held_out_scores(flights, marking, watching)
@@ -142,7 +142,7 @@ def test_one_flight_is_scored_piece_by_piece() -> None:
 
 
 def test_the_pieces_do_not_depend_on_chunks() -> None:
-    whole = made_rows(3000, 0.01, vibration=np.ones((3000, 3)))
+    whole = example_rows(3000, 0.01, vibration=np.ones((3000, 3)))
     chunks = [Rows(whole.block.rows(i, i + 20), whole.rates) for i in range(0, 3000, 20)]
     for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
         assert times(a) == times(c)
@@ -157,7 +157,7 @@ def test_separate_hops_are_the_pieces() -> None:
 
 def test_calibrate_gives_spec_and_threshold() -> None:
     flights = [shaken(0.3, segment=i, seed=i) for i in range(4)]
-    spec, threshold = calibrate(flights, fit, Shake, guard=GUARD)
+    spec, threshold = calibrate(flights, fit, VibrationLevel, guard=GUARD)
     assert spec.healthy == pytest.approx(0.35, abs=0.1)
     assert threshold.value == pytest.approx(spec.healthy + 0.5, abs=0.05)
     assert (threshold.flights, threshold.blocks) == (4, 12)
@@ -165,4 +165,4 @@ def test_calibrate_gives_spec_and_threshold() -> None:
 
 def test_too_short_a_flight_says_so() -> None:
     with pytest.raises(IdentificationError, match="fly longer"):
-        calibrate([shaken(0.3, seconds=4.0)], fit, Shake)
+        calibrate([shaken(0.3, seconds=4.0)], fit, VibrationLevel)

@@ -6,13 +6,17 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from pydantic import TypeAdapter, ValidationError
 
-from mavdiag.diagnose.geometry import frame_named
-from mavdiag.diagnose.heldout import Scores, score
-from mavdiag.diagnose.monitors import effort, innovation, shake
-from mavdiag.diagnose.threshold import Threshold, threshold_of
+from mavdiag.airframe.layout import layout_named
+from mavdiag.monitors import innovation, rotor_trim, vibration_level
+from mavdiag.thresholds.heldout import Scores, score
+from mavdiag.thresholds.rule import Threshold, threshold_of
 
 FLIGHT = flying_rows(flying(3000, 1))
-SPECS: list[Any] = [effort.fit([FLIGHT], frame_named("x")), innovation.fit([FLIGHT]), shake.fit([FLIGHT])]
+SPECS: list[Any] = [
+    rotor_trim.fit([FLIGHT], layout_named("x")),
+    innovation.fit([FLIGHT]),
+    vibration_level.fit([FLIGHT]),
+]
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.kind)
@@ -24,7 +28,7 @@ def test_a_spec_survives_json(spec: Any) -> None:
 
 
 def test_a_threshold_survives_json() -> None:
-    scores: Scores = score(shake.Shake(SPECS[2]), FLIGHT)
+    scores: Scores = score(vibration_level.VibrationLevel(SPECS[2]), FLIGHT)
     found = threshold_of(scores, flights=1)
     adapter = TypeAdapter(Threshold)
     assert adapter.validate_json(adapter.dump_json(found)) == found

@@ -10,7 +10,7 @@ from mavdiag.link.codec import UNKNOWN, Encoder
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.logs import read_log, sha256_of
 from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record
-from mavdiag.quantities import Signal
+from mavdiag.telemetry import Signal
 
 START_US = 1_763_000_000_000_000
 N = 300

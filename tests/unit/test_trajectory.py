@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.quantities import FloatArray
-from sitl_plant.trajectory import Path, Shape, path, reference
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.trajectory import Path, Shape, path, reference
 
 
 def at(p: Path, t: float) -> FloatArray:

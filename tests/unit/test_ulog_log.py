@@ -12,7 +12,7 @@ from mavdiag.errors import InputError
 from mavdiag.logs import read_log
 from mavdiag.logs.log import Log
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.quantities import Signal
+from mavdiag.telemetry import Signal
 
 STAMP = ("uint64_t", "timestamp")
 SENSORS = ULogTopic(

@@ -12,7 +12,7 @@ from shared_data import shared
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit
 from mavdiag.identify.validate import examine_residual, nrmse_percent, one_step_report, r_squared, validate
-from mavdiag.signal.statistics import percentile
+from mavdiag.rows.statistics import percentile
 
 
 @pytest.mark.parametrize("index", range(24))

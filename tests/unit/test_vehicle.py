@@ -8,8 +8,8 @@ import pytest
 
 from mavdiag.errors import InputError, UsageError
 from sitl_plant import vehicle as vehicle_module
-from sitl_plant.airframe import Payload, draw_airframe, drone, nominal_airframe
-from sitl_plant.parameters import body_with_payload
+from sitl_plant.physics.airframe import Payload, draw_airframe, drone, nominal_airframe
+from sitl_plant.physics.parameters import body_with_payload
 from sitl_plant.vehicle import allocation, load_vehicle, qdrone2
 
 SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2.toml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Vibration: the figure against the force it comes from, the rotor's place against plane kinematics, and refusals."""
+"""Unbalance: the figure against the force it comes from, the rotor's place against plane kinematics, and refusals."""
 
 import dataclasses
 import itertools
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from mavdiag.diagnose.geometry import FRAMES, frame_named
-from mavdiag.diagnose.monitors.base import Rows
-from mavdiag.diagnose.monitors.made_rows import made_rows
-from mavdiag.diagnose.monitors.vibration import Vibration, VibrationSpec, fit, judgeable
+from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.quantities import FloatArray
+from mavdiag.monitors.base import Rows
+from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, fit, judgeable
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
 
 MASS, HOVER = 1.504, 1047.2
 N = 3000
@@ -32,34 +32,34 @@ def shaken(rotor: int, unbalance_g_mm: float, *, speed: float = HOVER, gyro_dela
     f = U w^2 (cos wt, s sin wt),  Izz dr/dt = x f_y - y f_x, at hub (x, y) and sense s (+1 clockwise from above).
     """
     force, gyro = noise(rotor)
-    roll, pitch, yaw = frame_named("qdrone2").signs[rotor - 1]
+    roll, pitch, yaw = layout_named("qdrone2").signs[rotor - 1]
     x, y, s = 0.1016 * pitch, -0.127 * roll, -yaw
     pull = 1e-6 * unbalance_g_mm * speed**2
     force[:, 0] += pull / MASS * np.cos(speed * T)
     force[:, 1] += pull / MASS * s * np.sin(speed * T)
     late = T - gyro_delay_s
     gyro[:, 2] += pull / (0.0182 * speed) * (-x * s * np.cos(speed * late) - y * np.sin(speed * late))
-    return made_rows(N, 0.001, force=force, rate=gyro)
+    return example_rows(N, 0.001, force=force, rate=gyro)
 
 
 @pytest.fixture(scope="module")
-def spec() -> VibrationSpec:
+def spec() -> UnbalanceSpec:
     force, gyro = noise(99)
-    return fit([[made_rows(N, 0.001, force=force, rate=gyro)]], frame_named("qdrone2"), (MASS, HOVER))
+    return fit([[example_rows(N, 0.001, force=force, rate=gyro)]], layout_named("qdrone2"), (MASS, HOVER))
 
 
 @pytest.mark.parametrize("unbalance", [0.5, 1.4, 5.52])
-def test_the_figure_is_the_unbalance_that_shakes(spec: VibrationSpec, unbalance: float) -> None:
-    monitor = Vibration(spec)
+def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance: float) -> None:
+    monitor = Unbalance(spec)
     _, reading = monitor.step(monitor.start(), shaken(1, unbalance))
     assert monitor.unit == "g mm"
     np.testing.assert_allclose(reading.level[reading.valid], unbalance, rtol=0.03)
 
 
-def test_two_rotors_add_as_squares(spec: VibrationSpec) -> None:
+def test_two_rotors_add_as_squares(spec: UnbalanceSpec) -> None:
     one, two = shaken(1, 3.0), shaken(2, 4.0, speed=1010.0)
-    both = made_rows(N, 0.001, force=one.block.force + two.block.force, rate=one.block.rate + two.block.rate)
-    _, reading = Vibration(spec).step(Vibration(spec).start(), both)
+    both = example_rows(N, 0.001, force=one.block.force + two.block.force, rate=one.block.rate + two.block.rate)
+    _, reading = Unbalance(spec).step(Unbalance(spec).start(), both)
     expected = math.hypot(3.0, 4.0 * (1010.0 / HOVER) ** 2)
     np.testing.assert_allclose(reading.statistic[reading.valid].mean(), expected, rtol=0.02)
 
@@ -67,9 +67,9 @@ def test_two_rotors_add_as_squares(spec: VibrationSpec) -> None:
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
 @pytest.mark.parametrize("delay_s", [-0.001, 0.0, 0.001])
 def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apart(
-    spec: VibrationSpec, rotor: int, delay_s: float
+    spec: UnbalanceSpec, rotor: int, delay_s: float
 ) -> None:
-    monitor = Vibration(spec)
+    monitor = Unbalance(spec)
     _, reading = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
     evidence = reading.rotors[reading.valid]
     assert (evidence.argmax(axis=1) + 1 == rotor).all()
@@ -77,33 +77,33 @@ def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apa
     assert float((first - second).min()) > (0.35 if delay_s else 0.9)
 
 
-def test_a_healthy_flight_says_little_of_rotors(spec: VibrationSpec) -> None:
+def test_a_healthy_flight_says_little_of_rotors(spec: UnbalanceSpec) -> None:
     force, gyro = noise(5)
-    _, reading = Vibration(spec).step(Vibration(spec).start(), made_rows(N, 0.001, force=force, rate=gyro))
+    _, reading = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
     assert float(np.abs(reading.rotors[reading.valid]).max()) < 0.8
     assert float(reading.statistic[reading.valid].max()) < 0.1
 
 
-def test_slow_motion_does_not_count(spec: VibrationSpec) -> None:
+def test_slow_motion_does_not_count(spec: UnbalanceSpec) -> None:
     force, gyro = noise(6)
     force[:, 0] += 5.0 * np.sin(2 * np.pi * 5 * T)
-    _, reading = Vibration(spec).step(Vibration(spec).start(), made_rows(N, 0.001, force=force, rate=gyro))
+    _, reading = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
     assert float(reading.statistic[reading.valid].max()) < 0.1
 
 
 def test_without_mass_and_speed_it_is_metres_per_second_squared() -> None:
     force, gyro = noise(7)
-    bare = Vibration(fit([[made_rows(N, 0.001, force=force, rate=gyro)]]))
+    bare = Unbalance(fit([[example_rows(N, 0.001, force=force, rate=gyro)]]))
     _, reading = bare.step(bare.start(), shaken(1, 1.4))
     assert bare.unit == "m/s^2"
     assert reading.rotors.shape == (len(reading.t_ns), 0)
     np.testing.assert_allclose(reading.level[reading.valid], 1e-6 * 1.4 * HOVER**2 / MASS, rtol=0.03)
 
 
-def test_a_reading_stands_at_the_newest_row_that_it_rests_on(spec: VibrationSpec) -> None:
+def test_a_reading_stands_at_the_newest_row_that_it_rests_on(spec: UnbalanceSpec) -> None:
     rows = shaken(1, 1.4)
     broken = dataclasses.replace(rows.block, valid=rows.block.t_ns != rows.block.t_ns[1500])
-    _, reading = Vibration(spec).step(Vibration(spec).start(), Rows(broken, rows.rates))
+    _, reading = Unbalance(spec).step(Unbalance(spec).start(), Rows(broken, rows.rates))
     t_s = reading.t_ns / 1e9
     bad = ~reading.valid
     assert t_s[0] == pytest.approx(0.06 + 0.5, abs=0.02)
@@ -112,10 +112,10 @@ def test_a_reading_stands_at_the_newest_row_that_it_rests_on(spec: VibrationSpec
     np.testing.assert_allclose(np.diff(t_s), 0.02)
 
 
-def test_a_number_that_is_none_spoils_its_windows_only(spec: VibrationSpec) -> None:
+def test_a_number_that_is_none_spoils_its_windows_only(spec: UnbalanceSpec) -> None:
     rows = shaken(1, 1.4)
     rows.block.force[1500, 0] = np.nan
-    _, reading = Vibration(spec).step(Vibration(spec).start(), rows)
+    _, reading = Unbalance(spec).step(Unbalance(spec).start(), rows)
     assert not reading.valid.all()
     assert reading.valid[-1]
     assert np.isfinite(reading.statistic[reading.valid]).all()
@@ -123,10 +123,10 @@ def test_a_number_that_is_none_spoils_its_windows_only(spec: VibrationSpec) -> N
 
 def test_the_sense_of_turning_is_left_out_where_the_line_is_folded() -> None:
     rng = np.random.default_rng(8)
-    slow = made_rows(2000, 0.005, force=rng.normal(0, 0.1, (2000, 3)), rate=rng.normal(0, 0.01, (2000, 3)))
-    spec = fit([[slow]], frame_named("qdrone2"))
+    slow = example_rows(2000, 0.005, force=rng.normal(0, 0.1, (2000, 3)), rate=rng.normal(0, 0.01, (2000, 3)))
+    spec = fit([[slow]], layout_named("qdrone2"))
     assert spec.corner_hz == pytest.approx(50.0)
-    assert Vibration(spec).step(Vibration(spec).start(), slow)[1].valid.any()
+    assert Unbalance(spec).step(Unbalance(spec).start(), slow)[1].valid.any()
 
 
 @pytest.mark.parametrize(
@@ -149,34 +149,34 @@ def test_a_link_that_cannot_carry_it_is_refused_with_a_reason(
 
 
 def test_every_pair_of_rotors_of_every_frame_has_another_place() -> None:
-    for frame in FRAMES.values():
+    for frame in LAYOUTS.values():
         roll, pitch, yaw = frame.mixing.T
         places = np.column_stack((yaw * pitch, -yaw * roll, np.sign(yaw)))
         for a, b in itertools.combinations(range(frame.rotors), 2):
             assert not np.allclose(places[a], places[b]), frame.name
 
 
-def test_the_spec_survives_json(spec: VibrationSpec) -> None:
-    adapter = TypeAdapter(VibrationSpec)
+def test_the_spec_survives_json(spec: UnbalanceSpec) -> None:
+    adapter = TypeAdapter(UnbalanceSpec)
     assert adapter.validate_json(adapter.dump_json(spec)) == spec
 
 
 @pytest.mark.parametrize(
     "change", [{"mass_kg": None}, {"dt_s": 0.0}, {"corner_hz": 600.0}, {"spread": (0.0, 1.0)}, {"turning": math.nan}]
 )
-def test_a_spec_that_describes_nothing_is_refused(spec: VibrationSpec, change: dict[str, object]) -> None:
-    raw = TypeAdapter(VibrationSpec).dump_python(spec) | change
+def test_a_spec_that_describes_nothing_is_refused(spec: UnbalanceSpec, change: dict[str, object]) -> None:
+    raw = TypeAdapter(UnbalanceSpec).dump_python(spec) | change
     with pytest.raises(InputError):
-        VibrationSpec(**raw)
+        UnbalanceSpec(**raw)
 
 
 def test_flights_that_cannot_teach_are_refused() -> None:
     force, gyro = noise(9)
     with pytest.raises(InputError, match="no flight with an accelerometer"):
-        fit([[made_rows(N, 0.001, rate=gyro)]])
+        fit([[example_rows(N, 0.001, rate=gyro)]])
     with pytest.raises(IdentificationError, match="fly longer"):
-        fit([[made_rows(300, 0.001, force=force[:300], rate=gyro[:300])]])
+        fit([[example_rows(300, 0.001, force=force[:300], rate=gyro[:300])]])
     with pytest.raises(IdentificationError, match="constant"):
-        fit([[made_rows(N, 0.001, force=np.tile([0.0, 0.0, -9.81], (N, 1)), rate=np.zeros((N, 3)))]])
+        fit([[example_rows(N, 0.001, force=np.tile([0.0, 0.0, -9.81], (N, 1)), rate=np.zeros((N, 3)))]])
     with pytest.raises(InputError, match="20 Hz"):
-        fit([[made_rows(N, 0.05, force=force, rate=gyro)]])
+        fit([[example_rows(N, 0.05, force=force, rate=gyro)]])

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import firwin, freqz
 
 from mavdiag.errors import UsageError
-from mavdiag.signal.windows import highpass, window_all, window_mean
+from mavdiag.rows.windows import highpass, window_all, window_mean
 
 
 @pytest.mark.parametrize(("corner", "taps"), [(0.06, 61), (0.15, 25), (0.25, 15)])

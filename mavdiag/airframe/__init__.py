@@ -1,0 +1,1 @@
+"""What a vehicle is: rotor layout, mass, filters, propellers, balance."""

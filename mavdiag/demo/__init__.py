@@ -1,0 +1,1 @@
+"""The closed loop of emulator, detector and ground station, shown to a person."""

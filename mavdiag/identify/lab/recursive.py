@@ -1,0 +1,134 @@
+"""Recursive least squares with exponential forgetting: an ARX model that follows slow change (T 4.1).
+
+Step by step over a stream: `step(spec, state, u, y) -> state`. With forgetting 1 it ends at the batch least squares,
+and it shares its bias under output noise: it is for watching parameters move, not for residuals.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError
+from mavdiag.identify.arx import polynomials
+from mavdiag.identify.model import ArxModel, Method, Order, check_order, read_only
+from mavdiag.telemetry import FloatArray
+
+__all__ = ["RecursiveSpec", "RecursiveState", "new_segment", "snapshot", "start", "step"]
+
+
+@dataclass(frozen=True, slots=True)
+class RecursiveSpec:
+    """What stays fixed. order: (na, nb, nk).
+
+    forgetting: weight lambda of the past per sample, 0 < lambda <= 1; the memory is about 1/(1 - lambda) samples.
+    initial_spread: diagonal of the first covariance factor P; large means that theta = 0 is not believed.
+    max_spread: P is not inflated further once a diagonal element exceeds this, so that a long hover, which says
+    nothing about the model, cannot wind it up. The last two are our choices, for signals of order 0.01 to 100.
+    Raises IdentificationError on impossible values.
+    """
+
+    order: Order = (2, 2, 1)
+    forgetting: float = 0.9995
+    initial_spread: float = 1e6
+    max_spread: float = 1e8
+
+    def __post_init__(self) -> None:
+        check_order(self.order)
+        if not 0.0 < self.forgetting <= 1.0:
+            raise IdentificationError(f"forgetting must be above 0 and at most 1, not {self.forgetting}")
+        if not 0.0 < self.initial_spread <= self.max_spread < math.inf:
+            raise IdentificationError("the spreads must be positive, finite, and initial_spread <= max_spread")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecursiveState:
+    """What moves. theta: (d,) with d = na + nb. P: (d, d) covariance factor. past_u, past_y: newest first.
+
+    loss: exponentially weighted mean of the squared prediction error. weight: sum of the weights behind it.
+    seen: samples so far in this segment.
+    """
+
+    theta: FloatArray
+    P: FloatArray
+    past_u: FloatArray
+    past_y: FloatArray
+    loss: float
+    weight: float
+    seen: int
+
+
+def start(spec: RecursiveSpec) -> RecursiveState:
+    """State before the first sample: nothing known."""
+    na, nb, nk = spec.order
+    d = na + nb
+    return RecursiveState(
+        theta=read_only(np.zeros(d)),
+        P=read_only(np.eye(d) * spec.initial_spread),
+        past_u=read_only(np.zeros(nb + nk)),
+        past_y=read_only(np.zeros(na)),
+        loss=0.0,
+        weight=0.0,
+        seen=0,
+    )
+
+
+def new_segment(state: RecursiveState) -> RecursiveState:
+    """The same knowledge, to go on after a break: the samples before it are not neighbours of those after it."""
+    return RecursiveState(state.theta, state.P, state.past_u, state.past_y, state.loss, state.weight, 0)
+
+
+def step(spec: RecursiveSpec, state: RecursiveState, u: FloatArray, y: FloatArray) -> RecursiveState:
+    """Learn from the next samples u, y, (n,) each; about 10 us a sample. The result does not depend on the blocks.
+
+    The first max(na, nb + nk - 1) samples of a segment only fill the past. Raises IdentificationError if the lengths
+    differ or a sample is NaN or infinite: leave such samples out and call `new_segment`.
+    """
+    if u.shape != y.shape or u.ndim != 1:
+        raise IdentificationError(f"u and y must be two rows of one length, not {u.shape} and {y.shape}")
+    if not (np.isfinite(u).all() and np.isfinite(y).all()):
+        raise IdentificationError("NaN or infinite samples; leave them out and begin a new segment")
+    na, nb, nk = spec.order
+    lag = max(na, nb + nk - 1)
+    theta, P = state.theta.copy(), state.P.copy()
+    past_u, past_y = state.past_u.copy(), state.past_y.copy()
+    loss, weight = state.loss, state.weight
+    for i in range(len(u)):
+        past_u[1:] = past_u[:-1].copy()
+        past_u[0] = u[i]
+        if state.seen + i >= lag:
+            # phi = [ -y(t-1) .. -y(t-na)  u(t-nk) .. u(t-nk-nb+1) ]
+            phi = np.concatenate((-past_y, past_u[nk:]))
+            theta, P, error = _update(spec, theta, P, phi, float(y[i]))
+            weight = spec.forgetting * weight + 1.0
+            loss += (error * error - loss) / weight
+        past_y[1:] = past_y[:-1].copy()
+        past_y[0] = y[i]
+    seen = state.seen + len(u)
+    return RecursiveState(read_only(theta), read_only(P), read_only(past_u), read_only(past_y), loss, weight, seen)
+
+
+def _update(
+    spec: RecursiveSpec, theta: FloatArray, P: FloatArray, phi: FloatArray, y: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """One measurement (Ljung, System Identification 2e, Eq 11.12): new theta, new P, a-posteriori error."""
+    gain = P @ phi
+    gain /= spec.forgetting + phi @ gain
+    theta = theta + gain * (y - float(phi @ theta))
+    P = P - np.outer(gain, phi @ P)
+    P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
+    if spec.forgetting < 1.0 and float(np.max(np.diag(P))) < spec.max_spread:
+        P = P / spec.forgetting
+    return theta, P, y - float(phi @ theta)
+
+
+def snapshot(spec: RecursiveSpec, state: RecursiveState, dt: float) -> ArxModel:
+    """The tracked model at this moment, with standard errors sqrt(diag P x loss). dt: sample time [s].
+
+    It may be unstable: look at `stable`. Raises IdentificationError before there are more samples than parameters.
+    """
+    if state.weight <= len(state.theta):
+        raise IdentificationError("the recursive estimate has seen too few samples; keep feeding it")
+    a, b = polynomials(state.theta, spec.order)
+    errors = np.sqrt(np.diag(state.P) * state.loss)
+    return ArxModel(a, b, dt, spec.order, Method.RLS, standard_errors=errors)

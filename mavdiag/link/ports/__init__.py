@@ -1,0 +1,112 @@
+"""Open one end of a link by its address: UDP, TCP, serial, or a pair in memory.
+
+    udpin:HOST:PORT         listen; answer the peers that were heard in the last 10 s (at most 32)
+    udpout:HOST:PORT        talk to one peer
+    tcp:HOST:PORT           connect to a server, and again when the connection ends
+    tcpin:HOST:PORT         serve up to 16 clients
+    /dev/ttyUSB0,921600     a serial device and its baud
+
+HOST is always written: 127.0.0.1 is this machine only, 0.0.0.0 every network it is on. An IPv6 host stands in brackets.
+Port 0 asks for a free port; `Endpoint.address` tells which. A host name is looked up once, when the endpoint is opened.
+"""
+
+import re
+import socket
+import time
+from dataclasses import dataclass
+from enum import StrEnum
+
+from mavdiag.errors import LinkError, UsageError
+from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, wait
+from mavdiag.link.ports.memory import MemoryEndpoint, memory_pair
+from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
+from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
+
+__all__ = [
+    "Address",
+    "Chunk",
+    "Endpoint",
+    "Kind",
+    "MemoryEndpoint",
+    "Traffic",
+    "memory_pair",
+    "open_endpoint",
+    "parse_address",
+    "wait",
+]
+
+_NETWORK = re.compile(r"(?P<kind>udpin|udpout|tcp|tcpin):(?P<host>\[[0-9A-Fa-f:.%\w]+\]|[^:\[\]\s]+):(?P<port>\d{1,5})")
+_SERIAL = re.compile(r"(?P<device>/[^,\s]+),(?P<baud>[1-9]\d{0,7})")
+
+
+class Kind(StrEnum):
+    """What an address speaks of."""
+
+    UDP_IN = "udpin"
+    UDP_OUT = "udpout"
+    TCP_CLIENT = "tcp"
+    TCP_SERVER = "tcpin"
+    SERIAL = "serial"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """An address taken apart. place: host or device; number: port or baud."""
+
+    kind: Kind
+    place: str
+    number: int
+
+
+def parse_address(text: str) -> Address:
+    """Take an address apart. Raises UsageError, showing the notation, if it is malformed.
+
+    >>> parse_address("udpin:127.0.0.1:14550")
+    Address(kind=<Kind.UDP_IN: 'udpin'>, place='127.0.0.1', number=14550)
+    """
+    if match := _SERIAL.fullmatch(text):
+        return Address(Kind.SERIAL, match["device"], int(match["baud"]))
+    match = _NETWORK.fullmatch(text)
+    if match is None:
+        raise UsageError(
+            f"malformed address {text!r}: write udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT"
+            " or /dev/ttyUSB0,921600"
+        )
+    kind, port = Kind(match["kind"]), int(match["port"])
+    if port > 65_535:
+        raise UsageError(f"malformed address {text!r}: a port is at most 65535")
+    if port == 0 and kind in (Kind.UDP_OUT, Kind.TCP_CLIENT):
+        raise UsageError(f"malformed address {text!r}: name the peer's port; only a port to listen on may be 0")
+    return Address(kind, match["host"].strip("[]"), port)
+
+
+def open_endpoint(address: str, *, clock: Clock = time.monotonic_ns, peer_fresh_s: float = PEER_FRESH_S) -> Endpoint:
+    """Open one end of a link.
+
+    clock: the host clock that stamps what is received [ns]. peer_fresh_s: how long `udpin` answers a silent peer [s].
+    Raises UsageError for a malformed address; LinkError for a busy port, an unknown host, a missing device or a missing
+    right. An absent peer is no error.
+    """
+    parsed = parse_address(address)
+    if parsed.kind is Kind.SERIAL:
+        return Serial(address, parsed.place, parsed.number, clock)
+    datagrams = parsed.kind in (Kind.UDP_IN, Kind.UDP_OUT)
+    family, place = _resolve(address, parsed, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM)
+    match parsed.kind:
+        case Kind.UDP_IN:
+            return UdpIn(address, family, place, clock, peer_fresh_s)
+        case Kind.UDP_OUT:
+            return UdpOut(address, family, place, clock)
+        case Kind.TCP_CLIENT:
+            return TcpClient(address, family, place, clock)
+        case _:
+            return TcpServer(address, family, place, clock)
+
+
+def _resolve(address: str, parsed: Address, kind: socket.SocketKind) -> tuple[socket.AddressFamily, SocketAddress]:
+    try:
+        found = socket.getaddrinfo(parsed.place, parsed.number, type=kind)
+    except (socket.gaierror, UnicodeError) as error:
+        raise LinkError(f"{address}: unknown host {parsed.place!r}: check its name or write its IP address") from error
+    family, _, _, _, place = min(found, key=lambda entry: entry[0] != socket.AF_INET)  # IPv4 first, as MAVLink tools do
+    return family, place

@@ -1,0 +1,281 @@
+"""Byte-stream endpoints: a TCP client or a serial device that reconnects, and a TCP server for several clients."""
+
+import os
+import socket
+import time
+from abc import ABC, abstractmethod
+
+import serial
+
+from mavdiag.link.ports.base import RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
+
+__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "whole_frames"]
+
+CLIENTS_MAX = 16  # a TCP server turns further clients away
+
+_READ_BYTES = 65_536
+_DRAIN_READS = 16  # reads per call, so that a flood cannot hold the caller
+_DEAD_MS = 10_000  # a TCP peer that acknowledges nothing for so long is gone
+
+
+class _Stream:
+    """One connected, non-blocking byte stream over a descriptor. Messages go out whole or not at all."""
+
+    def __init__(self, handle: socket.socket | serial.Serial) -> None:
+        self._handle = handle  # kept: closing it closes the descriptor
+        self.fileno = handle.fileno()
+        self._tail = b""  # the rest of a message that the system took only in part
+
+    @property
+    def established(self) -> bool:
+        """Whether the other side is there; a serial line cannot know."""
+        try:
+            return isinstance(self._handle, serial.Serial) or bool(self._handle.getpeername())
+        except OSError:
+            return False
+
+    def read(self) -> bytes | None:
+        """What is there; b"" if nothing; None if the stream has ended."""
+        try:
+            return os.read(self.fileno, _READ_BYTES) or None
+        except BlockingIOError:
+            return b""
+        except OSError:
+            return None
+
+    def write(self, data: bytes) -> bool:
+        """Whether the message was taken. If only part of it fits, the rest goes before the next message."""
+        try:
+            if self._tail:
+                self._tail = self._tail[os.write(self.fileno, self._tail) :]
+            if self._tail:
+                return False
+            self._tail = data[os.write(self.fileno, data) :]
+            return True
+        except OSError:  # full, or ended: the next read tells which
+            return False
+
+    def close(self) -> None:
+        self._handle.close()
+
+
+class _Reconnecting(Endpoint, ABC):
+    """One stream that is opened again, every `RETRY_S` while it is polled, after it has ended."""
+
+    def __init__(self, address: str, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._stream: _Stream | None = None
+        self._retry_at = 0.0  # monotonic clock [s]; infinite once closed
+
+    @abstractmethod
+    def _open(self) -> _Stream:
+        """Open the stream. Raises OSError."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether the stream is open."""
+        return self._stream is not None
+
+    def filenos(self) -> tuple[int, ...]:
+        """The stream's descriptor, while there is one."""
+        return () if self._stream is None else (self._stream.fileno,)
+
+    def send(self, data: bytes) -> None:
+        """Send one message whole, or drop and count it."""
+        if self._stream is not None and self._stream.write(data):
+            self._sent += 1
+        else:
+            self._dropped += 1
+
+    def close(self) -> None:
+        """Close the stream for good."""
+        self._hang_up()
+        self._retry_at = float("inf")
+
+    def _hang_up(self) -> None:
+        if self._stream is not None:
+            self._stream.close()
+        self._stream = None
+        self._retry_at = time.monotonic() + RETRY_S
+
+    def _drain(self) -> list[Chunk]:
+        if self._stream is None and time.monotonic() >= self._retry_at:
+            self._retry_at = time.monotonic() + RETRY_S
+            try:
+                self._stream = self._open()
+            except OSError:  # still absent: the next retry may find it
+                return []
+        chunks: list[Chunk] = []
+        while self._stream is not None and len(chunks) < _DRAIN_READS:
+            data = self._stream.read()
+            if data is None:
+                self._hang_up()
+            elif data:
+                chunks.append((data, self._clock()))
+            else:
+                break
+        return chunks
+
+
+class TcpClient(_Reconnecting):
+    """Connects to one server, and again whenever the connection ends. An absent server is no error."""
+
+    def __init__(self, address: str, family: socket.AddressFamily, remote: SocketAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._family, self._remote = family, remote
+        self._drain()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the server has accepted."""
+        return self._stream is not None and self._stream.established
+
+    def _open(self) -> _Stream:
+        # A pending connection reads and writes as "nothing yet", and ends like an open one if it is refused.
+        link = _tcp_socket(self._family)
+        link.connect_ex(self._remote)
+        return _Stream(link)
+
+
+class Serial(_Reconnecting):
+    """A serial device, 8N1, held exclusively; opened again when it comes back after having gone.
+
+    Raises LinkError if it cannot be opened at first.
+    """
+
+    def __init__(self, address: str, device: str, baud: int, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._device, self._baud = device, baud
+        try:
+            self._stream = self._open()
+        except OSError as error:
+            raise link_error(address, error) from error
+
+    def _open(self) -> _Stream:
+        # inter_byte_timeout=0 sets VMIN=1, VTIME=0 (termios): "nothing yet" then differs from "hung up".
+        try:
+            return _Stream(serial.Serial(self._device, self._baud, inter_byte_timeout=0, exclusive=True))
+        except ValueError as error:
+            raise OSError(0, f"{self._baud} baud is not a speed of this device: try 57600, 115200 or 921600") from error
+
+
+class TcpServer(Endpoint):
+    """Accepts up to `CLIENTS_MAX` clients; sends to all, and hears all, cut between their frames.
+
+    Raises LinkError if the port cannot be bound.
+    """
+
+    def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._listener = _tcp_socket(family)
+        self._clients: dict[_Stream, bytes] = {}  # each with the beginning of a frame that is not yet complete
+        try:
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind(local)
+            self._listener.listen(CLIENTS_MAX)
+        except OSError as error:
+            self._listener.close()
+            raise link_error(address, error) from error
+        self._address = f"{address.rpartition(':')[0]}:{self._listener.getsockname()[1]}"
+
+    @property
+    def connected(self) -> bool:
+        """Whether a client is there."""
+        return bool(self._clients)
+
+    def filenos(self) -> tuple[int, ...]:
+        """The listener's descriptor and each client's."""
+        if self._listener.fileno() < 0:
+            return ()
+        return (self._listener.fileno(), *(client.fileno for client in self._clients))
+
+    def send(self, data: bytes) -> None:
+        """Send to every client; with none, the message is dropped and counted."""
+        taken = [client.write(data) for client in self._clients]
+        self._sent += taken.count(True)
+        self._dropped += taken.count(False) if taken else 1
+
+    def close(self) -> None:
+        """Stop listening and hang up on every client."""
+        self._listener.close()
+        for client in self._clients:
+            client.close()
+        self._clients.clear()
+
+    def _drain(self) -> list[Chunk]:
+        self._accept()
+        chunks: list[Chunk] = []
+        for client, begun in list(self._clients.items()):
+            for _ in range(_DRAIN_READS):
+                data = client.read()
+                if not data:
+                    break
+                data = begun + data
+                cut = whole_frames(data)
+                begun = data[cut:]
+                if cut:
+                    chunks.append((data[:cut], self._clock()))
+            self._clients[client] = begun
+            if data is None:
+                client.close()
+                del self._clients[client]
+        return chunks
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                link, _ = self._listener.accept()
+            except OSError:  # nobody there, gone again, or closed
+                return
+            if len(self._clients) >= CLIENTS_MAX:
+                link.close()
+                continue
+            _tune(link)
+            self._clients[_Stream(link)] = b""
+
+
+def whole_frames(data: bytes) -> int:
+    """How many leading bytes of one client's stream end between MAVLink frames, so that another's may follow.
+
+    Only an incomplete last frame (at most 280 bytes) is left; bytes that belong to no frame count as whole.
+
+    >>> v1 = bytes.fromhex("fe00000101000000")
+    >>> whole_frames(v1 + v1[:5])
+    8
+    """
+    start = 0
+    while start < len(data):
+        length = _frame_length(data, start)
+        if length is None or start + length > len(data):
+            return start
+        start += length
+    return start
+
+
+def _frame_length(data: bytes, start: int) -> int | None:
+    """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say.
+
+    MAVLink serialization: v1 is 0xFE with 8 bytes around the payload, v2 is 0xFD with 12, and 13 more if signed.
+    """
+    magic = data[start]
+    if magic not in (0xFE, 0xFD):
+        return 1
+    if len(data) < start + 3:
+        return None
+    if magic == 0xFE:
+        return data[start + 1] + 8
+    return data[start + 1] + (25 if data[start + 2] & 1 else 12)
+
+
+def _tcp_socket(family: socket.AddressFamily) -> socket.socket:
+    link = socket.socket(family, socket.SOCK_STREAM)
+    _tune(link)
+    return link
+
+
+def _tune(link: socket.socket) -> None:
+    """Never wait, never hold small frames back, and notice a peer that died without a word."""
+    link.setblocking(False)
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _DEAD_MS)

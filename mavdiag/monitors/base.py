@@ -1,0 +1,159 @@
+"""What a monitor is: one file in this folder, and one line in `mavdiag.monitors.MONITORS`.
+
+A monitor turns rows into a statistic. Everything that the rest of the project must know about it stands in its class:
+its name, unit and label, the signals it needs, what guards its threshold, what it knows about rotors, how it is fitted
+to healthy flights. The registry builds from that the baseline's schema, the chain, learning, isolation, the texts, the
+streams that the detector asks for, and the contract tests.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.identify import Method, Order
+from mavdiag.rows.block import Block
+from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Axis, Signal
+from mavdiag.thresholds.rule import Guard
+
+__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows"]
+
+State = TypeVar("State")
+Spec = TypeVar("Spec")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
+
+    block: Block
+    rates: RateBlock
+
+
+Flights: TypeAlias = Sequence[Sequence[Rows]]
+"""Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearnContext:
+    """What is known beside the flights.
+
+    airframe: the vehicle, as far as it is known.
+    imu_corner_hz: corner of the low-pass filter in the IMU stream; None if it has none.
+    dt_s: row period [s].
+    window: samples of the Savitzky-Golay filters.
+    axes: the axes that the fsd monitor models.
+    method, order: how ARX models are fitted.
+    margin_rule: "p90" or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1).
+    """
+
+    airframe: Airframe
+    imu_corner_hz: float | None
+    dt_s: float
+    window: int
+    axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
+    method: Method = Method.SRIV
+    order: Order = (2, 2, 1)
+    margin_rule: str = "p90"
+
+
+@dataclass(frozen=True, slots=True)
+class RotorEvidence:
+    """How a monitor's `rotors` count when a rotor is named.
+
+    weight: logits per unit of evidence.
+    relative: the evidence counts in units of the monitor's threshold.
+    direct: it observes the damaged rotor itself. Evidence that is not direct counts only while no direct monitor is
+    above its threshold: a trim tells which rotor is commanded more, and a blade with more drag has the others
+    commanded more.
+    """
+
+    weight: float
+    relative: bool = False
+    direct: bool = True
+
+
+class Feature:
+    """Names of the figures that grading a fault needs; a monitor's `feature` says which its `level` gives."""
+
+    UNBALANCE = "unbalance"  # g mm
+    MOTION = "motion"  # rad/s
+    RISE = "rise"  # share of the hover command, from `rotors`
+
+
+class Monitor(ABC, Generic[Spec, State]):
+    """One statistic; `axis` is None where it concerns the whole vehicle.
+
+    name: key in the baseline, the journal and the scan report.
+    label: how a text for a pilot calls it, at most 10 characters.
+    statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
+    needs: signals without which it cannot judge; a row in which one is unknown is not judged by it.
+    decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
+    clear_s: how long its statistic must have been back before its event closes.
+    guard: what its few healthy flights cannot show.
+    evidence: how it knows about rotors; None if it does not.
+    feature: what its level tells about the fault, a name of `Feature`; None if nothing.
+    spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    statistic_label: ClassVar[str] = ""
+    threshold_label: ClassVar[str] = ""
+    needs: ClassVar[frozenset[Signal]]
+    decides: ClassVar[bool] = True
+    clear_s: ClassVar[float] = 2.0  # our choice
+    guard: ClassVar[Guard] = Guard()
+    evidence: ClassVar[RotorEvidence | None] = None
+    spec_type: ClassVar[type[Any]]
+
+    def __init__(self, spec: Spec) -> None:
+        self.spec = spec
+
+    @classmethod
+    @abstractmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
+        """Fit it to healthy flights: one specification, or one for each axis.
+
+        Raises InputError or IdentificationError, with the reason as the operator reads it (without the monitor's
+        name), if it cannot work on such flights.
+        """
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """Unit of the statistic and of its threshold."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """The body axis that the statistic is about."""
+        return None
+
+    @property
+    def reference(self) -> float:
+        """What its `signal` is compared with, for a display; 0 if with nothing."""
+        return 0.0
+
+    @property
+    def delay_s(self) -> float:
+        """How much later than its time stamp a value is known [s]."""
+        return 0.0
+
+    @property
+    def feature(self) -> str | None:
+        """What its level tells about the fault, a name of `Feature`; None if nothing."""
+        return None
+
+    @abstractmethod
+    def start(self) -> State:
+        """A fresh state, before the first row of a segment."""
+
+    @abstractmethod
+    def step(self, state: State, rows: Rows) -> tuple[State, Statistic]:
+        """Take the next rows of the same segment. Any cut into chunks gives the same values.
+
+        The chain calls `start` at the border of every segment and flight; a monitor need not look for it.
+        """

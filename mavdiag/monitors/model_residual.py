@@ -1,0 +1,263 @@
+"""What pushes the airframe: the parts of roll rate, pitch rate and vertical acceleration that the model cannot explain.
+
+    r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
+    r_heave         = a_z - a_sim                the same on the commanded thrust
+    r  <- r - EMA_1s(r)                          slow wind and trim are no fault
+    n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
+
+The filtered rates hold nothing above some 8 Hz, so all of this runs on every tenth row at 1 kHz. A step of commanded
+motion that began before the first row cannot be simulated: the first 1.5 s of a segment are left out.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from mavdiag.errors import InputError
+from mavdiag.identify import ArxModel, Method
+from mavdiag.identify.freerun import FreeRunState
+from mavdiag.identify.freerun import start as run_start
+from mavdiag.identify.freerun import step as run_step
+from mavdiag.monitors.base import Rows
+from mavdiag.rows.running import ema, forgetting
+from mavdiag.rows.savgol import coefficients
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+
+__all__ = [
+    "Arx",
+    "Disturbance",
+    "DisturbanceState",
+    "HealthyMotion",
+    "Observer",
+    "PickState",
+    "Picked",
+    "Picker",
+    "stride_of",
+]
+
+PERIOD_S = 0.01  # our choice: ten times what the 0.1 s window passes
+DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
+MEMORY_S = 0.35  # METHOD section 4
+SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
+LIMIT = 1e6  # a normalised residual is cut here (our choice)
+
+Three: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Arx:
+    """A(z^-1) y = B(z^-1) u: a from a_0 = 1 on, b from z^0 on (leading zeros are delays)."""
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        self.model(1.0)
+
+    @classmethod
+    def of(cls, model: ArxModel) -> "Arx":
+        """The coefficients of an identified model."""
+        return cls(tuple(model.a.tolist()), tuple(model.b.tolist()))
+
+    def model(self, dt_s: float) -> ArxModel:
+        """Ready to simulate. Raises IdentificationError if the coefficients are none of a model."""
+        order = (len(self.a) - 1, len(self.b), 0)
+        return ArxModel(np.array(self.a), np.array(self.b), dt_s, order, Method.PUBLISHED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HealthyMotion:
+    """How the healthy airframe answers, every `stride` rows of `dt_s`. window: rows of the rate filters, odd.
+
+    roll, pitch: rate [rad/s] on commanded rate. heave: vertical acceleration [m/s^2] on thrust 0..1, both less their
+    1 s mean. k0, k1: variance of the residual at rest, and per mean square of what was commanded: roll, pitch, heave.
+    """
+
+    dt_s: float
+    stride: int
+    window: int
+    roll: Arx
+    pitch: Arx
+    heave: Arx
+    k0: Three = (1.0, 1.0, 1.0)
+    k1: Three = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.dt_s) and self.dt_s > 0) or self.stride < 1 or self.window % 2 == 0:
+            raise InputError("energy: row period, stride and an odd filter window must be positive")
+        if not all(math.isfinite(x) for x in (*self.k0, *self.k1)) or min(self.k0) <= 0 or min(self.k1) < 0:
+            raise InputError("energy: k0 must be positive and k1 not negative")
+
+    @property
+    def period_s(self) -> float:
+        """Time between two samples."""
+        return self.dt_s * self.stride
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picked:
+    """Every so many rows: t_ns (k,) time of the newest row behind it; u, y (k, 2) roll and pitch rate, commanded and
+    measured; heave (k, 2) vertical acceleration and thrust, filtered alike; valid (k,)."""
+
+    t_ns: IntArray
+    u: FloatArray
+    y: FloatArray
+    heave: FloatArray
+    valid: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PickState:
+    """Rows that wait: raw (2, h) with their times, picked rates and picked heaves without their partner."""
+
+    segment: int
+    skip: int  # rate rows until the next pick
+    raw: FloatArray
+    raw_ns: IntArray
+    rates: FloatArray  # (p, 5) u, y, valid
+    heave: FloatArray  # (q, 2)
+    heave_ns: IntArray
+
+
+def stride_of(dt_s: float) -> int:
+    """Rows between two samples at a row period [s]."""
+    return max(1, round(PERIOD_S / dt_s))
+
+
+class Picker:
+    """Takes every `stride`-th of the rates, with acceleration and thrust smoothed by the same `window` (odd)."""
+
+    def __init__(self, stride: int, window: int) -> None:
+        self._stride, self._window = stride, window
+        self._taps = coefficients(window, min(2, window - 1))[0]
+
+    def start(self, segment: int = -1) -> PickState:
+        """Before the first row of a segment."""
+        never = np.empty(0, dtype=np.int64)
+        return PickState(segment, 0, np.empty((2, 0)), never, np.empty((0, 5)), np.empty((0, 2)), never)
+
+    def step(self, state: PickState, rows: Rows) -> tuple[PickState, Picked]:
+        """Take the next rows; return the samples that they complete."""
+        block, rates, stride = rows.block, rows.rates, self._stride
+        if block.segment != state.segment:
+            state = self.start(block.segment)
+        at = np.arange(state.skip, len(rates), stride)
+        fresh = np.empty((len(at), 5))
+        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], rates.valid[at]
+        skip = state.skip + len(at) * stride - len(rates)
+
+        raw = np.concatenate((state.raw, [block.force[:, 2], block.thrust]), axis=1)
+        raw_ns = np.concatenate((state.raw_ns, block.t_ns))
+        smoothed = self._smooth(raw)
+        count = len(smoothed)
+        both, heave = np.concatenate((state.rates, fresh)), np.concatenate((state.heave, smoothed))
+        heave_ns = np.concatenate((state.heave_ns, raw_ns[self._window - 1 :: stride][:count]))
+        n, used = min(len(both), len(heave)), count * stride
+        valid = np.isfinite(both[:n]).all(axis=1) & np.isfinite(heave[:n, 0]) & (both[:n, 4] > 0.5)
+        out = Picked(heave_ns[:n], both[:n, :2], both[:n, 2:4], heave[:n], valid)
+        return PickState(block.segment, skip, raw[:, used:], raw_ns[used:], both[n:], heave[n:], heave_ns[n:]), out
+
+    def _smooth(self, raw: FloatArray) -> FloatArray:
+        """(2, h) -> (count, 2): the full windows that begin at rows 0, stride, 2 stride .."""
+        count = max(0, (raw.shape[1] - self._window) // self._stride + 1)
+        out = np.empty((count, 2))
+        for i in range(count):
+            first = i * self._stride
+            out[i] = raw[:, first : first + self._window] @ self._taps
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disturbance:
+    """t_ns: (k,). r: (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2]; n: the same, normalised.
+
+    busy: (k, 3) exponential mean square of what was commanded. valid: (k,).
+    """
+
+    t_ns: IntArray
+    r: FloatArray
+    n: FloatArray
+    busy: FloatArray
+    valid: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisturbanceState:
+    """Waiting rows, the three simulations, and the running means; seen: samples since the segment began."""
+
+    pick: PickState
+    seen: int
+    runs: tuple[FreeRunState, ...]
+    level: FloatArray  # (2,) running mean of acceleration and thrust
+    drift: FloatArray  # (3,) running mean of the residuals
+    busy: FloatArray  # (3,)
+    thrust: float  # last
+
+
+class Observer:
+    """The healthy models at work: rows in, residuals out."""
+
+    def __init__(self, motion: HealthyMotion) -> None:
+        self.motion = motion
+        self._picker = Picker(motion.stride, motion.window)
+        self._models = tuple(arx.model(motion.period_s) for arx in (motion.roll, motion.pitch, motion.heave))
+        self._k0, self._k1 = np.array(motion.k0), np.array(motion.k1)
+        self._drift = forgetting(DRIFT_S, motion.period_s)
+        self._memory = forgetting(MEMORY_S, motion.period_s)
+
+    def start(self) -> DisturbanceState:
+        """Before the first row."""
+        return DisturbanceState(self._picker.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0)
+
+    def step(self, state: DisturbanceState, rows: Rows) -> tuple[DisturbanceState, Disturbance]:
+        """The residuals that the next rows complete."""
+        if rows.block.segment != state.pick.segment:
+            state = self.start()
+        waiting, picked = self._picker.step(state.pick, rows)
+        k = len(picked.t_ns)
+        if k == 0:
+            empty = np.empty((0, 3))
+            return replace(state, pick=waiting), Disturbance(picked.t_ns, empty, empty, empty, picked.valid)
+        u, y, heave = (_finite(part) for part in (picked.u, picked.y, picked.heave))
+        if not state.runs:
+            state = self._begin(state, u, y, heave)
+        level, mean = ema(state.level, heave, self._drift)
+        slope = np.diff(heave[:, 1], prepend=state.thrust) / self.motion.period_s
+        runs, r = self._simulate(state, u, y, heave - mean)
+        settled = state.seen + np.arange(k) >= SETTLE_S / self.motion.period_s
+        r[~settled] = 0.0
+        drift, slow = ema(state.drift, r, self._drift)
+        r -= slow
+        busy, trace = ema(state.busy, np.concatenate((u, slope[:, None]), axis=1) ** 2, self._memory)
+        n = np.clip(r / np.sqrt(self._k0 + self._k1 * trace), -LIMIT, LIMIT)
+        state = DisturbanceState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]))
+        return state, Disturbance(picked.t_ns, r, n, trace, picked.valid & settled)
+
+    def _begin(self, state: DisturbanceState, u: FloatArray, y: FloatArray, heave: FloatArray) -> DisturbanceState:
+        """Start the models from the first measured rates at rest in them, and the means from the first values."""
+        rates = [
+            run_start(model, np.full(len(model.b), u[0, i]), np.full(len(model.a), y[0, i]))
+            for i, model in enumerate(self._models[:2])
+        ]
+        runs = (*rates, run_start(self._models[2]))
+        return replace(state, runs=runs, level=heave[0].copy(), thrust=float(heave[0, 1]))
+
+    def _simulate(
+        self, state: DisturbanceState, u: FloatArray, y: FloatArray, lift: FloatArray
+    ) -> tuple[tuple[FreeRunState, ...], FloatArray]:
+        """Measured less simulated roll rate, pitch rate and a_z, (k, 3). lift: (k, 2) a_z and thrust."""
+        runs, r = [], np.empty((len(u), 3))
+        pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
+        for i, (command, measured) in enumerate(pairs):
+            run, simulated = run_step(self._models[i], state.runs[i], command)
+            runs.append(run)
+            r[:, i] = measured - simulated
+        return tuple(runs), r
+
+
+def _finite(x: FloatArray) -> FloatArray:
+    """x with zeros for what is no number; such samples are marked invalid."""
+    good = np.isfinite(x)
+    return x if good.all() else np.where(good, x, 0.0)

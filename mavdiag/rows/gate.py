@@ -1,0 +1,122 @@
+"""Judge only what flies: `step(spec, state, blocks)` cuts the flying spans out of the aligned rows.
+
+Take-off, touch-down and the ground are no healthy reference: a landing gives gyro spikes many times the size of a
+fault's trace (8-11 rad/s, METHOD section 5). Every flying span becomes a segment of its own. Its first
+`trim_start_s` are marked invalid; its last `trim_end_s` are dropped, which needs the rows to be held back by that
+long, so it is zero where the alert must not wait.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import NS_PER_S, BoolArray, IntArray
+
+__all__ = ["GateSpec", "GateState", "finish", "flying", "gate", "start"]
+
+
+@dataclass(frozen=True, slots=True)
+class GateSpec:
+    """What counts as flying. A limit of None is not asked for; a signal the vehicle never sends passes.
+
+    min_height_m: above take-off. min_thrust: collective set-point, 0..1. need_armed: HEARTBEAT says armed.
+    """
+
+    min_height_m: float | None = None
+    min_thrust: float | None = None
+    need_armed: bool = True
+    trim_start_s: float = 0.0
+    trim_end_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GateState:
+    """The rows held back, whether the last row flew, and the number of the current flying span."""
+
+    held: tuple[Block, ...] = ()
+    source: int = -1  # segment of the rows before the gate
+    airborne: bool = False
+    span: int = -1
+    begun_ns: int = 0
+
+
+def start() -> GateState:
+    """A fresh state: nothing flies yet."""
+    return GateState()
+
+
+def flying(spec: GateSpec, block: Block) -> BoolArray:
+    """(n,) True for the rows that count as flying."""
+    up = np.ones(len(block), dtype=np.bool_)
+    if spec.min_height_m is not None:
+        up &= ~(block.height < spec.min_height_m)
+    if spec.min_thrust is not None:
+        up &= ~(block.thrust < spec.min_thrust)
+    if spec.need_armed:
+        up &= ~(block.armed < 0.5)
+    return up
+
+
+def gate(spec: GateSpec, state: GateState, blocks: tuple[Block, ...]) -> tuple[GateState, tuple[Block, ...]]:
+    """The rows of `blocks` that fly, renumbered by flying span, held back by `trim_end_s`."""
+    out: list[Block] = []
+    for block in blocks:
+        if block.segment != state.source:
+            state, done = _land(spec, state)
+            out += done
+            state = replace(state, source=block.segment)
+        up = flying(spec, block)
+        for first, stop in _runs(up):
+            if up[first]:
+                state = _fly(spec, state, block, first, stop)
+            else:
+                state, done = _land(spec, state)
+                out += done
+        state, done = _release(spec, state)
+        out += done
+    return state, tuple(out)
+
+
+def finish(spec: GateSpec, state: GateState) -> tuple[GateState, tuple[Block, ...]]:
+    """The end of a log. What is held back was still flying, so it is judged."""
+    return replace(state, held=(), airborne=False), state.held
+
+
+def _runs(up: BoolArray) -> list[tuple[int, int]]:
+    """Spans [first, stop) of equal values."""
+    edges: IntArray = np.flatnonzero(np.diff(up)) + 1
+    starts = [0, *edges.tolist()]
+    return list(zip(starts, [*edges.tolist(), len(up)], strict=True)) if len(up) else []
+
+
+def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
+    if not state.airborne:
+        state = replace(state, airborne=True, span=state.span + 1, begun_ns=int(block.t_ns[first]))
+    rows = block.rows(first, stop, state.span)
+    settled = rows.t_ns >= state.begun_ns + round(spec.trim_start_s * NS_PER_S)
+    if not settled.all():
+        rows = replace(rows, valid=rows.valid & settled)
+    return replace(state, held=(*state.held, rows))
+
+
+def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
+    """The span is over: its last `trim_end_s` are dropped."""
+    if not state.airborne:
+        return state, []
+    state, done = _release(spec, state)
+    return replace(state, held=(), airborne=False), done
+
+
+def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
+    """Let go of the rows that are `trim_end_s` older than the newest."""
+    if not state.held or spec.trim_end_s == 0:
+        return replace(state, held=()), list(state.held)
+    safe_ns = int(state.held[-1].t_ns[-1]) - round(spec.trim_end_s * NS_PER_S)
+    done: list[Block] = []
+    kept: list[Block] = []
+    for block in state.held:
+        stop = int(np.searchsorted(block.t_ns, safe_ns, side="right"))
+        done += [block.rows(0, stop)] if stop else []
+        kept += [block.rows(stop, len(block))] if stop < len(block) else []
+    return replace(state, held=tuple(kept)), done

@@ -1,0 +1,162 @@
+"""Savitzky-Golay smoothing and differentiation on the valid part of a signal (T 4.3, Eq 4.6-4.14).
+
+A polynomial is fitted to each window of 2m + 1 samples; its value, or its slope, at the centre is the output. The
+output that belongs to input row i is known m samples later: **the delay is m samples** (50 ms at the default window
+of 0.1 s), the same for the value and for the slope, which is why the rate and the differentiated setpoint are both
+filtered with one window (T 4.3.4). Rows without a complete window give no output; nothing is padded.
+
+numpy only: importing scipy.signal takes 0.8 s, which the detector's start cannot afford.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.errors import UsageError
+from mavdiag.telemetry import FloatArray
+
+__all__ = ["SavgolFilter", "SavgolState", "coefficients", "derivative", "smooth", "window_samples"]
+
+WINDOW_S = 0.1  # T 5.3: 100 samples at 1 kHz, made odd
+MIN_WINDOW = 5  # our floor: fewer samples than this smooth nothing at polynomial order 2
+
+
+def window_samples(dt_s: float, window_s: float = WINDOW_S) -> int:
+    """Odd number of samples, at least 5, that spans about `window_s` at a sample time of `dt_s` [s].
+
+    An even count goes up to the next odd one. A quarter sample of slack in m makes a measured rate of 999 Hz choose
+    the same window as 1 kHz.
+
+    >>> [window_samples(dt) for dt in (0.001, 0.004, 0.01, 0.02)]
+    [101, 25, 11, 5]
+
+    Raises UsageError if either span is not positive and finite.
+    """
+    if not (math.isfinite(dt_s) and dt_s > 0 and math.isfinite(window_s) and window_s > 0):
+        raise UsageError(f"sample time {dt_s} s and window {window_s} s must be positive")
+    m = math.floor(window_s / (2 * dt_s) + 0.25)
+    return max(MIN_WINDOW, 2 * m + 1)
+
+
+def coefficients(window: int, order: int = 2) -> FloatArray:
+    """The filter matrix C of T Eq 4.11, shape (order + 1, window): row d gives the polynomial coefficient a_d.
+
+    Row 0 yields the smoothed value, row 1 the slope per sample, 2 x row 2 the second derivative per sample squared
+    (T Eq 4.7-4.9). Raises UsageError unless `window` is odd and 0 <= order < window.
+    """
+    if window < 1 or window % 2 == 0 or not 0 <= order < window:
+        raise UsageError(f"window {window} must be odd and longer than the polynomial order {order}")
+    m = window // 2
+    scale = float(max(m, 1))
+    # T Eq 4.10 with x = -m..m over m, so that the columns have like size; row d of C is scaled back by m^d.
+    #     [ 1  -m      ...  (-m)^n     ]
+    # A = [ 1  -(m-1)  ...  (-(m-1))^n ]    (window, order + 1)
+    #     [ ...                        ]
+    #     [ 1   m      ...  m^n        ]
+    powers = np.arange(order + 1)
+    A = (np.arange(-m, m + 1) / scale)[:, None] ** powers
+    C: FloatArray = np.linalg.pinv(A) / scale ** powers[:, None]
+    return C
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavgolState:
+    """What a stream must remember: the last window - 1 rows or fewer, transposed.
+
+    history: (columns, h) with h <= window - 1, oldest first, in the unit of the input.
+    """
+
+    history: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavgolFilter:
+    """A Savitzky-Golay filter as its taps; build it with `smoother` or `differentiator`.
+
+    taps: (window,) weights of the window's samples, oldest first; made read-only. A smoother keeps the input's unit,
+    a differentiator divides it by seconds. Every output row is an independent dot product over its own window: a
+    stream cut into any blocks gives the batch result bit for bit, and a NaN spoils only the windows that hold it.
+
+    >>> filt = SavgolFilter.differentiator(5, dt_s=0.5)
+    >>> filt.batch(np.array([0.0, 1.0, 4.0, 9.0, 16.0, 25.0])).round(9).tolist()   # 2 m rows shorter
+    [8.0, 12.0]
+    """
+
+    taps: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.taps.ndim != 1 or len(self.taps) % 2 == 0:
+            raise UsageError("the taps of a Savitzky-Golay filter are one row of odd length")
+        self.taps.setflags(write=False)
+
+    @classmethod
+    def smoother(cls, window: int, order: int = 2) -> "SavgolFilter":
+        """Filter that gives the smoothed value (T Eq 4.12). Raises UsageError on an impossible window or order."""
+        return cls(coefficients(window, order)[0].copy())
+
+    @classmethod
+    def differentiator(cls, window: int, dt_s: float, order: int = 2) -> "SavgolFilter":
+        """Filter that gives the first derivative per second (T Eq 4.13) at a sample time of `dt_s` [s].
+
+        Raises UsageError on an impossible window, order (at least 1) or sample time.
+        """
+        if order < 1 or not (math.isfinite(dt_s) and dt_s > 0):
+            raise UsageError(f"a derivative needs order >= 1 and a positive sample time, not {order} and {dt_s}")
+        return cls(coefficients(window, order)[1] / dt_s)
+
+    @property
+    def window(self) -> int:
+        """Samples per window, 2m + 1."""
+        return len(self.taps)
+
+    @property
+    def delay_samples(self) -> int:
+        """m: output row i of `batch` belongs to input row i + m."""
+        return len(self.taps) // 2
+
+    def batch(self, x: FloatArray) -> FloatArray:
+        """Filter a whole signal, (n,) or (n, k), into its valid part, (n - 2m,) or (n - 2m, k).
+
+        Output row i belongs to input row i + m. Fewer than 2m + 1 rows give an empty output.
+        Raises UsageError if x has another number of axes.
+        """
+        if x.ndim == 1:
+            return self.step(self.start(1), x[:, None])[1][:, 0]
+        return self.step(self.start(x.shape[-1]), x)[1]
+
+    def start(self, columns: int) -> SavgolState:
+        """State of a stream of `columns` columns before its first row."""
+        return SavgolState(np.empty((columns, 0)))
+
+    def step(self, state: SavgolState, block: FloatArray) -> tuple[SavgolState, FloatArray]:
+        """Take the next rows (n, k) of a stream; return the new state and the rows (j, k) that became known.
+
+        The first 2m rows of a stream give nothing, each later row gives one output, which belongs to the row m
+        before it. Raises UsageError if the block does not have the state's columns.
+        """
+        if block.ndim != 2 or block.shape[1] != len(state.history):
+            raise UsageError(f"block of shape {block.shape} does not fit a stream of {len(state.history)} columns")
+        rows = np.concatenate((state.history, block.T), axis=1)
+        known = max(0, rows.shape[1] - self.window + 1)
+        out = np.empty((known, len(rows)))
+        if known:
+            for column, row in enumerate(rows):
+                out[:, column] = np.correlate(row, self.taps)  # mode "valid"
+        return SavgolState(rows[:, known:].copy()), out
+
+
+def smooth(x: FloatArray, window: int, order: int = 2) -> FloatArray:
+    """Smoothed valid part of x, (n,) or (n, k) -> n - 2m rows, same unit; row i belongs to row i + m of x (T Eq 4.12).
+
+    Raises UsageError on an impossible window or order.
+    """
+    return SavgolFilter.smoother(window, order).batch(x)
+
+
+def derivative(x: FloatArray, dt_s: float, window: int, order: int = 2) -> FloatArray:
+    """First derivative of the valid part of x [unit of x per second]; row i belongs to row i + m of x (T Eq 4.13).
+
+    x: (n,) or (n, k), sampled every `dt_s` [s]. Raises UsageError on an impossible window, order or sample time.
+    """
+    return SavgolFilter.differentiator(window, dt_s, order).batch(x)

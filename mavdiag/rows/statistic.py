@@ -1,0 +1,53 @@
+"""What a monitor makes of the rows: one figure at a time, with the time that it stands for."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+
+__all__ = ["Statistic"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Statistic:
+    """A monitor's statistic over consecutive rows of one segment; n values, n may be 0.
+
+    t_ns: (n,) vehicle time.
+    period_s: span of flight that one value stands for [s]; n valid values are n period_s of judged time.
+    value: (n,) in the monitor's unit; it is compared with the threshold.
+    valid: (n,) False where nothing may be concluded.
+    level: (n,) a second figure that describes an alarm (for the fsd monitor the excess over the margin [rad/s]).
+    signal: (n,) what the statistic is made of, for a display (for the fsd monitor the residual [rad/s]).
+    rotors: (n, R) evidence for each rotor, dimensionless; (n, 0) if the monitor knows nothing of rotors.
+    """
+
+    t_ns: IntArray
+    period_s: float
+    value: FloatArray
+    valid: BoolArray
+    level: FloatArray
+    signal: FloatArray
+    rotors: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def judged_s(self) -> float:
+        """Judged time in it [s]."""
+        return float(np.count_nonzero(self.valid)) * self.period_s
+
+    def part(self, first: int, stop: int) -> "Statistic":
+        """The values [first, stop)."""
+        cut = slice(first, stop)
+        rotors = self.rotors[cut] if len(self.rotors) else self.rotors
+        return Statistic(
+            self.t_ns[cut],
+            self.period_s,
+            self.value[cut],
+            self.valid[cut],
+            self.level[cut],
+            self.signal[cut],
+            rotors,
+        )

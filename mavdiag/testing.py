@@ -1,0 +1,52 @@
+"""Rows from plain arrays: for the examples in the docstrings, and for tests."""
+
+import numpy as np
+
+from mavdiag.monitors.base import Rows
+from mavdiag.rows.block import Block
+from mavdiag.rows.rates import RateBlock, RateSpec, rates, start
+from mavdiag.telemetry import BoolArray, FloatArray
+
+__all__ = ["example_rows"]
+
+WINDOW = 5  # samples of the rate filters
+
+
+def example_rows(
+    n: int,
+    dt_s: float = 0.01,
+    *,
+    segment: int = 0,
+    setpoint: FloatArray | None = None,
+    rate: FloatArray | None = None,
+    actuator: FloatArray | None = None,
+    torque: FloatArray | None = None,
+    thrust: FloatArray | None = None,
+    vibration: FloatArray | None = None,
+    force: FloatArray | None = None,
+    valid: BoolArray | None = None,
+) -> Rows:
+    """n rows of one segment with the signals given, (n, k) each, in the units of `Block`.
+
+    Set-point and gyro are at rest if not given, other signals absent. Rates by Savitzky-Golay filters of 5 samples.
+    """
+    absent, still = np.full((n, 3), np.nan), np.zeros((n, 3))
+    block = Block(
+        segment=segment,
+        dt_s=dt_s,
+        t_ns=round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64),
+        setpoint=still if setpoint is None else setpoint,
+        rate=still if rate is None else rate,
+        force=absent if force is None else force,
+        torque=absent if torque is None else torque,
+        rate_setpoint=absent,
+        thrust=absent[:, 0] if thrust is None else thrust,
+        height=absent[:, 0],
+        armed=np.ones(n),
+        vibration=absent if vibration is None else vibration,
+        actuator=np.empty((n, 0)) if actuator is None else actuator,
+        valid=np.ones(n, dtype=np.bool_) if valid is None else valid,
+    )
+    spec = RateSpec.of(dt_s, WINDOW)
+    known: RateBlock = rates(spec, start(spec), block)[1]
+    return Rows(block, known)

@@ -1,0 +1,248 @@
+"""What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
+
+One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s, and
+the blocks' maxima x carry a Gumbel law (extreme-value theory: maxima of light-tailed statistics tend to it; Coles, An
+Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3):
+
+    beta = max(sd(x) sqrt(6)/pi, 0.1 |mean(x)|),    mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi        (moments)
+    threshold = mu + beta ln(1/(r B)),    r alarms a second, B the block's length
+
+The threshold is linear in the statistic: in its logarithm a tail as heavy as the budget is far would be allowed.
+The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail (its share 0.1 and the other
+small-sample allowances were chosen on recorded healthy flights). A third parameter (GEV, or a generalised Pareto tail
+above a level) is not offered: tens of blocks cannot tell its shape.
+
+**Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
+What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above
+3/T. The named alternative, the largest healthy maximum, alarms in one of n + 1 equal healthy flights.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError, UsageError
+from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.margin import false_alarms_per_flight
+from mavdiag.telemetry import FloatArray
+from mavdiag.thresholds.heldout import Flights, Scores, held_out_scores
+
+__all__ = [
+    "Guard",
+    "Threshold",
+    "ThresholdRule",
+    "calibrate",
+    "flights_for_guarantee",
+    "flights_for_maximum",
+    "more_flights",
+    "poisson_upper",
+    "threshold_of",
+]
+
+BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
+EULER_GAMMA = 0.5772156649015329
+GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
+ONE_SIDED_95 = 1.645  # quantile of the normal law
+SECONDS_PER_HOUR = 3600.0
+
+Spec = TypeVar("Spec")
+
+
+class ThresholdRule(StrEnum):
+    """How the threshold follows from the healthy maxima."""
+
+    GUMBEL = "gumbel"  # extreme-value level for a budget of alarms per hour
+    MAXIMUM = "max"  # the largest of them; the next flight beats it with probability 1/(n + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """What a monitor knows that its few healthy flights cannot show; in the statistic's unit.
+
+    few_flights: added with one flight, and linearly less up to `enough_flights`, where it is zero. above_mean: least
+    distance from the mean healthy maximum. least: least threshold at all. scale_share: least beta as a share of the
+    mean maximum. Raises UsageError if one is negative.
+    """
+
+    few_flights: float = 0.0
+    enough_flights: int = 5
+    above_mean: float = 0.0
+    least: float = 0.0
+    scale_share: float = 0.1
+
+    def __post_init__(self) -> None:
+        if min(self.few_flights, self.above_mean, self.least, self.scale_share) < 0 or self.enough_flights < 2:
+            raise UsageError("a guard's figures must not be negative, and enough flights are at least 2")
+
+    def allowance(self, flights: int) -> float:
+        """What is added for having only that many flights."""
+        return self.few_flights * max(0, self.enough_flights - flights) / (self.enough_flights - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """A threshold and what supports it.
+
+    value: alarm when the statistic is strictly above it. location, scale: mu and beta of the block maxima (for the
+    maximum rule their mean, and 0). standard_error: of the extreme-value level, for independent blocks. allowance:
+    what the guard added to that level. blocks of `block_s`, from that many flights; hours: judged healthy time.
+    exceeding: healthy blocks above the value. budget_per_hour: alarms asked for. demonstrated_per_hour: what these
+    hours exclude at 95 %. false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
+    """
+
+    value: float
+    rule: ThresholdRule
+    location: float
+    scale: float
+    standard_error: float
+    allowance: float
+    blocks: int
+    block_s: float
+    flights: int
+    hours: float
+    exceeding: int
+    budget_per_hour: float
+    demonstrated_per_hour: float
+    false_alarms_per_flight: float
+
+    @property
+    def upper_95(self) -> float:
+        """The level for this budget is below it with 95 % confidence, if the Gumbel law holds."""
+        return self.value + ONE_SIDED_95 * self.standard_error
+
+    def statement(self) -> str:
+        """One sentence: what is asked for, and what is shown."""
+        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {self.flights} flights ({self.hours:.3g} h)"
+        shown = f"they exclude more than {self.demonstrated_per_hour:.3g} alarms/h at 95 %"
+        if self.rule is ThresholdRule.MAXIMUM:
+            price = f"an equal healthy flight alarms with probability {self.false_alarms_per_flight:.3g}"
+            return f"largest maximum of {basis}: {price}; {shown}"
+        kind = "extrapolated" if self.budget_per_hour < self.demonstrated_per_hour else "demonstrated"
+        return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}"
+
+
+def threshold_of(
+    scores: Scores,
+    *,
+    flights: int,
+    budget_per_hour: float = BUDGET_PER_HOUR,
+    guard: Guard = Guard(),
+    rule: ThresholdRule = ThresholdRule.GUMBEL,
+) -> Threshold:
+    """The threshold that scores of healthy flights allow. budget_per_hour: this monitor's share.
+
+    >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
+    >>> found = threshold_of(Scores(maxima, 2000.0), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
+    >>> round(found.value, 1), round(1.0 + 0.2 * math.log(1000), 1), round(found.demonstrated_per_hour, 1)
+    (2.5, 2.4, 5.4)
+
+    Raises UsageError for a budget that is not positive, IdentificationError for scores that are not finite.
+    """
+    if not (math.isfinite(budget_per_hour) and budget_per_hour > 0):
+        raise UsageError(f"the budget must be a positive number of alarms per hour, not {budget_per_hour}")
+    x = scores.maxima
+    if len(x) == 0 or not np.isfinite(x).all():
+        raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
+    rate = budget_per_hour / SECONDS_PER_HOUR * scores.block_s
+    location, scale, level = float(np.mean(x)), 0.0, float(x.max())
+    if rule is ThresholdRule.GUMBEL:
+        location, scale = _gumbel(x, guard.scale_share)
+        level = location - scale * math.log(rate)
+    value = max(level + guard.allowance(flights), float(np.mean(x)) + guard.above_mean, guard.least)
+    hours, exceeding = scores.judged_s / SECONDS_PER_HOUR, int(np.count_nonzero(x > value))
+    return Threshold(
+        value=value,
+        rule=rule,
+        location=location,
+        scale=scale,
+        standard_error=_standard_error(scale, rate, len(x)),
+        allowance=value - level,
+        blocks=len(x),
+        block_s=scores.block_s,
+        flights=flights,
+        hours=hours,
+        exceeding=exceeding,
+        budget_per_hour=budget_per_hour,
+        demonstrated_per_hour=poisson_upper(exceeding) / hours,
+        false_alarms_per_flight=false_alarms_per_flight(flights),
+    )
+
+
+def calibrate(
+    flights: Flights,
+    fit: Callable[[Flights], Spec],
+    watch: Callable[[Spec], Monitor[Any]],
+    *,
+    budget_per_hour: float = BUDGET_PER_HOUR,
+    guard: Guard = Guard(),
+    rule: ThresholdRule = ThresholdRule.GUMBEL,
+) -> tuple[Spec, Threshold]:
+    """A monitor's spec, fitted to all flights, and its threshold, from fits that did not see what they score."""
+    scores = held_out_scores(flights, fit, watch)
+    return fit(flights), threshold_of(
+        scores, flights=len(flights), budget_per_hour=budget_per_hour, guard=guard, rule=rule
+    )
+
+
+def poisson_upper(events: int, confidence: float = 0.95) -> float:
+    """Upper limit on the expected number of events after `events` were seen: 3.0 for none, 4.7 for one.
+
+    The m at which P(at most `events` | m) = 1 - confidence.
+
+    >>> [round(poisson_upper(k), 2) for k in (0, 1, 5)]
+    [3.0, 4.74, 10.51]
+    """
+    low, high = 0.0, 10.0 + 3.0 * events
+    for _ in range(60):
+        m = (low + high) / 2
+        term, total = math.exp(-m), 0.0
+        for k in range(events + 1):
+            total += term
+            term *= m / (k + 1)
+        low, high = (m, high) if total > 1 - confidence else (low, m)
+    return (low + high) / 2
+
+
+def more_flights(threshold: Threshold, budget_per_hour: float) -> int:
+    """How many more healthy flights of the same mean length, all without an alarm, would demonstrate a budget."""
+    needed_hours = poisson_upper(threshold.exceeding) / budget_per_hour
+    missing = (needed_hours - threshold.hours) / (threshold.hours / threshold.flights)
+    return max(0, math.ceil(missing - 1e-9))
+
+
+def flights_for_maximum(false_alarms: float) -> int:
+    """Healthy flights for which the maximum rule alarms in no more than this share of healthy flights: 1/(n + 1).
+
+    >>> [flights_for_maximum(p) for p in (0.25, 0.1, 0.05)]
+    [3, 9, 19]
+    """
+    return max(1, math.ceil(1.0 / false_alarms - 1.0 - 1e-9))
+
+
+def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) -> int:
+    """Healthy flights after which, with this confidence, the maximum rule's false-alarm share is below the bound.
+
+    The 95/95 guarantee of METHOD section 4: 1 - 0.95^n >= 0.95.
+
+    >>> flights_for_guarantee()
+    59
+    """
+    return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
+
+
+def _gumbel(x: FloatArray, scale_share: float) -> tuple[float, float]:
+    """Location and floored scale by moments. The location keeps the scale before the floor."""
+    mean, spread = float(np.mean(x)), float(np.std(x, ddof=1)) if len(x) > 1 else 0.0
+    beta = spread * GUMBEL_SCALE
+    return mean - EULER_GAMMA * beta, max(beta, scale_share * abs(mean))
+
+
+def _standard_error(scale: float, rate: float, blocks: int) -> float:
+    """Of the level by moments: sd/sqrt(n) sqrt(1 + 1.1396 K + 1.1 K^2), K = (level - mean)/sd (Kite, Frequency and
+    Risk Analyses in Hydrology, 1977, for the extreme-value law of type 1)."""
+    K = GUMBEL_SCALE * (-math.log(rate) - EULER_GAMMA)
+    return scale / GUMBEL_SCALE / math.sqrt(blocks) * math.sqrt(max(1 + 1.1396 * K + 1.1 * K * K, 0.0))

@@ -1,0 +1,1 @@
+"""The emulated autopilot: streams, schedules, dialects, commands."""

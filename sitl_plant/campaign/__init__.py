@@ -1,0 +1,1 @@
+"""Monte Carlo campaigns: plan, worker, runner, summary, tables."""

@@ -1,0 +1,161 @@
+"""`sitl-plant campaign`: a Monte Carlo study of the diagnosis, as tables, JSON and Parquet (edge)."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavdiag.errors import UsageError
+from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
+
+if TYPE_CHECKING:
+    from sitl_plant.campaign.runner import Results
+    from sitl_plant.campaign.summary import Summary
+    from sitl_plant.campaign.worker import FlightLine
+
+__all__ = ["Learn", "Preset", "campaign"]
+
+
+class Preset(StrEnum):
+    """Sizes of a campaign."""
+
+    QUICK = "quick"
+    FULL = "full"
+
+
+class Learn(StrEnum):
+    """What an airframe's own healthy flights are."""
+
+    MIXED = "mixed"
+    SQUARE = "square"
+
+
+def campaign(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
+    ] = Path("campaign.jsonl"),
+    preset: Annotated[Preset, typer.Option(help="Size and levels to start from.")] = Preset.QUICK,
+    flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
+    hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
+    airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
+    learn: Annotated[Learn, typer.Option(help="Learn from mixed flights, or from T's square alone.")] = Learn.MIXED,
+    learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
+    duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
+    conditions: Annotated[
+        list[str],
+        typer.Option(
+            metavar="FACTOR=LEVEL,..",
+            help="Levels of cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss; repeatable.",
+        ),
+    ] = [],  # noqa: B006  # typer copies its defaults
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 2,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew: empty the file of results first.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
+    summary_file: Annotated[Path | None, typer.Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
+    parquet: Annotated[
+        Path | None, typer.Option(metavar="FILE.parquet", help="Write the flights as a table, too.")
+    ] = None,
+) -> None:
+    """Fly many airframes healthy, damaged and otherwise wrong; learn from each, judge each, and count.
+
+    Every airframe is drawn afresh and judged by a baseline learnt from its own healthy flights.
+    """
+    base = PRESETS[preset]
+    design = replace(
+        base,
+        seed=seed,
+        learn=learn.value,
+        flights=base.flights if flights is None else flights,
+        hours=base.hours if hours is None else hours,
+        airframes=base.airframes if airframes is None else airframes,
+        learn_flights=base.learn_flights if learn_flights is None else learn_flights,
+        duration_s=base.duration_s if duration is None else duration,
+    )
+    summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
+    text = json.dumps(asdict(summary))
+    if summary_file is not None:
+        from mavdiag.storage import write_atomically
+
+        write_atomically(summary_file, text + "\n")
+    if as_json:
+        typer.echo(text)
+    else:
+        from sitl_plant.campaign.tables import print_summary
+
+        print_summary(summary)
+
+
+def _run(
+    design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
+) -> "Summary":
+    # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+    from sitl_plant.campaign.runner import Journal, dask_crew, local_crew, run_campaign
+    from sitl_plant.campaign.summary import summarise
+
+    plan = make_plan(design)
+    crew = dask_crew(scheduler) if scheduler is not None else local_crew(workers)
+    journal = Journal(output, fresh)
+    try:
+        with _progress() as tell, crew as hands:
+            results = run_campaign(plan, journal, hands, tell)
+    finally:
+        journal.close()
+    if results.reused or results.others:
+        typer.echo(
+            f"{output}: {results.reused} results reused; {results.others} lines of other campaigns, or of another "
+            "version of the sources, not counted",
+            err=True,
+        )
+    if parquet is not None:
+        _write_parquet(parquet, results)
+    return summarise(results)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar for each stage on stderr, with the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bars = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(stage, total=total, completed=done)
+            progress.update(bars[stage], completed=done)
+
+        yield tell
+
+
+def _write_parquet(path: Path, results: "Results") -> None:
+    """One row a flight; the monitors' alarms as a column each."""
+    try:
+        from pyarrow import Table
+        from pyarrow.parquet import write_table
+    except ImportError as error:
+        raise UsageError("--parquet needs pyarrow: install mavdiag[fleet]") from error
+    rows = [_row(flight) for flight in results.flights]
+    names = dict.fromkeys(name for row in rows for name in row)  # pyarrow takes the first row's names for all
+    try:
+        write_table(Table.from_pylist([{name: row.get(name) for name in names} for row in rows]), str(path))
+    except OSError as error:
+        raise UsageError(f"cannot write {path} ({error}); choose another --parquet file") from error
+
+
+def _row(flight: "FlightLine") -> dict[str, object]:
+    row: dict[str, object] = asdict(flight)
+    del row["monitors"], row["conditions"], row["answer"], row["record"]
+    row |= asdict(flight.conditions)
+    row |= {f"answer_{name}": value for name, value in asdict(flight.answer).items()}
+    for monitor in flight.monitors:
+        row |= {f"{monitor.name}_{name}": value for name, value in asdict(monitor).items() if name != "name"}
+    return row

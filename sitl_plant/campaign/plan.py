@@ -1,0 +1,321 @@
+"""What a Monte Carlo campaign flies: a design with levels for every factor becomes a list of tasks.
+
+Every factor runs through its levels in blocks, each block in a random order of its own: so each level occurs equally
+often (rotor and phenomenology with every cause), factors are paired at random, and a longer campaign begins with the
+flights of a shorter one.
+"""
+
+import hashlib
+import json
+import math
+import zlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from mavdiag.errors import UsageError
+from sitl_plant.autopilot.telemetry import LinkSpec
+from sitl_plant.campaign.causes import CAUSES, HEALTHY, causes_named
+
+__all__ = [
+    "MANOEUVRES",
+    "PRESETS",
+    "Conditions",
+    "Design",
+    "FlightTask",
+    "LearnTask",
+    "Manoeuvre",
+    "Plan",
+    "balanced",
+    "make_plan",
+    "parse_link",
+    "task_sequence",
+    "with_conditions",
+]
+
+Level = TypeVar("Level")
+S_PER_H = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """A named path. speed_m_s: along it; heading_rad: how far it is turned."""
+
+    shape: str
+    speed_m_s: float = 0.5
+    heading_rad: float = 0.0
+
+
+MANOEUVRES: Mapping[str, Manoeuvre] = {
+    "square": Manoeuvre("square"),  # T 5.2
+    "square-fast": Manoeuvre("square", speed_m_s=0.8),
+    "square-turned": Manoeuvre("square", heading_rad=math.pi / 4),
+    "hover": Manoeuvre("hover"),
+    "circle": Manoeuvre("circle"),
+    "figure8": Manoeuvre("figure8"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What a flight flies, and in what. payload_g hangs 5 cm below the centre, up to 1 cm beside it."""
+
+    manoeuvre: str = "square"
+    wind_m_s: float = 0.0
+    payload_g: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LearnTask:
+    """Learn a baseline for one airframe over one link from healthy flights, one for each of `flights`."""
+
+    airframe: int
+    aged: bool
+    link: str
+    flights: tuple[Conditions, ...]
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlightTask:
+    """Fly once and judge. cause: a name of `campaign_causes.CAUSES` or "healthy"; rotor: where, if it has a place."""
+
+    index: int
+    learnt: LearnTask = field(repr=False)
+    cause: str
+    rotor: int
+    phenomenology: float
+    conditions: Conditions
+    loss: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Levels of every factor, and how much to fly.
+
+    airframes: how many specimens; every second one is aged. learn_flights: healthy flights for each baseline.
+    learn: "square" learns from T's square in calm air alone, "mixed" draws every other flight from the levels below.
+    flights: with a cause. hours: healthy, besides.
+    """
+
+    seed: int = 0
+    airframes: int = 4
+    learn: Literal["mixed", "square"] = "mixed"
+    learn_flights: int = 8
+    flights: int = 138
+    hours: float = 0.5
+    duration_s: float = 40.0
+    cause: tuple[str, ...] = tuple(CAUSES)
+    rotor: tuple[int, ...] = (1, 2, 3, 4)
+    phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
+    manoeuvre: tuple[str, ...] = tuple(MANOEUVRES)
+    wind: tuple[float, ...] = (0.0, 1.0)
+    payload: tuple[float, ...] = (0.0, 100.0)
+    link: tuple[str, ...] = ("qdrone2@1000",)
+    loss: tuple[float, ...] = (0.0,)
+
+    def __post_init__(self) -> None:
+        for name in ("airframes", "learn_flights"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name.replace('_', '-')} must be 1 or more, not {getattr(self, name)}")
+        if self.seed < 0 or self.flights < 0 or not (math.isfinite(self.hours) and self.hours >= 0.0):
+            raise UsageError("seed, flights and hours must be zero or more")
+        if not 10.0 <= self.duration_s <= 600.0:
+            raise UsageError(f"a flight must last 10 to 600 s, not {self.duration_s:g}")
+
+
+PRESETS: Mapping[str, Design] = {
+    "quick": Design(),
+    "full": Design(
+        airframes=12,
+        learn_flights=16,
+        flights=2760,
+        hours=10.0,
+        wind=(0.0, 1.0, 2.0),
+        payload=(0.0, 50.0, 100.0),
+        link=("qdrone2@1000", "qdrone2@1000", "qdrone2@200", "px4@160", "ardupilot@100"),
+        loss=(0.0, 0.0, 0.05, 0.2),
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The tasks of a campaign: what to learn first, and what to fly then."""
+
+    design: Design
+    learning: tuple[LearnTask, ...]
+    flights: tuple[FlightTask, ...]
+
+
+def make_plan(design: Design) -> Plan:
+    """All tasks of a design. The same design makes the same plan."""
+    healthy = math.ceil(design.hours * S_PER_H / design.duration_s)
+    flights = (*_flights(design, "cause", design.flights), *_flights(design, "healthy", healthy))
+    learning = tuple(dict.fromkeys(flight.learnt for flight in flights))
+    return Plan(design, learning, flights)
+
+
+def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
+    def column(name: str, levels: Sequence[Level]) -> list[Level]:
+        return balanced(levels, count, design.seed, f"{part} {name}")
+
+    learning = {
+        (airframe, link): _learning(design, airframe, link)
+        for airframe in range(design.airframes)
+        for link in dict.fromkeys(design.link)
+    }
+    causes = [HEALTHY] * count if part == "healthy" else column("cause", design.cause)
+    columns = zip(
+        causes,
+        _within(causes, design.rotor, design.seed, f"{part} rotor"),
+        _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
+        column("manoeuvre", design.manoeuvre),
+        column("wind", design.wind),
+        column("payload", design.payload),
+        column("link", design.link),
+        column("loss", design.loss),
+        column("airframe", range(design.airframes)),
+        strict=True,
+    )
+    return [
+        FlightTask(
+            index=index,
+            learnt=learning[airframe, link],
+            cause=cause,
+            rotor=rotor,
+            phenomenology=phenomenology if cause in CAUSES and CAUSES[cause].fitted else 1.0,
+            conditions=Conditions(manoeuvre, wind, payload),
+            loss=loss,
+            duration_s=design.duration_s,
+        )
+        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe) in enumerate(columns)
+    ]
+
+
+def _learning(design: Design, airframe: int, link: str) -> LearnTask:
+    """Half of the flights, and the first, are T's square in calm air: it excites the model."""
+    count = design.learn_flights
+    mixed = zip(
+        *(
+            balanced(levels, count, design.seed, f"learn {airframe} {name}")
+            for name, levels in (
+                ("manoeuvre", design.manoeuvre),
+                ("wind", design.wind),
+                ("payload", design.payload),
+            )
+        ),
+        strict=True,
+    )
+    drawn = [Conditions(str(manoeuvre), float(wind), float(payload)) for manoeuvre, wind, payload in mixed]
+    flights = tuple(drawn[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
+    return LearnTask(airframe, airframe % 2 == 1, link, flights, design.duration_s)
+
+
+def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> list[Level]:
+    """`count` levels in blocks of all of them, each block shuffled by a stream of its own.
+
+    >>> sorted(balanced("ab", 6, seed=1, factor="letter"))
+    ['a', 'a', 'a', 'b', 'b', 'b']
+    """
+    chosen: list[Level] = []
+    word = zlib.crc32(factor.encode())
+    for block in range(-(-count // len(levels))):
+        order = np.random.default_rng([seed, word, block]).permutation(len(levels))
+        chosen += [levels[i] for i in order]
+    return chosen[:count]
+
+
+def _within(causes: Sequence[str], levels: Sequence[Level], seed: int, factor: str) -> list[Level]:
+    """Levels balanced among the flights of each cause."""
+    own = {cause: iter(balanced(levels, count, seed, f"{factor} {cause}")) for cause, count in Counter(causes).items()}
+    return [next(own[cause]) for cause in causes]
+
+
+def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequence:
+    """The random stream of a task, from the campaign's seed and what is flown alone.
+
+    The link, the loss, the scale of the fitted terms and, for a flight, how was learnt are left out: campaigns that
+    differ in these only fly the same flights.
+    """
+    match task:
+        case LearnTask():
+            flown = ["learn", task.airframe, [asdict(one) for one in task.flights], task.duration_s]
+        case FlightTask():
+            place = [task.index, task.learnt.airframe, task.cause, task.rotor]
+            flown = ["flight", *place, asdict(task.conditions), task.duration_s]
+    words = np.frombuffer(hashlib.sha256(json.dumps(flown, sort_keys=True).encode()).digest(), dtype="<u4")
+    return np.random.SeedSequence([seed, *words.tolist()])
+
+
+def parse_link(text: str) -> LinkSpec:
+    """A link such as "qdrone2@1000": profile and rate [Hz]. Raises UsageError for what cannot be.
+
+    >>> parse_link("ardupilot@100")
+    LinkSpec(profile='ardupilot', rate_hz=100.0, loss=0.0)
+    """
+    profile, _, rate = text.partition("@")
+    return LinkSpec(profile, _number("link", rate) if rate else None)
+
+
+def with_conditions(design: Design, filters: Sequence[str]) -> Design:
+    """The design with the levels of some factors replaced, each given as "factor=level,level".
+
+    Raises UsageError for an unknown factor or level.
+    """
+    for text in filters:
+        factor, _, levels = text.partition("=")
+        wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
+        if not wanted:
+            raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
+        match factor.strip():
+            case "cause":
+                design = replace(design, cause=causes_named(wanted))
+            case "manoeuvre":
+                for one in wanted:
+                    if one not in MANOEUVRES:
+                        raise UsageError(f"no manoeuvre {one!r}: give one of {', '.join(MANOEUVRES)}")
+                design = replace(design, manoeuvre=wanted)
+            case "link":
+                for one in wanted:
+                    parse_link(one)
+                design = replace(design, link=wanted)
+            case "rotor":
+                design = replace(design, rotor=_rotors(wanted))
+            case "phenomenology":
+                design = replace(design, phenomenology=_numbers("phenomenology", wanted, 0.0, 1.0))
+            case "wind":
+                design = replace(design, wind=_numbers("wind", wanted, 0.0, 10.0))
+            case "payload":
+                design = replace(design, payload=_numbers("payload", wanted, 0.0, 1000.0))
+            case "loss":
+                design = replace(design, loss=_numbers("loss", wanted, 0.0, 0.9))
+            case other:
+                raise UsageError(
+                    f"no factor {other!r}: give cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss"
+                )
+    return design
+
+
+def _rotors(texts: Sequence[str]) -> tuple[int, ...]:
+    if not set(texts) <= {"1", "2", "3", "4"}:
+        raise UsageError(f"rotor must be 1 to 4, not {', '.join(texts)}")
+    return tuple(int(text) for text in texts)
+
+
+def _numbers(factor: str, texts: Sequence[str], low: float, high: float) -> tuple[float, ...]:
+    values = tuple(_number(factor, text) for text in texts)
+    if not all(low <= value <= high for value in values):
+        raise UsageError(f"{factor} must be {low:g} to {high:g}, not {', '.join(texts)}")
+    return values
+
+
+def _number(factor: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError(f"{factor} must be a number, not {text!r}") from None

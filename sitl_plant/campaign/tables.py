@@ -1,0 +1,147 @@
+"""A campaign's summary as tables on the terminal (edge)."""
+
+from collections.abc import Iterable, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from sitl_plant.campaign.summary import DetectionRow, Rate, Share, Summary
+
+__all__ = ["print_summary"]
+
+PIPED_WIDTH = 120
+CELL = "fault, phenomenology"  # rows that make a table of their own
+
+
+def print_summary(summary: Summary) -> None:
+    """All tables, and what was not judged."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=PIPED_WIDTH)
+    for table in (_alarms(summary), _detection(summary), _cells(summary), _monitors(summary), _answers(summary)):
+        if table.row_count:
+            console.print(table)
+    console.print(
+        f"seed {summary.seed}, {summary.airframes} airframes, {summary.flights} flights, "
+        f"{summary.healthy_hours:.2f} hours of healthy flight judged"
+    )
+    for reason, count in summary.unjudged:
+        console.print(f"not judged: {count} flights, {reason}")
+
+
+def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if i else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _alarms(summary: Summary) -> Table:
+    return _table(
+        "False alarms in healthy flight (the time before an onset counts): episodes an hour, and flights with any",
+        ("condition", "alarms", "hours", "per hour", "95 %", "flights", "95 %"),
+        (
+            (
+                _level(row.factor, row.level),
+                str(row.rate.count),
+                f"{row.rate.hours:.2f}",
+                *_rate(row.rate),
+                f"{row.flights.hits}/{row.flights.of}",
+                _interval(row.flights),
+            )
+            for row in summary.alarms
+        ),
+    )
+
+
+def _detection(summary: Summary) -> Table:
+    return _table(
+        f"T's nine faults; chance alone would be {100 * summary.chance:.0f} %",
+        ("condition", "detected", "share", "95 %", "early", "latency s", "90 %", "rotor", "type", "severity"),
+        (
+            (
+                _level(row.factor, row.level),
+                f"{row.detected.hits}/{row.detected.of}",
+                f"{row.detected.hits / row.detected.of:.2f}",
+                _interval(row.detected),
+                str(row.early),
+                _seconds(row.latency_median_s),
+                _seconds(row.latency_p90_s),
+                _part(row.rotor_right),
+                _part(row.type_right),
+                _part(row.severity_right),
+            )
+            for row in summary.detection
+            if row.factor != CELL
+        ),
+    )
+
+
+def _cells(summary: Summary) -> Table:
+    """Detected by fault and scale of the fitted terms."""
+    cells: dict[str, dict[str, DetectionRow]] = {}
+    for row in summary.detection:
+        if row.factor == CELL:
+            fault, _, scale = row.level.partition(" ")
+            cells.setdefault(fault, {})[scale] = row
+    scales = sorted({scale for row in cells.values() for scale in row})
+    return _table(
+        "Detected, by fault and fitted terms",
+        ("fault", *scales),
+        (
+            (fault, *(_part(row[scale].detected) if scale in row else "-" for scale in scales))
+            for fault, row in cells.items()
+        ),
+    )
+
+
+def _monitors(summary: Summary) -> Table:
+    return _table(
+        "Monitors, each alone",
+        ("monitor", "alarms", "per hour", "95 %", "faults detected", "95 %"),
+        (
+            (row.name, str(row.rate.count), *_rate(row.rate), _part(row.detected), _interval(row.detected))
+            for row in summary.monitors
+        ),
+    )
+
+
+def _answers(summary: Summary) -> Table:
+    return _table(
+        "Answers after the onset",
+        ("group", "cause", "flights", "answers", "early"),
+        (
+            (
+                row.group,
+                row.cause,
+                str(row.flights),
+                ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row.answers),
+                str(row.early),
+            )
+            for row in summary.answers
+        ),
+    )
+
+
+def _level(factor: str, level: str) -> str:
+    return level if factor in ("all", "fault", "flight") else f"{factor} {level}"
+
+
+def _interval(share: Share) -> str:
+    return f"{share.low:.2f}-{share.high:.2f}"
+
+
+def _part(share: Share) -> str:
+    return f"{share.hits}/{share.of}" if share.of else "-"
+
+
+def _rate(rate: Rate) -> tuple[str, str]:
+    if rate.high is None:
+        return "-", "-"
+    return f"{rate.count / rate.hours:.2f}", f"{rate.low:.2f}-{rate.high:.2f}"
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

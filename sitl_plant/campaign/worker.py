@@ -1,0 +1,228 @@
+"""One task of a campaign, in whatever process it runs: learn a baseline, or fly once and judge.
+
+Everything follows from the campaign's seed and the task, so it does not matter where a task runs, or when.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.baseline import dump, parse
+from mavdiag.errors import MavdiagError
+from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
+from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.logs import Log
+from mavdiag.report import event_json
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.campaign.causes import HEALTHY, injections_of
+from sitl_plant.campaign.plan import MANOEUVRES, Conditions, FlightTask, LearnTask, parse_link, task_sequence
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
+from sitl_plant.physics.injections import Injection
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import qdrone2
+
+__all__ = ["Answer", "FlightLine", "LearnLine", "MonitorLine", "fly_task", "learn_task", "specimen"]
+
+CREATED = "2026-01-01T00:00:00+00:00"  # fixed, so that equal campaigns learn equal baselines
+ONSET = (0.3, 0.5)  # share of the flight; healthy before
+PAYLOAD_OFFSET_M = 0.01  # how far beside the centre a payload hangs (estimate)
+PAYLOAD_BELOW_M = 0.05
+EPISODE_S = 10.0  # alarms this near to each other count as one (our choice)
+
+
+@dataclass(frozen=True, slots=True)
+class LearnLine:
+    """A baseline, as text, or why there is none."""
+
+    key: str
+    airframe: int
+    link: str
+    baseline: str = ""
+    error: str = ""
+    judged_s: float = 0.0
+    record: Literal["learn"] = "learn"
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorLine:
+    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s]."""
+
+    name: str
+    before: int
+    after: int
+    latency_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the diagnosis made of the cause. kind: as it says itself, else that of the alert, a propeller fault.
+
+    rotor, fault_type, severity: of the most certain alarm after the onset that names one.
+    """
+
+    kind: str
+    rotor: int | None = None
+    fault_type: str | None = None
+    severity: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLine:
+    """One judged flight. onset_s: None if it was healthy; episodes: groups of alarms before the onset.
+
+    healthy_s: judged flight before the onset. latency_s: from the onset to the first alarm after it.
+    """
+
+    key: str
+    index: int
+    airframe: int
+    cause: str
+    rotor: int
+    phenomenology: float
+    conditions: Conditions
+    link: str
+    loss: float
+    flown_s: float
+    verdict: str
+    reason: str
+    judged_s: float
+    healthy_s: float
+    onset_s: float | None
+    episodes: int
+    latency_s: float | None
+    answer: Answer
+    monitors: tuple[MonitorLine, ...]
+    record: Literal["flight"] = "flight"
+
+
+def specimen(seed: int, number: int, aged: bool) -> Airframe:
+    """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0xA1F, number]))
+    return draw_airframe(qdrone2(), aged, rng, f"airframe {number}")
+
+
+def _config(
+    airframe: Airframe, conditions: Conditions, injections: tuple[Injection, ...], rng: np.random.Generator
+) -> PlantConfig:
+    manoeuvre = MANOEUVRES[conditions.manoeuvre]
+    beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2)
+    return PlantConfig(
+        airframe=airframe,
+        trajectory=manoeuvre.shape,
+        speed_m_s=manoeuvre.speed_m_s,
+        heading_rad=manoeuvre.heading_rad,
+        wind_m_s=conditions.wind_m_s,
+        wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
+        payload=Payload(conditions.payload_g * 1e-3, (float(beside[0]), float(beside[1]), PAYLOAD_BELOW_M)),
+        injections=injections,
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def learn_task(key: str, seed: int, task: LearnTask) -> LearnLine:
+    """Fly an airframe's healthy flights and learn from them."""
+    airframe, link = specimen(seed, task.airframe, task.aged), parse_link(task.link)
+    flights = []
+    for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
+        config = _config(airframe, task.flights[number], (), np.random.default_rng(child))
+        telemetry, _ = flight_telemetry(config, task.duration_s, link)
+        name = f"{airframe.name} healthy {number}"
+        flights.append(Flight(name, telemetry_digest(telemetry), link.profile, telemetry))
+    try:
+        baseline = learn(flights, LearnOptions(airframe=airframe.name), created=CREATED)
+    except MavdiagError as error:
+        return LearnLine(key, task.airframe, task.link, error=str(error))
+    return LearnLine(key, task.airframe, task.link, dump(baseline), judged_s=3600.0 * baseline.healthy_hours)
+
+
+def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnLine) -> FlightLine:
+    """Fly once and judge the flight by what was learnt of the airframe."""
+    airframe = specimen(seed, task.learnt.airframe, task.learnt.aged)
+    rng = np.random.default_rng(task_sequence(seed, task))
+    onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
+    injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
+    config = _config(airframe, task.conditions, injections, rng)
+    spec = parse_link(task.learnt.link)
+    telemetry, flown_s = flight_telemetry(config, task.duration_s, LinkSpec(spec.profile, spec.rate_hz, task.loss))
+    log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, 0)
+    if learnt.error:
+        verdict = LogVerdict(log.name, Verdict.NOT_JUDGEABLE, f"no baseline: {learnt.error}", profile=log.profile)
+    else:
+        try:
+            verdict = judge(log, parse(learnt.baseline))
+        except MavdiagError as error:
+            verdict = LogVerdict(log.name, Verdict.ERROR, str(error), profile=log.profile)
+    return _line(key, task, verdict, onset_s, flown_s)
+
+
+def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float) -> FlightLine:
+    border_s = flown_s if onset_s is None else onset_s
+    before = [one for one in verdict.events if one.t_s < border_s]
+    after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
+    return FlightLine(
+        key=key,
+        index=task.index,
+        airframe=task.learnt.airframe,
+        cause=task.cause,
+        rotor=task.rotor,
+        phenomenology=task.phenomenology,
+        conditions=task.conditions,
+        link=task.learnt.link,
+        loss=task.loss,
+        flown_s=round(flown_s, 3),
+        verdict=verdict.verdict.value,
+        reason=verdict.reason,
+        judged_s=round(verdict.judged_s, 3),
+        healthy_s=round(max(0.0, verdict.judged_s - (0.0 if onset_s is None else max(0.0, flown_s - onset_s))), 3),
+        onset_s=onset_s,
+        episodes=_episodes(before),
+        latency_s=_latency(after, border_s),
+        answer=_answer(verdict, after),
+        monitors=tuple(
+            MonitorLine(
+                one.name,
+                _episodes([event for event in before if event.event.monitor == one.name]),
+                _episodes(own := [event for event in after if event.event.monitor == one.name]),
+                _latency(own, border_s),
+            )
+            for one in verdict.monitors
+        ),
+    )
+
+
+def _episodes(events: Sequence[JudgedEvent]) -> int:
+    """Alarms that follow each other within EPISODE_S, or overlap, count once."""
+    count, until_s = 0, -np.inf
+    for one in sorted(events, key=lambda event: event.t_s):
+        if one.t_s > until_s + EPISODE_S:
+            count += 1
+        until_s = max(until_s, one.t_s if one.end_s is None else one.end_s)
+        if one.end_s is None:
+            until_s = np.inf
+    return count
+
+
+def _latency(events: Sequence[JudgedEvent], onset_s: float) -> float | None:
+    return round(min(one.t_s for one in events) - onset_s, 3) if events else None
+
+
+def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
+    """By the most certain alarm of each kind of statement; alarms are told in the words of the public report."""
+    if verdict.verdict in (Verdict.NOT_JUDGEABLE, Verdict.ERROR):
+        return Answer(verdict.verdict.value)
+    if not after:
+        return Answer("nothing")
+    told = [dict(event_json(one.t_s, one.end_s, one.event)) for one in after]
+    told.sort(key=lambda row: -float(str(row["confidence"] or 0.0)))
+    rotor, severity, kind, fault_type = (
+        next((row[name] for row in told if row.get(name) is not None), None)
+        for name in ("rotor", "severity", "kind", "fault_type")
+    )
+    return Answer(
+        kind=str(kind or "propeller fault"),
+        rotor=int(str(rotor)) if rotor is not None else None,
+        fault_type=str(fault_type) if fault_type is not None else None,
+        severity=int(str(severity)) if severity is not None else None,
+    )

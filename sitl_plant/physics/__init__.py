@@ -1,0 +1,1 @@
+"""The vehicle as physics: rigid body, rotors, sensors, supply, and the thesis's controller."""

@@ -1,0 +1,129 @@
+"""Rigid body with spinning rotors: the equations of motion and their integration by RK4.
+
+Frames: world NED, body FRD with its origin at the centre of gravity. The state is one row of 13 numbers:
+
+    x = [ position_N (3) | velocity_N (3) | q_NB w x y z (4) | omega_B (3) ]
+
+Rotors enter as a *wrench row*, known at the three times that an RK4 step looks at (start, middle, end):
+
+    [ force_B (3) | moment_B (3) | h | dh/dt ]       h = sum of J sign_i w_i: the rotors' angular momentum about body z
+
+All functions are compiled and write into arrays that the caller owns.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.jit import jit
+
+__all__ = [
+    "GRAVITY",
+    "RIGID",
+    "STAGES",
+    "WRENCH",
+    "Body",
+    "derivative",
+    "rk4_step",
+    "rotate_to_body",
+    "rotate_to_world",
+]
+
+GRAVITY = 9.81  # m/s^2, as the hover speed of T 3.2.2 and K_F assume
+RIGID = 13  # length of the state row
+WRENCH = 8  # length of a wrench row
+STAGES = 3  # start, middle and end of a step
+
+
+class Body(NamedTuple):
+    """Constants of the rigid body. inertia: (3, 3) about the centre of gravity [kg m^2]; inverse: of it."""
+
+    mass: float
+    inertia: FloatArray
+    inverse: FloatArray
+    drag: float
+    hub_moment: float
+
+
+@jit
+def rotate_to_body(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tuple[float, float, float]:
+    """A world vector in body axes: v_B = R(q)^T v_N, with q of unit length from the state row."""
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    return (
+        (1 - 2 * (y * y + z * z)) * v_x + 2 * (x * y + w * z) * v_y + 2 * (x * z - w * y) * v_z,
+        2 * (x * y - w * z) * v_x + (1 - 2 * (x * x + z * z)) * v_y + 2 * (y * z + w * x) * v_z,
+        2 * (x * z + w * y) * v_x + 2 * (y * z - w * x) * v_y + (1 - 2 * (x * x + y * y)) * v_z,
+    )
+
+
+@jit
+def rotate_to_world(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tuple[float, float, float]:
+    """A body vector in world axes: v_N = R(q) v_B, with q of unit length from the state row."""
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    return (
+        (1 - 2 * (y * y + z * z)) * v_x + 2 * (x * y - w * z) * v_y + 2 * (x * z + w * y) * v_z,
+        2 * (x * y + w * z) * v_x + (1 - 2 * (x * x + z * z)) * v_y + 2 * (y * z - w * x) * v_z,
+        2 * (x * z - w * y) * v_x + 2 * (y * z + w * x) * v_y + (1 - 2 * (x * x + y * y)) * v_z,
+    )
+
+
+@jit
+def derivative(
+    x: FloatArray, wrench: FloatArray, stage: int, body: Body, wind: FloatArray, dx: FloatArray, row: int
+) -> None:
+    """Write dx/dt under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
+
+    m dv/dt     = R (force + drag) + m g
+    I domega/dt = moment + hub - omega × (I omega + h e_z) - dh/dt e_z
+    hub         = k e_z × v_air                    the discs tilt away from the oncoming air: nose up when flying ahead
+    """
+    q_w, q_x, q_y, q_z, p, q, r = x[6], x[7], x[8], x[9], x[10], x[11], x[12]
+    u, v, w = rotate_to_body(x, x[3] - wind[0], x[4] - wind[1], x[5] - wind[2])
+    a_x, a_y, a_z = rotate_to_world(
+        x,
+        (wrench[stage, 0] - body.drag * u) / body.mass,
+        (wrench[stage, 1] - body.drag * v) / body.mass,
+        (wrench[stage, 2] - body.drag * w) / body.mass,
+    )
+    dx[row, 0], dx[row, 1], dx[row, 2] = x[3], x[4], x[5]
+    dx[row, 3], dx[row, 4], dx[row, 5] = a_x, a_y, a_z + GRAVITY
+    # dq/dt = q * (0, omega) / 2
+    dx[row, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)
+    dx[row, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
+    dx[row, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
+    dx[row, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
+
+    inertia, inverse = body.inertia, body.inverse
+    h_x = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
+    h_y = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
+    h_z = inertia[2, 0] * p + inertia[2, 1] * q + inertia[2, 2] * r + wrench[stage, 6]
+    m_x = wrench[stage, 3] - body.hub_moment * v - (q * h_z - r * h_y)
+    m_y = wrench[stage, 4] + body.hub_moment * u - (r * h_x - p * h_z)
+    m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
+    for axis in range(3):
+        dx[row, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
+
+
+@jit
+def rk4_step(x: FloatArray, wrench: FloatArray, body: Body, wind: FloatArray, work: FloatArray, dt: float) -> None:
+    """Advance `x` in place by dt with the classical Runge-Kutta scheme, then restore |q| = 1.
+
+    wrench: (3, 8) at start, middle and end. work: (5, 13) scratch for the four slopes and the point.
+    """
+    y = work[4]
+    derivative(x, wrench, 0, body, wind, work, 0)
+    for i in range(RIGID):
+        y[i] = x[i] + 0.5 * dt * work[0, i]
+    derivative(y, wrench, 1, body, wind, work, 1)
+    for i in range(RIGID):
+        y[i] = x[i] + 0.5 * dt * work[1, i]
+    derivative(y, wrench, 1, body, wind, work, 2)
+    for i in range(RIGID):
+        y[i] = x[i] + dt * work[2, i]
+    derivative(y, wrench, 2, body, wind, work, 3)
+    for i in range(RIGID):
+        x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
+    norm = np.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
+    for i in range(6, 10):
+        x[i] /= norm

@@ -1,0 +1,183 @@
+"""The compiled loop: one call flies the vehicle for many steps.
+
+Order within a step at time t_k: sensors read the state, the estimator and the controller act on it, everything is
+recorded, then noise, rotors and body advance to t_(k+1) with the new command. So a row of the output belongs to one
+instant.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.attitude import Estimator, advance_estimate
+from sitl_plant.physics.controller import Controller, ControlState, control
+from sitl_plant.physics.dynamics import RIGID, STAGES, Body, derivative, rk4_step
+from sitl_plant.physics.jit import cached, inline, jit, source_digest
+from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, observe
+from sitl_plant.physics.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
+from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, feel
+from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
+from sitl_plant.physics.trajectory import Path, reference
+
+__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly"]
+
+
+class Model(NamedTuple):
+    """All constants of one flight."""
+
+    dt: float
+    body: Body
+    rotors: Rotors
+    battery: Battery
+    air: Air
+    imu: Imu
+    mocap: Mocap
+    estimator: Estimator
+    controller: Controller
+    path: Path
+
+
+class State(NamedTuple):
+    """All that changes, updated in place. rigid: (13,), wrench: (3, 8), wind: (3,), battery: (2,), estimate: (9,)."""
+
+    rigid: FloatArray
+    wrench: FloatArray
+    wind: FloatArray
+    battery: FloatArray
+    rotors: RotorState
+    imu: ImuState
+    mocap: MocapState
+    estimate: FloatArray
+    accel_filtered: FloatArray
+    control: ControlState
+
+
+class Noise(NamedTuple):
+    """Standard normal and uniform numbers for the steps ahead, one row a step; for the cameras, one row a frame."""
+
+    rotors: FloatArray  # (steps, 2 n)
+    imu: FloatArray  # (steps, 6)
+    wind: FloatArray  # (steps, 3)
+    markers: FloatArray  # (frames, m, 3)
+    occlusion: FloatArray  # (frames, m), uniform
+
+
+class Rows(NamedTuple):
+    """Where the flight is recorded, one row a step; the columns are those of `PlantSamples`."""
+
+    setpoint: FloatArray
+    rate_setpoint: FloatArray
+    thrust: FloatArray
+    imu: FloatArray
+    attitude: FloatArray
+    rigid: FloatArray
+    rotor_speed: FloatArray
+    duty: FloatArray
+    battery_v: FloatArray
+
+
+class Scratch(NamedTuple):
+    """Arrays that one step needs and the next forgets. work: (5, 13), truth: (6,), path: (8,), command: (n,)."""
+
+    work: FloatArray
+    truth: FloatArray
+    path: FloatArray
+    command: FloatArray
+
+
+@inline
+def _sense(
+    state: State, model: Model, condition: SensorCondition, noise: Noise, row: int, step: int, scratch: Scratch
+) -> None:
+    """Read the IMU, and receive what the cameras saw."""
+    derivative(state.rigid, state.wrench, STAGES - 1, model.body, state.wind, scratch.work, 0)
+    feel(state.rigid, scratch.work, model.imu.position, scratch.truth)
+    advance_imu(state.imu, model.imu, condition, scratch.truth, noise.imu, row, model.dt)
+    deliver_pose(state.mocap, model.mocap, step)
+
+
+@inline
+def _decide(state: State, model: Model, t: float, scratch: Scratch) -> None:
+    """Estimate the attitude and pass the cascade once."""
+    advance_estimate(
+        state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
+    )
+    reference(model.path, t, scratch.path)
+    control(
+        state.control, model.controller, scratch.path, state.mocap.pose, state.mocap.velocity, state.estimate, model.dt
+    )
+
+
+@jit
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+    """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
+    for i in range(len(source)):
+        rows[row, i] = source[i]
+
+
+@inline
+def _record(state: State, row: int, rows: Rows) -> None:
+    _copy(state.control.setpoint, rows.setpoint, row)
+    _copy(state.control.rate, rows.rate_setpoint, row)
+    _copy(state.imu.reading, rows.imu, row)
+    _copy(state.estimate, rows.attitude, row)
+    _copy(state.rigid, rows.rigid, row)
+    _copy(state.rotors.speed, rows.rotor_speed, row)
+    _copy(state.control.duty, rows.duty, row)
+    rows.thrust[row] = state.control.wrench[0]
+    rows.battery_v[row] = state.battery[0]
+
+
+@inline
+def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
+    """Advance wind, noise, rotors, body and battery by one step under the new command."""
+    advance_wind(state.wind, model.air, noise.wind, row)
+    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
+    for i in range(len(scratch.command)):
+        full = model.battery.speed_per_volt * state.battery[0]
+        scratch.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+    advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
+    rk4_step(state.rigid, state.wrench, model.body, state.wind, scratch.work, model.dt)
+    advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
+
+
+Fly: TypeAlias = Callable[[int, int, Model, Condition, SensorCondition, State, Noise, Rows], int]
+
+
+def _compiled_for(digest: int) -> Fly:
+    """The loop for these sources: numba's cache key holds the digest, because the loop closes over it."""
+
+    @cached
+    def fly(
+        first: int,
+        count: int,
+        model: Model,
+        condition: Condition,
+        sensors: SensorCondition,
+        state: State,
+        noise: Noise,
+        rows: Rows,
+    ) -> int:
+        scratch = Scratch(np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(8), np.empty(len(state.rotors.speed)))
+        frame = 0
+        for row in range(count):
+            step = first + row
+            if step % model.mocap.period == 0:
+                observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
+                frame += 1
+            _sense(state, model, sensors, noise, row, step, scratch)
+            _decide(state, model, step * model.dt, scratch)
+            _record(state, row, rows)
+            _move(state, model, condition, noise, row, scratch)
+        return digest
+
+    return fly
+
+
+fly: Fly = _compiled_for(source_digest())
+"""fly(first, count, model, condition, sensors, state, noise, rows): steps first .. first + count - 1, step 0 at t = 0.
+
+`state` is updated in place and `rows` filled from row 0. Returns the digest of the sources it was compiled from.
+"""

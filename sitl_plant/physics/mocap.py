@@ -1,0 +1,177 @@
+"""Motion capture: cameras see markers, a rigid body is fitted to them, the pose arrives late (T 2.2).
+
+The fit is T Eq 2.21, min over R, t of sum |q_i - (R p_i + t)|^2, solved by Horn's quaternion method: the best rotation
+is the eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix. The eigenvalue is found by Newton's method
+from above and the eigenvector from the adjugate (D. Theobald, Acta Cryst. A61 (2005) 478-480).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray, IntArray
+from sitl_plant.physics.dynamics import rotate_to_world
+from sitl_plant.physics.jit import jit
+
+__all__ = ["Mocap", "MocapState", "deliver_pose", "fit_pose", "observe", "yaw_of"]
+
+NEWTON_STEPS = 30
+EPSILON = 1e-12
+
+
+class Mocap(NamedTuple):
+    """Constants. markers: (m, 3) from the geometric centre; centre: (3,) geometric centre from the centre of gravity.
+
+    noise: rms per marker and axis [m]. period, latency: in steps of the plant. frame_s: between two frames.
+    velocity_gain: 1 - exp(-2 pi f frame_s) of the velocity filter.
+    """
+
+    markers: FloatArray
+    centre: FloatArray
+    noise: float
+    occlusion: float
+    period: int
+    latency: int
+    frame_s: float
+    velocity_gain: float
+
+
+class MocapState(NamedTuple):
+    """queue: (latency + 1, 4) poses under way, nan where there is none. pose: (4,), velocity: (3,) as last received.
+
+    A pose is position_N of the geometric centre and yaw. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or
+    0; fit: (13,) state row fitted to them, rates zero.
+    """
+
+    queue: FloatArray
+    pose: FloatArray
+    velocity: FloatArray
+    seen: FloatArray
+    visible: IntArray
+    fit: FloatArray
+
+
+@jit
+def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray) -> bool:
+    """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, below three.
+
+    model, seen: (m, 3) in body and world axes. fit: (13,) a state row; position of the model's origin and q_NB are set.
+    """
+    count = visible.sum()
+    if count < 3:
+        return False
+    p_mean, q_mean, S = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    for i in range(len(model)):
+        for a in range(3):
+            p_mean[a] += visible[i] * model[i, a] / count
+            q_mean[a] += visible[i] * seen[i, a] / count
+    bound = 0.0  # no eigenvalue is larger: (sum |p|^2 + sum |q|^2) / 2
+    for i in range(len(model)):
+        for a in range(3):
+            p_a, q_a = visible[i] * (model[i, a] - p_mean[a]), visible[i] * (seen[i, a] - q_mean[a])
+            bound += 0.5 * (p_a * p_a + q_a * q_a)
+            for b in range(3):
+                S[a, b] += p_a * (seen[i, b] - q_mean[b])
+    K = np.zeros((4, 4))
+    _horn_matrix(S, K)
+    _leading_eigenvector(K, bound, fit[6:10])
+    turned = rotate_to_world(fit, p_mean[0], p_mean[1], p_mean[2])
+    for a in range(3):
+        fit[a] = q_mean[a] - turned[a]
+    return True
+
+
+@jit
+def _horn_matrix(S: FloatArray, K: FloatArray) -> None:
+    """Horn's symmetric matrix of S = sum p q^T; the quaternion that maximises q^T K q is the best rotation."""
+    K[0, 0] = S[0, 0] + S[1, 1] + S[2, 2]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        K[0, a + 1] = K[a + 1, 0] = S[b, c] - S[c, b]
+        K[a + 1, a + 1] = S[a, a] - S[b, b] - S[c, c]
+        K[b + 1, c + 1] = K[c + 1, b + 1] = S[b, c] + S[c, b]
+
+
+@jit
+def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
+    """Unit eigenvector of the largest eigenvalue of the traceless symmetric K (changed in place) into q."""
+    # Characteristic polynomial L^4 + c2 L^2 + c1 L + c0, by traces of powers and the determinant.
+    trace2 = trace3 = c0 = 0.0
+    for a in range(4):
+        c0 += K[0, a] * _cofactor(K, 0, a)
+        for b in range(4):
+            trace2 += K[a, b] * K[a, b]
+            for c in range(4):
+                trace3 += K[a, b] * K[b, c] * K[c, a]
+    c2, c1 = -0.5 * trace2, -trace3 / 3.0
+    top = bound
+    for _ in range(NEWTON_STEPS):
+        step = (((top * top + c2) * top + c1) * top + c0) / ((4.0 * top * top + 2.0 * c2) * top + c1)
+        top -= step
+        if abs(step) < EPSILON * top:
+            break
+    for a in range(4):
+        K[a, a] -= top
+    best = -1.0
+    for column in range(4):  # every column of the adjugate is the eigenvector; take the longest
+        w, x, y, z = _cofactor(K, 0, column), _cofactor(K, 1, column), _cofactor(K, 2, column), _cofactor(K, 3, column)
+        length = np.sqrt(w * w + x * x + y * y + z * z)
+        if length > best:
+            best = length
+            sign = 1.0 if w >= 0.0 else -1.0
+            q[0], q[1], q[2], q[3] = sign * w / length, sign * x / length, sign * y / length, sign * z / length
+
+
+@jit
+def _cofactor(M: FloatArray, row: int, column: int) -> float:
+    """Signed 3 × 3 minor of a 4 × 4 matrix."""
+    i, j, k = (row + 1) % 4, (row + 2) % 4, (row + 3) % 4
+    a, b, c = (column + 1) % 4, (column + 2) % 4, (column + 3) % 4
+    # The cyclic order of three indices is an even permutation of the sorted one, so the minor keeps its sign.
+    minor = (
+        M[i, a] * (M[j, b] * M[k, c] - M[j, c] * M[k, b])
+        - M[i, b] * (M[j, a] * M[k, c] - M[j, c] * M[k, a])
+        + M[i, c] * (M[j, a] * M[k, b] - M[j, b] * M[k, a])
+    )
+    return float(-minor if (row + column) % 2 else minor)
+
+
+@jit
+def yaw_of(state: FloatArray) -> float:
+    """Yaw [rad] of the attitude in a state row."""
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+@jit
+def observe(
+    state: MocapState, mocap: Mocap, x: FloatArray, step: int, normals: FloatArray, uniforms: FloatArray, frame: int
+) -> None:
+    """Take a frame of the vehicle with state row x and put its pose under way.
+
+    normals: (frames, m, 3) and uniforms: (frames, m), of which row `frame` is used.
+    """
+    for i in range(len(mocap.markers)):
+        r = mocap.markers[i]
+        place = rotate_to_world(x, r[0] + mocap.centre[0], r[1] + mocap.centre[1], r[2] + mocap.centre[2])
+        for a in range(3):
+            state.seen[i, a] = x[a] + place[a] + mocap.noise * normals[frame, i, a]
+        state.visible[i] = 1 if uniforms[frame, i] >= mocap.occlusion else 0
+    if fit_pose(mocap.markers, state.seen, state.visible, state.fit):
+        slot = state.queue[(step + mocap.latency) % (mocap.latency + 1)]
+        slot[0], slot[1], slot[2], slot[3] = state.fit[0], state.fit[1], state.fit[2], yaw_of(state.fit)
+
+
+@jit
+def deliver_pose(state: MocapState, mocap: Mocap, step: int) -> None:
+    """Receive the pose that is due at this step, if any, and differentiate it."""
+    slot = state.queue[step % (mocap.latency + 1)]
+    if np.isnan(slot[0]):
+        return
+    for a in range(3):
+        rate = (slot[a] - state.pose[a]) / mocap.frame_s
+        state.velocity[a] += mocap.velocity_gain * (rate - state.velocity[a])
+        state.pose[a] = slot[a]
+    state.pose[3] = slot[3]
+    slot[0] = np.nan

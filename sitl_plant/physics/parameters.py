@@ -1,0 +1,214 @@
+"""From an airframe and a flight plan to the constants and the initial state of the compiled loop."""
+
+import math
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import Airframe, Payload
+from sitl_plant.physics.attitude import ESTIMATE, Estimator, low_pass_transition
+from sitl_plant.physics.controller import Controller, ControlState
+from sitl_plant.physics.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body
+from sitl_plant.physics.kernel import Model, State
+from sitl_plant.physics.mocap import Mocap, MocapState
+from sitl_plant.physics.rotors import Rotors, RotorState
+from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, butterworth
+from sitl_plant.physics.supply import Air, Battery
+from sitl_plant.physics.trajectory import Path, reference
+from sitl_plant.vehicle import Vehicle, allocation
+
+__all__ = ["STEP_S", "body_with_payload", "initial_state", "make_model"]
+
+STEP_S = 0.001  # T 5.1: 1 kHz
+RPM = 2.0 * math.pi / 60.0  # rad/s
+
+
+def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray) -> Model:
+    """The constants of a flight. wind_N: (3,) mean wind, world NED [m/s]."""
+    vehicle = airframe.vehicle
+    body, centre_of_gravity = body_with_payload(airframe, payload)
+    return Model(
+        dt=STEP_S,
+        body=body,
+        rotors=_rotors(airframe, centre_of_gravity),
+        battery=_battery(airframe),
+        air=Air(
+            mean=wind_N,
+            gust_rms=float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
+            decay=_decay(vehicle.wind.gust_corner_hz),
+        ),
+        imu=_imu(airframe, centre_of_gravity),
+        mocap=_mocap(vehicle, centre_of_gravity),
+        estimator=Estimator(
+            gyro_filter=low_pass_transition(vehicle.control.gyro_filter_hz, STEP_S),
+            accel_gain=1.0 - _decay(vehicle.control.accel_filter_hz),
+            correction=STEP_S / vehicle.control.complementary_s,
+        ),
+        controller=_controller(vehicle),
+        path=path,
+    )
+
+
+def body_with_payload(airframe: Airframe, payload: Payload) -> tuple[Body, FloatArray]:
+    """Rigid body of airframe and payload, and its centre of gravity (3,) from the geometric centre.
+
+    I = I_a + mu (|d|^2 E - d d^T), mu = m_a m_p / (m_a + m_p), d from one centre to the other (parallel axes, twice).
+    """
+    own, extra = airframe.vehicle.body, payload.mass_kg
+    mass = own.mass_kg + extra
+    apart = np.asarray(payload.position_m) - airframe.centre_of_gravity_m
+    inertia = np.diag(airframe.inertia_kg_m2)
+    inertia = inertia + own.mass_kg * extra / mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
+    centre = airframe.centre_of_gravity_m + extra / mass * apart
+    hub_moment = own.hub_moment_n_s * len(airframe.vehicle.rotors)
+    return Body(mass, inertia, np.asarray(np.linalg.inv(inertia), dtype=np.float64), own.drag_n_s_m, hub_moment), centre
+
+
+def _decay(corner_hz: float) -> float:
+    """exp(-2 pi f dt): what a first-order filter or an Ornstein-Uhlenbeck process keeps over one step."""
+    return math.exp(-2.0 * math.pi * corner_hz * STEP_S)
+
+
+def _rotors(airframe: Airframe, centre_of_gravity: FloatArray) -> Rotors:
+    vehicle = airframe.vehicle
+    return Rotors(
+        hub=np.array([rotor.position_m for rotor in vehicle.rotors]) - centre_of_gravity,
+        sign=np.array([rotor.sign for rotor in vehicle.rotors]),
+        thrust_coefficient=airframe.thrust_coefficient_n_s2,
+        lag=airframe.motor_lag_s,
+        torque_per_thrust=1.0 / vehicle.propulsion.thrust_per_torque_1_m,
+        inertia=vehicle.propulsion.rotor_inertia_kg_m2,
+        noise_rms=airframe.thrust_noise_rms,
+        noise_decay=_decay(vehicle.propulsion.thrust_noise_corner_hz),
+    )
+
+
+def _battery(airframe: Airframe) -> Battery:
+    battery, propulsion = airframe.vehicle.battery, airframe.vehicle.propulsion
+    torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
+    return Battery(
+        speed_per_volt=battery.motor_constant_rpm_v * RPM * airframe.battery_gain,
+        open_circuit=battery.open_circuit_v,
+        resistance=battery.resistance_ohm,
+        slope=battery.slope_v_per_ah,
+        power_per_cube=torque / battery.drive_efficiency,
+        avionics=battery.avionics_a,
+    )
+
+
+def _imu(airframe: Airframe, centre_of_gravity: FloatArray) -> Imu:
+    """White noise of one-sided density D has rms D sqrt(f_s / 2) per sample."""
+    imu = airframe.vehicle.imu
+    per_sample = math.sqrt(0.5 / STEP_S)
+    return Imu(
+        position=np.asarray(imu.position_m) - centre_of_gravity,
+        bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
+        noise=per_sample * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3),
+        filter=butterworth(imu.filter_hz, STEP_S),
+    )
+
+
+def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
+    mocap = vehicle.mocap
+    period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
+    frame_s = period * STEP_S
+    return Mocap(
+        markers=np.array(mocap.markers_m),
+        centre=-centre_of_gravity,
+        noise=mocap.marker_noise_rms_m,
+        occlusion=mocap.occlusion_probability,
+        period=period,
+        latency=round(mocap.latency_s / STEP_S),
+        frame_s=frame_s,
+        velocity_gain=1.0 - math.exp(-2.0 * math.pi * vehicle.control.velocity_filter_hz * frame_s),
+    )
+
+
+def _full_thrust(vehicle: Vehicle) -> float:
+    """K_F K_omega^2 [N]: thrust of one motor at full duty and nominal voltage (T Eq 2.12)."""
+    full_speed = vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
+    return vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2
+
+
+def _controller(vehicle: Vehicle) -> Controller:
+    control = vehicle.control
+    inertia = np.array(vehicle.body.inertia_kg_m2)
+    horizontal = [control.position.p, control.position.v, control.position.i]
+    return Controller(
+        pose=np.array(
+            [
+                horizontal,
+                horizontal,
+                [control.altitude.p, control.altitude.v, control.altitude.i],
+                [control.yaw.p, control.yaw.v, control.yaw.i],
+            ]
+        ),
+        attitude_p=control.attitude_p,
+        attitude_d=control.attitude_d,
+        rate_gain=np.column_stack(
+            [
+                inertia * [control.rate_p, control.rate_p, control.yaw_rate_p],
+                inertia * [control.rate_d, control.rate_d, 0],
+            ]
+        ),
+        mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
+        full_thrust=_full_thrust(vehicle),
+        minimum_duty=vehicle.propulsion.minimum_duty,
+        tilt_limit=control.tilt_limit_rad,
+        rate_limit=control.rate_limit_rad_s,
+        yaw_rate_limit=control.yaw_rate_limit_rad_s,
+        integral_limit=np.array(
+            [
+                control.integral_limit_rad,
+                control.integral_limit_rad,
+                control.thrust_limit_n[1],
+                control.yaw_rate_limit_rad_s,
+            ]
+        ),
+        torque_limit=np.array(control.torque_limit_n_m),
+        thrust_limit=np.array(control.thrust_limit_n),
+    )
+
+
+def initial_state(model: Model, azimuth: FloatArray) -> State:
+    """Hover at the first point of the path, level, nearly in trim. azimuth: (n,) of the rotors at the start [rad]."""
+    n = len(azimuth)
+    start = np.zeros(8)
+    reference(model.path, -1.0, start)
+    weight = model.body.mass * GRAVITY
+    speed = np.sqrt(weight / n / model.rotors.thrust_coefficient)
+    rigid = np.zeros(RIGID)
+    rigid[:3] = start[:3]
+    rigid[6], rigid[9] = math.cos(start[6] / 2), math.sin(start[6] / 2)
+    wrench = np.zeros((STAGES, WRENCH))
+    wrench[:, 2] = -weight
+    reading = np.zeros(CHANNELS)
+    reading[5] = -GRAVITY
+    estimate = np.zeros(ESTIMATE)
+    estimate[2] = start[6]
+    markers = len(model.mocap.markers)
+    return State(
+        rigid=rigid,
+        wrench=wrench,
+        wind=model.air.mean.copy(),
+        battery=np.array([model.battery.open_circuit, 0.0]),
+        rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, weight / n)),
+        imu=ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), reading),
+        mocap=MocapState(
+            queue=np.full((model.mocap.latency + 1, 4), np.nan),
+            pose=np.array([*start[:3], start[6]]),
+            velocity=np.zeros(3),
+            seen=np.zeros((markers, 3)),
+            visible=np.zeros(markers, dtype=np.int64),
+            fit=np.zeros(RIGID),
+        ),
+        estimate=estimate,
+        accel_filtered=reading[3:].copy(),
+        control=ControlState(
+            integral=np.array([0.0, 0.0, -weight, 0.0]),
+            setpoint=np.zeros(3),
+            rate=np.zeros(3),
+            wrench=np.array([weight, 0.0, 0.0, 0.0]),
+            duty=np.zeros(n),
+        ),
+    )

@@ -1,0 +1,143 @@
+"""Rotors: speed, phase, thrust, drag torque and the forces that turn with an unbalanced propeller.
+
+Per rotor i, with sign s (+1 clockwise seen from above) and azimuth theta:
+
+    dw/dt = (w_cmd - w) / lag                 exact over a step, w_cmd is held
+    F     = K_F w^2 (1 + noise) gain (1 + fluctuation)                        T Eq 2.11
+    Q     = K_F w^2 (1 + noise) drag / 68.9055                                T Eq 2.5, against the rotation
+    f     = U w^2 e(theta)                    in the rotor plane, from the hub
+    T     = r_hub × f + d(theta) × (-F e_z)   mass and lift torques, opposed      T Eq 5.3-5.9
+
+`e(theta)` turns with the rotor. d is the offset of the centre of lift, in the direction of f: both point to the whole
+blade, so the two torques oppose each other as T 5.5.2 says. The phase is carried from step to step, so the line at one
+per revolution (167 Hz in hover) has its true amplitude U w^2 / m in the acceleration.
+"""
+
+import math
+from typing import NamedTuple
+
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.dynamics import STAGES, WRENCH
+from sitl_plant.physics.jit import jit
+
+__all__ = ["Condition", "RotorState", "Rotors", "advance_noise", "advance_rotors"]
+
+
+class Rotors(NamedTuple):
+    """Constants of the n rotors of one airframe. hub: (n, 3) from the centre of gravity, FRD. Others (n,) or scalar."""
+
+    hub: FloatArray
+    sign: FloatArray
+    thrust_coefficient: FloatArray
+    lag: FloatArray
+    torque_per_thrust: float
+    inertia: float
+    noise_rms: float
+    noise_decay: float  # exp(-2 pi f_c dt) of the thrust noise
+
+
+class Condition(NamedTuple):
+    """Health of the n rotors, held between two events. All (n,) but the vectors, which are (n, 2) in the rotor's frame.
+
+    thrust_gain, drag_gain, speed_gain: 1 is healthy. unbalance: [kg m]. lift_offset: [m].
+    fluctuation_rms: share of thrust. fluctuation_decay: exp(-2 pi f_c dt). thrust_lag: [s].
+    """
+
+    thrust_gain: FloatArray
+    drag_gain: FloatArray
+    speed_gain: FloatArray
+    unbalance: FloatArray
+    lift_offset: FloatArray
+    fluctuation_rms: FloatArray
+    fluctuation_decay: FloatArray
+    thrust_lag: FloatArray
+
+
+class RotorState(NamedTuple):
+    """What the rotors remember, all (n,): speed [rad/s], azimuth [rad], unit noises, lagged thrust [N]."""
+
+    speed: FloatArray
+    azimuth: FloatArray
+    noise: FloatArray
+    fluctuation: FloatArray
+    thrust: FloatArray
+
+
+@jit
+def advance_noise(state: RotorState, rotors: Rotors, condition: Condition, normals: FloatArray, row: int) -> None:
+    """Advance the Ornstein-Uhlenbeck noises by one step, exactly. normals: (steps, 2 n), of which `row` is used.
+
+    x' = a x + sqrt(1 - a^2) n has unit variance at every corner frequency.
+    """
+    n = len(state.speed)
+    a = rotors.noise_decay
+    b = math.sqrt(1.0 - a * a)
+    for i in range(n):
+        state.noise[i] = a * state.noise[i] + b * normals[row, i]
+        c = condition.fluctuation_decay[i]
+        state.fluctuation[i] = c * state.fluctuation[i] + math.sqrt(1.0 - c * c) * normals[row, n + i]
+
+
+@jit
+def advance_rotors(
+    state: RotorState, rotors: Rotors, condition: Condition, command: FloatArray, dt: float, wrench: FloatArray
+) -> None:
+    """Advance all rotors by dt towards `command` [rad/s] and write their wrench at start, middle and end of the step.
+
+    wrench: (3, 8), rows as in `sitl_plant.physics.dynamics`; overwritten.
+    """
+    for stage in range(STAGES):
+        for k in range(WRENCH):
+            wrench[stage, k] = 0.0
+    for i in range(len(state.speed)):
+        start, lag, azimuth = state.speed[i], rotors.lag[i], state.azimuth[i]
+        excess = start - command[i]
+        half = math.exp(-0.5 * dt / lag)
+        decay = 1.0
+        noise = 1.0 + rotors.noise_rms * state.noise[i]
+        gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])
+        for stage in range(STAGES):
+            speed = command[i] + excess * decay
+            # theta = theta_0 + integral of w, with w = w_cmd + excess exp(-t / lag)
+            theta = azimuth + command[i] * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
+            lift = rotors.thrust_coefficient[i] * speed * speed * noise
+            thrust = _lagged(state.thrust[i], lift * gain, condition.thrust_lag[i], 0.5 * stage * dt)
+            _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
+            wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
+            decay *= half
+        state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta % (2.0 * math.pi), thrust
+
+
+@jit
+def _lagged(before: float, target: float, lag: float, span: float) -> float:
+    """First-order lag of thrust after `span` seconds; no lag at all if it is zero."""
+    if lag <= 0.0:
+        return target
+    return target + (before - target) * math.exp(-span / lag)
+
+
+@jit
+def _add_rotor(
+    wrench: FloatArray,
+    stage: int,
+    rotors: Rotors,
+    condition: Condition,
+    i: int,
+    speed: float,
+    theta: float,
+    thrust: float,
+    lift: float,
+) -> None:
+    """Add rotor i at azimuth theta to a wrench row."""
+    sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
+    cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
+    u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]
+    d_x, d_y = condition.lift_offset[i, 0], condition.lift_offset[i, 1]
+    f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
+    wrench[stage, 0] += f_x
+    wrench[stage, 1] += f_y
+    wrench[stage, 2] -= thrust
+    wrench[stage, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
+    wrench[stage, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
+    wrench[stage, 5] += x * f_y - y * f_x - sign * lift * condition.drag_gain[i] * rotors.torque_per_thrust
+    wrench[stage, 6] += rotors.inertia * sign * speed
