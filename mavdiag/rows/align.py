@@ -69,8 +69,8 @@ class AlignState:
     segment: int = -1
     last_ns: int | None = None  # time of the last row placed
     done_ns: int = -NEVER_NS  # gyro samples up to here are dealt with
-    blank_until_ns: int = 0  # of the gyro
-    setpoint_blank_ns: int = 0
+    blank_until_ns: int = -NEVER_NS  # of the gyro
+    setpoint_blank_ns: int = -NEVER_NS
 
 
 @dataclass(frozen=True, slots=True)

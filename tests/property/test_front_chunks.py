@@ -59,7 +59,8 @@ def hard_flight(seed: int) -> Telemetry:
 
 def run(front: Front, chunks: list[Telemetry]) -> tuple[list[tuple[int, ...]], dict[str, FloatArray]]:
     """Segments and borders in order, and all columns of all rows."""
-    state, parts = front.start(), []
+    state = front.start()
+    parts: list[Rows | Border] = []
     for chunk in chunks:
         state, found = front.step(state, chunk)
         parts += found

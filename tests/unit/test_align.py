@@ -155,7 +155,8 @@ def test_r8_a_resampled_rate_is_the_mean_rate_of_a_logger_that_drops_samples() -
 
 
 def test_without_setpoints_the_rows_flow_and_memory_stays_bounded() -> None:
-    state, blocks = SPEC.start(), []
+    state = SPEC.start()
+    blocks: list[Block] = []
     for i in range(50):
         t = clock(1000) + i * 1_000_000_000
         state, found = SPEC.step(state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
@@ -277,7 +278,8 @@ def test_l1_the_yaw_setpoint_is_unwrapped_before_it_is_interpolated(size: int) -
             series(Signal.ATTITUDE_SETPOINT, sent, np.outer(wrapped[::20], [0, 0, 1])),
         )
     )
-    state, blocks = SPEC.start(), []
+    state = SPEC.start()
+    blocks: list[Block] = []
     for chunk in cut(telemetry, [int(t[0]) + 5_000_000 + edge * DT_NS for edge in range(0, 6000, size)]):
         state, found = SPEC.step(state, chunk)
         blocks += found

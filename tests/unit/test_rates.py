@@ -37,13 +37,13 @@ def test_a_quadratic_setpoint_has_an_exact_slope_at_the_right_time() -> None:
 
 def test_l1_u_is_the_body_rate_of_a_vehicle_that_turns_and_leans() -> None:
     """Truth from rotations, whose logarithm of the change over one step is the body rate, and no formula of W."""
-    t = np.arange(12_000) * DT_S
+    t = np.arange(12_000, dtype=np.float64) * DT_S
     angles, slopes = leaning_turn(t)
     _, out = SPEC.step(SPEC.start(), block(angles))
     at = np.round(out.t_ns / 1e9 / DT_S).astype(int)
 
     def attitude(offset: float) -> Rotation:
-        return Rotation.from_euler("ZYX", leaning_turn(t[at] + offset)[0][:, ::-1])
+        return Rotation.from_euler("ZYX", leaning_turn(np.asarray(t[at] + offset, dtype=np.float64))[0][:, ::-1])
 
     truth = (attitude(-1e-5).inv() * attitude(1e-5)).as_rotvec() / 2e-5
     np.testing.assert_allclose(out.u, truth, atol=2e-3)  # the window of 0.1 s bends a curve a little
