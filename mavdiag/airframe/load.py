@@ -33,7 +33,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from mavdiag.airframe.airframe import Airframe, Scope
-from mavdiag.airframe.layout import Place, RotorLayout, layout_at, layout_named, layout_of_effects
+from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
 from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
@@ -142,7 +142,6 @@ def _parse(text: str, file: str) -> Airframe:
         layout = _layout(found)
     except UsageError as error:
         raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
-    gate = found.gate
     return Airframe(
         name=found.name,
         scope=found.scope,
@@ -150,10 +149,18 @@ def _parse(text: str, file: str) -> Airframe:
         mass_kg=found.mass_kg,
         hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
         imu_corner_hz=found.imu_corner_hz,
-        gate=None
-        if gate is None
-        else GateSpec(gate.min_height_m, gate.min_thrust, gate.need_armed, gate.trim_start_s, gate.trim_end_s),
+        gate=None if found.gate is None else _gate_spec(found.gate),
         classifier=found.classifier,
+    )
+
+
+def _gate_spec(gate: _Gate) -> GateSpec:
+    return GateSpec(
+        min_height_m=gate.min_height_m,
+        min_thrust=gate.min_thrust,
+        need_armed=gate.need_armed,
+        trim_start_s=gate.trim_start_s,
+        trim_end_s=gate.trim_end_s,
     )
 
 
@@ -165,6 +172,8 @@ def _layout(found: _File) -> RotorLayout | None:
         return layout_named(found.layout)
     if not found.rotors:
         return None
+    if found.name in LAYOUTS:
+        raise UsageError(f"{found.name} is a known layout: give these rotors another name")
     places = [Place(one.x_m, one.y_m, one.spin) for one in found.rotors if isinstance(one, _Place)]
     effects = [(one.roll, one.pitch, one.yaw) for one in found.rotors if isinstance(one, _Effect)]
     if places and effects:

@@ -1,18 +1,22 @@
 """Airframe files: what they say, and what is refused."""
 
 import math
+import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import layout_named
+from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.airframe.load import BUILTIN, airframe_from, airframe_named, load_airframe
 from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
 from sitl_plant.vehicle import qdrone2
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def written(folder: Path, text: str) -> Path:
@@ -25,7 +29,7 @@ def written(folder: Path, text: str) -> Path:
 def test_shipped_airframes_have_a_layout(name: str) -> None:
     assert airframe_from(name) == airframe_named(name)
     assert airframe_named(name).layout == layout_named(name)
-    assert sorted(BUILTIN) == sorted(p.stem for p in Path("mavdiag/airframe").glob("*.toml"))
+    assert sorted(BUILTIN) == sorted(p.stem for p in (ROOT / "mavdiag" / "airframe").glob("*.toml"))
 
 
 def test_the_shipped_qdrone2_is_the_vehicle_of_the_plant() -> None:
@@ -75,10 +79,23 @@ def test_to_add_a_hexarotor_takes_one_file(tmp_path: Path) -> None:
     assert int(shares.argmax()) + 1 == 5
 
 
+def test_the_example_of_the_page_is_an_airframe(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "airframe.md").read_text(encoding="utf-8")
+    example = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0]
+    found = load_airframe(written(tmp_path, example))
+    assert found.layout is not None
+    assert (found.layout.rotors, found.gate) == (6, GateSpec(0.4, 0.1, True, 1.0, 0.0))
+    documented = set(re.findall(r"^(?:# )?(\w+) = ", example, re.MULTILINE))
+    known = {field.name for field in fields(Airframe)} | {field.name for field in fields(GateSpec)}
+    assert documented - {"x_m", "y_m", "spin", "hover_rpm"} == known - {"gate", "hover_rad_s"}
+    for name in (*LAYOUTS, *BUILTIN):
+        assert f"`{name}`" in page
+
+
 def test_effects_say_the_same_as_places(tmp_path: Path) -> None:
     effects = [(-3, 2, 1), (3, -2, 1), (3, 2, -1), (-3, -2, -1)]
     rows = "".join(f"[[rotors]]\nroll = {r}\npitch = {p}\nyaw = {y}\n" for r, p, y in effects)
-    layout = load_airframe(written(tmp_path, f'name = "x"\n{rows}')).layout
+    layout = load_airframe(written(tmp_path, f'name = "a"\n{rows}')).layout
     assert layout is not None
     np.testing.assert_allclose(layout.mixing, layout_named("x").mixing, atol=1e-8)
 
@@ -98,6 +115,7 @@ REFUSED = [
     ('name = "a"\n[gate]\ntrim_end_s = -1', "gate.trim_end_s: Input should be greater than or equal to 0"),
     ('name = "a"\n[gate]\nneed_armed = 1', "gate.need_armed: Input should be a valid boolean"),
     (f'name = "a"\nlayout = "x"\n{PLACE}', "rotors: give either rotors or the name of a layout"),
+    (f'name = "x"\n{PLACE}', "rotors: x is a known layout: give these rotors another name"),
     (f'name = "a"\n{PLACE}', "rotors: layout a: its rotors cannot command roll, pitch and yaw independently"),
     (f'name = "a"\n{PLACE}[[rotors]]\nroll=1\npitch=1\nyaw=1', "rotors: give all rotors as places or all as effects"),
     (f'name = "a"\n{PLACE}[[rotors]]\nx_m=1\ny_m=1\nspin="left"', "rotors.2.spin: Input should be 'cw' or 'ccw'"),
