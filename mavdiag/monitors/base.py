@@ -7,34 +7,21 @@ streams that the detector asks for, and the contract tests.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.identify import Method, Order
-from mavdiag.rows.block import Block
-from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.rows import Flights, Rows, segments
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal
-from mavdiag.thresholds.rule import Guard
+from mavdiag.thresholds.guard import Guard
 
 __all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows"]
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
-
-    block: Block
-    rates: RateBlock
-
-
-Flights: TypeAlias = Sequence[Sequence[Rows]]
-"""Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +77,7 @@ class Monitor(ABC, Generic[Spec, State]):
     name: key in the baseline, the journal and the scan report.
     label: how a text for a pilot calls it, at most 10 characters.
     statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
-    needs: signals without which it cannot judge; a row in which one is unknown is not judged by it.
+    needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
     decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
     clear_s: how long its statistic must have been back before its event closes.
     guard: what its few healthy flights cannot show.
@@ -128,6 +115,11 @@ class Monitor(ABC, Generic[Spec, State]):
         """Unit of the statistic and of its threshold."""
 
     @property
+    def signals(self) -> frozenset[Signal]:
+        """The signals that this fit rests on; fewer than `needs` where it chose between them."""
+        return self.needs
+
+    @property
     def axis(self) -> Axis | None:
         """The body axis that the statistic is about."""
         return None
@@ -157,3 +149,11 @@ class Monitor(ABC, Generic[Spec, State]):
 
         The chain calls `start` at the border of every segment and flight; a monitor need not look for it.
         """
+
+    def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
+        """Judge a whole flight, from a fresh state at every segment."""
+        for segment in segments(flight):
+            state = self.start()
+            for rows in segment:
+                state, statistic = self.step(state, rows)
+                yield statistic

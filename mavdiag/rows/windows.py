@@ -9,7 +9,7 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["highpass", "window_all", "window_mean"]
+__all__ = ["highpass", "spans", "window_all", "window_mean"]
 
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
@@ -60,3 +60,13 @@ def window_all(flags: BoolArray, window: int) -> BoolArray:
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
     return whole
+
+
+def spans(flags: BoolArray) -> list[tuple[int, int]]:
+    """Half-open spans [first, stop) of True, (n,).
+
+    >>> spans(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
