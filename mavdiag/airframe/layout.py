@@ -14,7 +14,7 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.rows.block import Block
-from mavdiag.rows.rows import Rows
+from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 
 __all__ = ["LAYOUTS", "RotorLayout", "detect_layout", "layout_likeness", "layout_named"]

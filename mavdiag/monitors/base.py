@@ -6,22 +6,32 @@ to healthy flights. The registry builds from that the baseline's schema, the cha
 streams that the detector asks for, and the contract tests.
 """
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.identify import Method, Order
-from mavdiag.rows.rows import Flights, Rows, segments
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal
 from mavdiag.thresholds.guard import Guard
 
-__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows"]
+__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
+
+
+Flights: TypeAlias = Sequence[Sequence[Rows]]
+"""Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
+
+
+def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
+    """The rows of each segment of a flight, in order."""
+    return [list(rows) for _, rows in itertools.groupby(flight, key=lambda one: one.block.segment)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
-from mavdiag.monitors.base import LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
-from mavdiag.rows.rows import Flights, Rows, segments
-from mavdiag.rows.running import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]

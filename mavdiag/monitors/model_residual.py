@@ -19,9 +19,9 @@ from mavdiag.identify import freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three
-from mavdiag.rows.rows import Rows
-from mavdiag.rows.running import ema, forgetting
+from mavdiag.rows.front import Rows
 from mavdiag.rows.savgol import coefficients
+from mavdiag.rows.windows import ema, forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = [

@@ -16,7 +16,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import cut_to_share, three, variance_law
 from mavdiag.monitors.model_residual import (
     DRIFT_S,
@@ -28,10 +28,9 @@ from mavdiag.monitors.model_residual import (
     ResidualState,
     stride_of,
 )
-from mavdiag.rows.rows import Flights, Rows, segments
-from mavdiag.rows.running import ema, forgetting
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import spans, window_all, window_mean
+from mavdiag.rows.windows import ema, forgetting, spans, window_all, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -111,7 +110,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     >>> monitor = RotorSignature(*RotorSignature.fit([[fly(0.0)]], example_context("qdrone2")))
     >>> calm, faulty = (monitor.step(monitor.start(), fly(fault))[1] for fault in (0.0, 1.0))
     >>> [float(one.value[one.valid].max().round(1)) for one in (calm, faulty)], int(faulty.rotors[-1].argmax()) + 1
-    ([2.0, 4.3], 2)
+    ([1.9, 4.5], 2)
     """
 
     name = "rotor_signature"

@@ -14,12 +14,12 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import Three, three
 from mavdiag.rows.block import Block
-from mavdiag.rows.rows import Flights, Rows, segments
-from mavdiag.rows.running import MeanState, sliding_mean, start_mean, window_rows
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 

@@ -16,10 +16,10 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, Method, Order, fit, freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.healthy import cut_to_share
+from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.rows import Flights, Rows, segments
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal

@@ -13,9 +13,9 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.rows.block import Block
-from mavdiag.rows.rows import Flights, Rows, segments
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import highpass, window_all, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.rows.block import Block
-from mavdiag.rows.rows import Flights, Rows
-from mavdiag.rows.running import MeanState, sliding_mean, start_mean, window_rows
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, Signal
 from mavdiag.thresholds.guard import Guard
 

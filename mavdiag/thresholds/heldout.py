@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.base import Flights, Monitor
+from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.rows import Flights, Rows
 from mavdiag.telemetry import NS_PER_S, FloatArray, IntArray
 
 __all__ = ["Flights", "Scores", "folds", "held_out_scores", "score"]
@@ -152,4 +152,12 @@ def _between(flight: Sequence[Rows], low_ns: int, high_ns: int, part: int) -> li
 
 def _cut_rates(rates: RateBlock, low_ns: int, high_ns: int, segment: int) -> RateBlock:
     kept = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns]).tolist())
-    return RateBlock(segment, rates.dt_s, rates.t_ns[kept], rates.u[kept], rates.y[kept], rates.valid[kept])
+    return RateBlock(
+        segment,
+        rates.dt_s,
+        rates.t_ns[kept],
+        rates.u[kept],
+        rates.y[kept],
+        rates.valid[kept],
+        rates.commanded[kept],
+    )
