@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout, layout_named
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
@@ -49,19 +49,18 @@ LEAST_POWER = 1e-12  # of a normalised residual; keeps a silent channel from div
 class RotorSignatureSpec:
     """How the healthy airframe moves, and where its rotors are.
 
-    frame: key of `layout.LAYOUTS`.
+    layout: where the rotors are.
     motion: its models, and how large their residuals are.
     window_s: length of the means [s].
-    Raises InputError if the window is not positive, UsageError for an unknown frame.
+    Raises InputError if the window is not positive.
     """
 
     kind: Literal["rotor_signature"] = "rotor_signature"
-    frame: str
+    layout: RotorLayout
     motion: HealthyMotion
     window_s: float = WINDOW_S
 
     def __post_init__(self) -> None:
-        layout_named(self.frame)
         if not (math.isfinite(self.window_s) and self.window_s > 0):
             raise InputError(f"rotor_signature: the window must be positive, not {self.window_s} s")
 
@@ -126,14 +125,14 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 
     def __init__(self, spec: RotorSignatureSpec) -> None:
         super().__init__(spec)
-        effects = _effects(layout_named(spec.frame))
+        effects = _effects(spec.layout)
         self._arms, self._square, self._signs = effects[:, :2], _square(effects), _signs(effects)
         self._residual = ModelResidual(spec.motion)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
-        frame = _layout(flights, context)
+        layout = _layout(flights, context)
         stride = stride_of(context.dt_s)
         none = _no_answer(stride * context.dt_s)
         motion = HealthyMotion(
@@ -146,7 +145,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         motion = replace(motion, roll=roll, pitch=pitch, heave=heave)
         k = _variances(flights, motion)
         motion = replace(motion, k0=three([k0 for k0, _ in k]), k1=three([k1 for _, k1 in k]))
-        return (RotorSignatureSpec(frame=frame.name, motion=motion),)
+        return (RotorSignatureSpec(layout=layout, motion=motion),)
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -180,7 +179,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 def _layout(flights: Flights, context: LearnContext) -> RotorLayout:
     """The rotor layout. Raises InputError if it is not known or the flights cannot be judged."""
     if context.airframe.layout is None:
-        raise InputError("the rotor layout is not known; name the frame")
+        raise InputError("the rotor layout is not known; name the airframe")
     flown = [rows for flight in flights for rows in flight if rows.rates.commanded.any()]
     if not flown:
         raise InputError("no flight with a gyro and an attitude set-point")
@@ -197,10 +196,10 @@ def _no_answer(dt_s: float) -> ModelRecord:
     return ModelRecord(a=(1.0, 0.0), b=(0.0,), dt_s=dt_s, order=(1, 1, 0), method=Method.LS)
 
 
-def _effects(frame: RotorLayout) -> FloatArray:
+def _effects(layout: RotorLayout) -> FloatArray:
     """What a rise of each rotor's thrust does, (rotors, 3): unit vector in roll and pitch, and -1 for a_z (FRD)."""
-    arms = frame.mixing[:, :2] / np.linalg.norm(frame.mixing[:, :2], axis=1, keepdims=True)
-    return np.column_stack((arms, -np.ones(frame.rotors)))
+    arms = layout.mixing[:, :2] / np.linalg.norm(layout.mixing[:, :2], axis=1, keepdims=True)
+    return np.column_stack((arms, -np.ones(layout.rotors)))
 
 
 def _products(d: Residuals) -> FloatArray:

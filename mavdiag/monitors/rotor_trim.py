@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout, layout_named
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import Three, three
@@ -41,7 +41,7 @@ _SIGNALS: dict[Source, frozenset[Signal]] = {
 class RotorTrimSpec:
     """Healthy trim.
 
-    frame: key of `layout.LAYOUTS`.
+    layout: where the rotors are.
     source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
     mean, spread: of the 5 s means of roll, pitch and yaw trim [fraction of hover].
     window_s: length of the means [s].
@@ -49,24 +49,23 @@ class RotorTrimSpec:
     """
 
     kind: Literal["rotor_trim"] = "rotor_trim"
-    frame: str
+    layout: RotorLayout
     source: Source
     mean: Three
     spread: Three
     window_s: float = WINDOW_S
 
     def __post_init__(self) -> None:
-        frame = layout_named(self.frame)
         if not all(math.isfinite(x) for x in (*self.mean, *self.spread)) or min(*self.spread, self.window_s) <= 0:
             raise InputError("rotor_trim: the healthy trim must be finite, its spread and the window positive")
-        if self.source == "torque" and frame.torque_gain is None:
-            raise InputError(f"rotor_trim: what a torque command does to the motors of {self.frame} is not known")
+        if self.source == "torque" and self.layout.torque_gain is None:
+            raise InputError(f"rotor_trim: what a torque command does to the motors of {self.layout.name} is not known")
 
 
 class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
-        w_i = o_i/mean(o) - 1,    m = C w averaged over 5 s,    C = pinv(B), B the frame's signs
+        w_i = o_i/mean(o) - 1,    m = C w averaged over 5 s,    C = pinv(B), B the layout's signs
         a_j = c_j' W (m - mu) / (c_j' W c_j),    W = diag(1/sd^2),    statistic = max_j a_j,    rotor = argmax_j a_j
 
     o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j is the
@@ -80,9 +79,11 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     ageing alike; a rotor whose outputs saturate. A change of propellers or of the centre of mass raises it without a
     fault.
 
+    >>> from mavdiag.airframe.layout import layout_named
     >>> from mavdiag.testing import example_rows
     >>> outputs = np.random.default_rng(3).normal([0.5, 0.55, 0.5, 0.5], 0.02, (1000, 4))   # rotor 2 works harder
-    >>> healthy = RotorTrimSpec(frame="x", source="actuator", mean=(0.0, 0.0, 0.0), spread=(0.03, 0.03, 0.01))
+    >>> x, still = layout_named("x"), (0.0, 0.0, 0.0)
+    >>> healthy = RotorTrimSpec(layout=x, source="actuator", mean=still, spread=(0.03, 0.03, 0.01))
     >>> monitor = RotorTrim(healthy)
     >>> _, found = monitor.step(monitor.start(), example_rows(1000, 0.01, actuator=outputs))
     >>> float(found.value[-1].round(2)), int(found.rotors[-1].argmax()) + 1, found.valid[[498, 499]].tolist()
@@ -103,28 +104,24 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     unit = "fraction of hover"
     feature = Feature.RISE
 
-    def __init__(self, spec: RotorTrimSpec) -> None:
-        super().__init__(spec)
-        self._frame = layout_named(spec.frame)
-
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
         """Healthy trim: mean over flights of their means, spread of all their windows about it.
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
-        frame = context.airframe.layout
-        if frame is None:
-            raise InputError("the rotor layout is not known; name the frame")
-        source = _source(flights, frame)
-        means = [found for found in (_windows(flight, frame, source) for flight in flights) if len(found)]
+        layout = context.airframe.layout
+        if layout is None:
+            raise InputError("the rotor layout is not known; name the airframe")
+        source = _source(flights, layout)
+        means = [found for found in (_windows(flight, layout, source) for flight in flights) if len(found)]
         if not means:
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
         mu = np.mean([found.mean(axis=0) for found in means], axis=0)
         roll, pitch, yaw = np.sqrt(np.mean((np.concatenate(means) - mu) ** 2, axis=0)).tolist()
         yaw = math.hypot(yaw, YAW_FLOOR)
         spread = (max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw)
-        return (RotorTrimSpec(frame=frame.name, source=source, mean=three(mu), spread=spread),)
+        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread),)
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -138,55 +135,55 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     def step(self, state: MeanState, rows: Rows) -> tuple[MeanState, Statistic]:
         """The best single-rotor rise at each of the next rows."""
         spec, block = self.spec, rows.block
-        trim, known = _trim(block, self._frame, spec.source)
+        trim, known = _trim(block, spec.layout, spec.source)
         state, mean, full = sliding_mean(state, trim, known, window_rows(spec.window_s, block.dt_s))
         shift = mean - np.array(spec.mean)
         # (n, rotors) = (n, 3) (3,) @ (3, rotors) / (rotors,)
-        C, W = self._frame.unmixing, np.array(spec.spread) ** -2
+        C, W = spec.layout.unmixing, np.array(spec.spread) ** -2
         rotors = np.einsum("nk,kr->nr", shift * W, C) / np.einsum("k,kr,kr->r", W, C, C)
         rise = rotors.max(axis=1)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
 
 
-def _source(flights: Flights, frame: RotorLayout) -> Source:
+def _source(flights: Flights, layout: RotorLayout) -> Source:
     """The outputs where they are sent, for they are what the rotors really got.
 
     Raises InputError if there is neither.
     """
     sources: tuple[Source, ...] = ("actuator", "torque")
     for source in sources:
-        if any(_trim(rows.block, frame, source)[1].any() for flight in flights for rows in flight):
+        if any(_trim(rows.block, layout, source)[1].any() for flight in flights for rows in flight):
             return source
     raise InputError(
-        f"it needs the outputs of {frame.rotors} motors above idle, or torque commands whose mixing is known"
+        f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
     )
 
 
-def _windows(flight: Sequence[Rows], frame: RotorLayout, source: Source) -> FloatArray:
+def _windows(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
     """The full window means of a flight, (k, 3)."""
     found = [np.empty((0, 3))]
     for segment in segments(flight):
         state = start_mean(3)
         for block in (rows.block for rows in segment):
-            trim, known = _trim(block, frame, source)
+            trim, known = _trim(block, layout, source)
             state, mean, full = sliding_mean(state, trim, known, window_rows(WINDOW_S, block.dt_s))
             found.append(mean[full])
     return np.concatenate(found)
 
 
-def _trim(block: Block, frame: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
+def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
     if source == "actuator":
-        outputs = block.actuator[:, : frame.rotors]  # further outputs move no rotor, and may be unknown
-        if outputs.shape[1] < frame.rotors:
+        outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
+        if outputs.shape[1] < layout.rotors:
             return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
         level = outputs.mean(axis=1)
         known = block.valid & np.isfinite(outputs).all(axis=1) & (level > MIN_OUTPUT)
         w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
-        return np.einsum("nr,kr->nk", w, frame.unmixing), known
-    if frame.torque_gain is None:
+        return np.einsum("nr,kr->nk", w, layout.unmixing), known
+    if layout.torque_gain is None:
         return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
     # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
     known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(frame.torque_gain)
+    command = block.torque * np.array(layout.torque_gain)
     return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout, layout_named
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.rows.block import Block
@@ -45,7 +45,7 @@ class UnbalanceSpec:
 
     dt_s: row period [s].
     corner_hz: of the high-pass.
-    frame: key of `layout.LAYOUTS`, None if the rotors' places are not known.
+    layout: where the rotors are; None if it is not known.
     covariance: healthy mean of gz ax and gz ay [m/s^2 rad/s].
     spread: standard deviation of their window means [m/s^2 rad/s].
     turning: healthy mean of the turning part ax ay' - ay ax' [(m/s^2)^2].
@@ -58,7 +58,7 @@ class UnbalanceSpec:
     kind: Literal["unbalance"] = "unbalance"
     dt_s: float
     corner_hz: float
-    frame: str | None
+    layout: RotorLayout | None
     covariance: Pair
     spread: Pair
     turning: float
@@ -68,8 +68,6 @@ class UnbalanceSpec:
     window_s: float = WINDOW_S
 
     def __post_init__(self) -> None:
-        if self.frame is not None:
-            layout_named(self.frame)
         known = [one for one in (self.mass_kg, self.hover_rad_s) if one is not None]
         positive = (self.dt_s, self.corner_hz, self.window_s, self.power, *self.spread, *known)
         if not all(math.isfinite(x) and x > 0 for x in positive) or len(known) == 1:
@@ -172,7 +170,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     def __init__(self, spec: UnbalanceSpec) -> None:
         super().__init__(spec)
         self._filter = _Filter(spec.taps, spec.tick, spec.ticks)
-        self._places = None if spec.frame is None else _Places(spec, layout_named(spec.frame))
+        self._places = None if spec.layout is None else _Places(spec, spec.layout)
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
@@ -185,7 +183,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         first = UnbalanceSpec(
             dt_s=context.dt_s,
             corner_hz=corner_of(1 / context.dt_s, context.imu_corner_hz, airframe.hover_rad_s),
-            frame=None if airframe.layout is None else airframe.layout.name,
+            layout=airframe.layout,
             covariance=(0.0, 0.0),
             spread=(1.0, 1.0),
             turning=0.0,
@@ -301,8 +299,8 @@ class _Filter:
 class _Places:
     """Which rotor a shift of the products from healthy belongs to."""
 
-    def __init__(self, spec: UnbalanceSpec, frame: RotorLayout) -> None:
-        roll, pitch, yaw = frame.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
+    def __init__(self, spec: UnbalanceSpec, layout: RotorLayout) -> None:
+        roll, pitch, yaw = layout.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
         # [ cov(gz, ax) ]        [ x_j ]         [  pitch_j ]
         # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
         pattern = yaw * np.stack((pitch, -roll))
