@@ -16,7 +16,7 @@ from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.monitors.exceedance import exceedance, runs, start
 from mavdiag.monitors.margin import ResidualPiece, latency_of, margin_of
-from mavdiag.rows.savgol import derivative, smooth, window_samples
+from mavdiag.rows.savgol import SavgolFilter, window_samples
 from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
@@ -30,7 +30,8 @@ def rates(config: PlantConfig) -> tuple[FloatArray, FloatArray]:
     """Commanded and measured roll rate of a flight."""
     samples = Plant(config).advance(STEPS)
     window = window_samples(DT)
-    return derivative(samples.setpoint[:, 0], DT, window), smooth(samples.gyro[:, 0], window)
+    slope, value = SavgolFilter.differentiator(window, DT), SavgolFilter.smoother(window)
+    return slope.batch(samples.setpoint[:, 0]), value.batch(samples.gyro[:, 0])
 
 
 def residual(model: ArxModel, config: PlantConfig) -> ResidualPiece:
