@@ -17,7 +17,7 @@ MIN_CHANGES = 40  # spans without overlap (our choice)
 MIN_OUTPUT = 0.05  # mean output below which the motors do not carry (our choice)
 MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must explain (our choice)
 MIN_F = 10.0  # F value above which a driver counts as excited (our choice)
-MIN_LIKENESS = 0.85  # below it nothing is claimed; x and plus are 0.71 like each other (our choice)
+MIN_LIKENESS = 0.85  # below it no layout is named; x and plus are 0.71 like each other (our choice)
 MAX_MISFIT = 0.5  # and 1 - likeness must be less than this share of the next layout's (our choice)
 DRIVERS = ("torque command", "rate error", "angular acceleration")
 
@@ -48,7 +48,7 @@ class _Fit:
 def detect_layout(blocks: Iterable[Block], known: Sequence[RotorLayout] = tuple(LAYOUTS.values())) -> LayoutFinding:
     """The known layout that healthy flying fits, from the rows of one or more flights.
 
-    The drivers x of roll, pitch and yaw are what the vehicle tells first of: its torque command; its rate error
+    The drivers x of roll, pitch and yaw are the first of these that the vehicle sends: its torque command; its rate error
     (set-point minus gyro, to which the rate controller answers); the angular acceleration that the outputs make some
     lag later. With w = o/mean(o) - 1 of the outputs o that move at all, and changes over 0.1 s, so that trims and
     drifts do not count:
@@ -85,11 +85,11 @@ def _named(candidates: Sequence[RotorLayout], driver: str, fit: _Fit) -> LayoutF
     ranked = sorted(((one.name, _likeness(fit, one)) for one in candidates), key=lambda row: -row[1])
     name, best = ranked[0]
     second = ranked[1] if len(ranked) > 1 else None
-    told = f"{name} {best:.2f}" + (f", next {second[0]} {second[1]:.2f}" if second else "")
+    scores = f"{name} {best:.2f}" + (f", next {second[0]} {second[1]:.2f}" if second else "")
     if best < MIN_LIKENESS or (second is not None and 1 - best > MAX_MISFIT * (1 - second[1])):
-        return LayoutFinding(None, f"no known layout fits clearly ({told}); name the layout", tuple(ranked))
+        return LayoutFinding(None, f"no known layout fits clearly ({scores}); name the layout", tuple(ranked))
     layout = next(one for one in candidates if one.name == name)
-    return LayoutFinding(layout, f"found from outputs and {driver} ({told})", tuple(ranked))
+    return LayoutFinding(layout, f"found from outputs and {driver} ({scores})", tuple(ranked))
 
 
 def _likeness(fit: _Fit, layout: RotorLayout) -> float:
@@ -147,15 +147,15 @@ def _moving(stretches: Sequence[_Stretch]) -> list[int]:
 
 
 def _fit(stretches: Sequence[_Stretch], rotors: int) -> tuple[str, _Fit | None]:
-    """The fit to the first driver that is told throughout; for the acceleration to the lag that explains most."""
+    """The fit to the first driver that the data carry; for the acceleration to the lag that explains most."""
     relative = [_relative(one, rotors) for one in stretches]
     judged = sum(int(np.isfinite(w[:, 0]).sum()) for w in relative)
     for i, driver in enumerate(DRIVERS):
-        told = [
+        known = [
             np.isfinite(w[:, 0]) & np.isfinite(one.drivers[i]).all(axis=1)
             for w, one in zip(relative, stretches, strict=True)
         ]
-        if 2 * sum(int(rows.sum()) for rows in told) <= judged:
+        if 2 * sum(int(rows.sum()) for rows in known) <= judged:
             continue
         lags_s = LAGS_S if i == len(DRIVERS) - 1 else (0.0,)
         fits = [_regression(relative, stretches, i, lag_s) for lag_s in lags_s]

@@ -28,8 +28,8 @@ class RotorLayout:
     name: what reports call it.
     signs: per rotor its (roll, pitch, yaw) effect; the squares of each column sum to the number of rotors.
     torque_gain: share of a motor's full output that a full-scale (roll, pitch, yaw) torque command adds; None where
-    the vehicle's mixing is not known, then only its outputs tell the trims.
-    Raises UsageError if roll, pitch and yaw cannot be told apart, or the columns are not so scaled.
+    the mixing is not known; then trims follow only from its outputs.
+    Raises UsageError if it cannot command roll, pitch and yaw independently, or the columns are not so scaled.
     """
 
     name: str
