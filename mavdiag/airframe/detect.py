@@ -48,9 +48,9 @@ class _Fit:
 def detect_layout(blocks: Iterable[Block], known: Sequence[RotorLayout] = tuple(LAYOUTS.values())) -> LayoutFinding:
     """The known layout that healthy flying fits, from the rows of one or more flights.
 
-    The drivers x of roll, pitch and yaw are the first of these that the vehicle sends: its torque command; its rate error
-    (set-point minus gyro, to which the rate controller answers); the angular acceleration that the outputs make some
-    lag later. With w = o/mean(o) - 1 of the outputs o that move at all, and changes over 0.1 s, so that trims and
+    The drivers x of roll, pitch and yaw are the first of these that the vehicle sends: its torque command; its rate
+    error (set-point minus gyro, to which the rate controller answers); the angular acceleration that the outputs make
+    some lag later. With w = o/mean(o) - 1 of the outputs o that move at all, and changes over 0.1 s, so that trims and
     drifts do not count:
 
         [ dx_roll  dx_pitch  dx_yaw ] @ B_fit' = [ dw_1 ... dw_n ]      least squares, all three together
