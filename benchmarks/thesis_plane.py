@@ -9,9 +9,9 @@ import sys
 from collections import Counter
 
 import numpy as np
+from thesis_plane_rules import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
 
 from mavdiag.airframe.propellers import PROPELLERS
-from mavdiag.decision.thesis_plane import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
 from mavdiag.monitors.exceedance import exceedance, runs, start

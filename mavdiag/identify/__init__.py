@@ -4,6 +4,6 @@
 """
 
 from mavdiag.identify.estimate import fit
-from mavdiag.identify.model import ArxModel, Method, Order
+from mavdiag.identify.model import ArxModel, Method, ModelRecord, Order
 
-__all__ = ["ArxModel", "Method", "Order", "fit"]
+__all__ = ["ArxModel", "Method", "ModelRecord", "Order", "fit"]
