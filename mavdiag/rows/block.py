@@ -74,8 +74,9 @@ class Block:
             return np.isfinite(values)
         if values.shape[1] == 0:
             return np.zeros(len(self), dtype=np.bool_)
-        known: BoolArray = np.isfinite(values if column is None else values[:, column, None]).all(axis=1)
-        return known
+        if column is not None:
+            return np.isfinite(values[:, column])
+        return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
 _COLUMNS = tuple(field.name for field in fields(Block))[2:]

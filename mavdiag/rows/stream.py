@@ -78,14 +78,17 @@ class Stream:
         if np.array_equal(t[first : first + len(rows)], rows):
             return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
         left = t.searchsorted(rows, side="right") - 1
-        right = np.minimum(left + 1, len(t) - 1)
+        inside = left[0] >= 0 and left[-1] < len(t) - 1
+        right = left + 1 if inside else np.minimum(left + 1, len(t) - 1)
         before = t[left]
         span, since = t[right] - before, rows - before
-        span[(left < 0) | (right == left)] = NEVER_NS
+        if not inside:
+            span[(left < 0) | (right == left)] = NEVER_NS
         gap: IntArray = span * (since != 0)
         share = since / span
         share[gap > limit_ns] = 0.0
-        values: FloatArray = v[left] + share[:, None] * (v[right] - v[left])
+        first_v = v.take(left, axis=0)
+        values: FloatArray = first_v + share[:, None] * (v.take(right, axis=0) - first_v)
         if left[0] < 0:
             values[left < 0] = np.nan
         return values, gap
