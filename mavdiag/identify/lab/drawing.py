@@ -83,7 +83,7 @@ def _step_response(axes: "Axes", model: ArxModel) -> None:
 
     slowest = min(float(np.abs(model.poles[0])), 1 - 1e-6)
     count = int(np.clip(-TIME_CONSTANTS / np.log(max(slowest, 1e-3)), 20, MAX_STEPS))
-    t_s: FloatArray = np.arange(count) * model.dt
+    t_s = np.asarray(np.arange(count) * model.dt, dtype=np.float64)
     axes.plot(t_s, control.step_response(model.to_control(), t_s).outputs)
     axes.axhline(1.0, linestyle=":", color="grey")
     axes.set(xlabel="time [s]", ylabel="answer to a unit step")
