@@ -29,7 +29,7 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
 
 
 def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
-    """A verdict. Of a monitor on two axes the one that came nearest to its threshold is told."""
+    """A verdict. Of a monitor on two axes it has the one that came nearest to its threshold."""
     return {
         "log": verdict.log,
         "verdict": verdict.verdict,

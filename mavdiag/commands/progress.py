@@ -1,4 +1,4 @@
-"""Signs of life on a terminal: what takes long is told on stderr, and nothing is where nobody looks (edge)."""
+"""Progress on a terminal (edge): on stderr, and nothing where stderr is no terminal."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def each(items: Sequence[T], text: str) -> Iterator[T]:
-    """The items one by one, with a bar that tells how many are left."""
+    """The items one by one, with a bar that shows how many are left."""
     if not sys.stderr.isatty() or len(items) < 2:
         yield from items
         return
@@ -23,7 +23,7 @@ def each(items: Sequence[T], text: str) -> Iterator[T]:
 
 @contextmanager
 def working(text: str) -> Iterator[None]:
-    """A moving sign while the block runs."""
+    """A spinner while the block runs."""
     if not sys.stderr.isatty():
         yield
         return

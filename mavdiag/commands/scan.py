@@ -48,8 +48,8 @@ def _line(verdict: LogVerdict) -> str:
     line = f"{verdict.log}: {verdict.verdict}, {verdict.reason}"
     if verdict.verdict is Verdict.ERROR:
         return line
-    told = [
+    parts = [
         f"{one.name} {one.judged_s:.1f} s" + (f" ({one.not_judged})" if one.not_judged else "")
         for one in verdict.monitors
     ]
-    return f"{line}; judged {verdict.judged_s:.1f} s" + (f": {', '.join(told)}" if told else "")
+    return f"{line}; judged {verdict.judged_s:.1f} s" + (f": {', '.join(parts)}" if parts else "")
