@@ -39,6 +39,8 @@ SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin i
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
 SHOWN_ROWS = 12
 RESPONSE_WINDOW_S = 2.0  # of the frequency-response estimate: lines 0.5 Hz apart (our choice)
+MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that smooths
+PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
 
 
 class _ShowByDefault(TyperGroup):
@@ -101,7 +103,8 @@ def show(
         if plot is not None:
             path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{one}")
             flight = flights.get(one)
-            residual, measured = (None, None) if flight is None else (_residual(model, flight), _response(flight))
+            residual = None if flight is None else _residual(model, flight)
+            measured = None if flight is None else _response(flight, window)
             draw_model(path, model, f"{file.name}, {one}", residual=residual, measured=measured)
 
 
@@ -164,7 +167,7 @@ def compare_models(
     published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
     if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = replace(published.model, b=published.model.b * published.input_scale)
-    measured = _response(flight)
+    measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
     cells = []
@@ -204,11 +207,9 @@ def track(
         if as_json:
             line = {"flight_s": round(t_s, 3), "stable": model.stable, "dc_gain": asdict(known.dc_gain)}
             typer.echo(json.dumps({**line, "pole": asdict(pole)}))
-        cells.append(
-            (f"{t_s:.1f}", _text(known.dc_gain), _text(pole.real), _text(pole.natural_hz), _text(pole.damping))
-        )
+        cells.append((f"{t_s:.1f}", _text(known.dc_gain), _text(pole.natural_hz), _text(pole.damping)))
     if not as_json:
-        _table(("flight s", "DC gain", "slowest pole, Re z", "natural Hz", "damping"), cells)
+        _table(("flight s", "DC gain", "slowest pole Hz", "damping"), cells)
 
 
 def _is_baseline(file: Path) -> bool:
@@ -235,16 +236,20 @@ def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
 
-def _response(flight: FlightRates) -> FrequencyResponse | None:
-    """The measured frequency response; None if the flight is too short for one."""
-    longest = max(map(len, flight.u))
+def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
+    """The measured frequency response, as far as the filters pass it; None if the flight is too short for one."""
     segment = round(RESPONSE_WINDOW_S / flight.dt_s)
-    return None if longest < 2 * segment else estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
+    if max(map(len, flight.u)) < 2 * segment:
+        return None
+    found = estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
+    n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
+    cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
+    return FrequencyResponse(*cut, found.averages)
 
 
 def _windows(train: Log, other: Log | None, axis: Axis, order: str, method: MethodChoice) -> tuple[SweepRow, ...]:
     dt_s = rates(train, axis).dt_s
-    samples = sorted({round(seconds / dt_s) | 1 for seconds in WINDOWS_S} - {1})
+    samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
     return window_sweep(
         lambda n: _pair(rates(train, axis, n * dt_s)),
         samples,
