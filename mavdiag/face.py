@@ -17,7 +17,7 @@ from mavdiag.airframe.load import airframe_from
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for
@@ -91,8 +91,10 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
 
     axis: "roll", "pitch" or "yaw". window_s: Savitzky-Golay window of both [s]. There is one array for each unbroken
     stretch of two seconds or more, always in a list, since many flights have several.
-    Raises InputError if no stretch is long enough.
+    Raises InputError if no stretch is long enough, UsageError for an axis that there is not.
     """
+    if axis not in tuple(Axis):
+        raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
     log = flight if isinstance(flight, Log) else read_log(flight)
     front = front_for([log], window_s)
     state, first = front.step(front.start(), log.telemetry)

@@ -15,13 +15,13 @@ from mavdiag.commands.progress import each, working
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
-from mavdiag.monitors.run_length import MarginRule, RunLengthSpec
+from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output, save_baseline
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = ["identify", "make_baseline"]
 
-THESIS = (RunLengthSpec.kind,)  # the monitor of T 5.5, alone
+THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 
 def identify(

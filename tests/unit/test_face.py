@@ -40,14 +40,14 @@ def test_the_package_of_identification_can_be_called() -> None:
 
 
 def test_rates_of_a_log_carry_the_model_that_made_them() -> None:
-    log = md.Log("made", "", "crazyflie-like", flight(20_000, 3))
-    u, y, dt = md.rates(md.Log(log.name, "", "qdrone2", log.telemetry), "roll", window_s=0.05)
+    log = md.Log("made", "", "qdrone2", flight(20_000, 3))
+    u, y, dt = md.rates(log, "roll", window_s=0.05)
     assert dt == pytest.approx(0.001)
     assert sum(map(len, u)) == sum(map(len, y)) > 10_000
     model = md.identify.fit(u, y, dt=dt)
     assert model.r2t > 0.97
     assert model.dc_gain == pytest.approx(1.0, abs=0.05)
-    with pytest.raises(ValueError, match="sideways"):
+    with pytest.raises(UsageError, match="sideways"):
         md.rates(log, "sideways")
 
 
