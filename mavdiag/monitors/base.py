@@ -64,7 +64,7 @@ class RotorEvidence:
     weight: logits per unit of evidence.
     relative: the evidence counts in units of the monitor's threshold.
     direct: it observes the damaged rotor itself. Evidence that is not direct counts only while no direct monitor is
-    above its threshold: a trim tells which rotor is commanded more, and a blade with more drag has the others
+    above its threshold: a trim shows which rotor is commanded more, and a blade with more drag has the others
     commanded more.
     """
 
@@ -74,7 +74,7 @@ class RotorEvidence:
 
 
 class Feature:
-    """Names of the figures that grading a fault needs; a monitor's `feature` says which its `level` gives."""
+    """Names of the figures that grading a fault needs; a monitor's `feature` names which its `level` gives."""
 
     UNBALANCE = "unbalance"  # g mm
     MOTION = "motion"  # rad/s
@@ -92,7 +92,7 @@ class Monitor(ABC, Generic[Spec, State]):
     clear_s: how long its statistic must have been back before its event closes.
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
-    feature: what its level tells about the fault, a name of `Feature`; None if nothing.
+    feature: what its level means for the fault, a name of `Feature`; None if nothing.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
     """
 
@@ -146,7 +146,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     @property
     def feature(self) -> str | None:
-        """What its level tells about the fault, a name of `Feature`; None if nothing."""
+        """What its level means for the fault, a name of `Feature`; None if nothing."""
         return None
 
     @abstractmethod

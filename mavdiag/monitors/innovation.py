@@ -110,7 +110,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     Warm-up: half an SG window, 4 rows and 1 s. Latency: half an SG window and up to 1 s. False alarms: see
     `thresholds`; aerobatics, landings and wind that the healthy flights lacked raise it without a fault. Blind spots:
-    a weak rotor that is trimmed away (AUC 0.70 on recorded propeller cuts, where the threshold catches 1 in 57);
+    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts; the threshold catches none);
     anything slow.
 
     >>> from mavdiag.testing import example_rows, example_context

@@ -42,7 +42,7 @@ HEAVE_ORDER = (2, 2, 1)
 TRAIN_SAMPLES = 120_000  # more of it no longer changes the coefficients (our choice)
 MIN_PIECE_S = 1.0  # shorter valid stretches train nothing (our choice)
 MIN_RATE_HZ = 50.0  # METHOD section 4: below it the residual degrades
-LEAST_POWER = 1e-12  # of a normalised residual; keeps a silent channel from dividing by zero
+LEAST_POWER = 1e-12  # of a normalised residual; keeps a channel without noise from a division by zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,7 +187,7 @@ def _layout(flights: Flights, context: LearnContext) -> RotorLayout:
     if rate_hz < 0.98 * MIN_RATE_HZ:
         raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
     if not any((rows.block.valid & np.isfinite(rows.block.force[:, 2])).any() for rows in flown):
-        raise InputError("no accelerometer, which tells a rotor from its opposite")
+        raise InputError("no accelerometer, which separates a rotor from its opposite")
     return context.airframe.layout
 
 

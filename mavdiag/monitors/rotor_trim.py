@@ -1,7 +1,7 @@
 """The rotor-trim monitor: one rotor is commanded more, against the others, than it was when all were healthy.
 
 A controller with an integrator hides a weak rotor from its own attitude error: it commands more. That command is the
-evidence, and it names the rotor (METHOD section 5). What it cannot tell is why: a changed propeller, a payload hung off
+evidence, and it names the rotor (METHOD section 5). It does not show why: a changed propeller, a payload hung off
 the centre or a damaged blade all shift the trim.
 """
 

@@ -140,7 +140,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         cov(gz, ax) ~ -s_j x_j,  cov(gz, ay) ~ -s_j y_j,  mean(ax(t-1) ay(t) - ay(t-1) ax(t)) ~ s_j sin(Omega dt)
     after subtracting the airframe's own healthy values. In FRD the signs of the two covariances are, for the QDrone 2,
     1 (+,-), 2 (+,+), 3 (-,-), 4 (-,+) (METHOD section 4 has gz of T's frame, whose z is up). The third, the sense of
-    turning, tells neighbours apart even if gyro and accelerometer are filtered differently by a millisecond, which
+    turning, separates neighbours even if gyro and accelerometer are filtered differently by a millisecond, which
     turns the first two by 60 degrees. evidence = (cosine to rotor j + s_j turning)/2, less where the shift is small.
 
     Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and the share of the window that lifts

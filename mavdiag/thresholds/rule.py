@@ -36,6 +36,7 @@ __all__ = [
     "Threshold",
     "ThresholdRule",
     "calibrate",
+    "false_alarms_per_flight",
     "flights_for_guarantee",
     "flights_for_maximum",
     "more_flights",
@@ -102,6 +103,11 @@ class Threshold:
         return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}"
 
 
+def false_alarms_per_flight(flights: int) -> float:
+    """Probability that a healthy flight exceeds the maximum of `flights` equal healthy ones: 1/(n + 1)."""
+    return 1.0 / (flights + 1)
+
+
 def threshold_of(
     scores: Scores,
     *,
@@ -145,7 +151,7 @@ def threshold_of(
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
-        false_alarms_per_flight=1.0 / (flights + 1),
+        false_alarms_per_flight=false_alarms_per_flight(flights),
     )
 
 

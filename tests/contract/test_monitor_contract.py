@@ -1,7 +1,6 @@
 """What every monitor keeps to. A new monitor needs no line here: the flights have every signal, and it is fitted."""
 
 import dataclasses
-import itertools
 from functools import cache
 from typing import Any, Literal
 
@@ -74,7 +73,7 @@ class MadeUp(Monitor[HeightSpec, MeanState]):
         return state, Statistic(block.t_ns, block.dt_s, value, full, value, value)
 
 
-ALL = (*MONITORS, MadeUp)
+ALL: tuple[type[Monitor[Any, Any]], ...] = (*MONITORS, MadeUp)
 every_monitor = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
 
 
@@ -113,7 +112,7 @@ def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any, Any]], seed:
     telemetry = rough_flight(seed)
     expected = run(built(kind), flying_rows(telemetry))
     front = flying_front()
-    state, rows = front.start(), []
+    state, rows = front.start(), list[Any]()
     for chunk in cut(telemetry, sorted(START_NS + edge * DT_NS for edge in edges)):
         state, more = front.step(state, chunk)
         rows += more
@@ -127,7 +126,8 @@ def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any, Any]], seed:
 @every_monitor
 def test_inputs_are_left_alone(kind: type[Monitor[Any, Any]]) -> None:
     rows = flying_rows(rough_flight(1))
-    for part in itertools.chain.from_iterable((one.block, one.rates) for one in rows):
+    parts: list[Any] = [part for one in rows for part in (one.block, one.rates)]
+    for part in parts:
         for field in dataclasses.fields(part):
             value = getattr(part, field.name)
             if isinstance(value, np.ndarray):

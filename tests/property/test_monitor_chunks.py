@@ -33,9 +33,9 @@ def block(seed: int, segment: int) -> Block:
     rate = np.gradient(walk, DT_S, axis=0) * 0.1 + rng.normal(0, 0.02, (N, 3))
     force = rng.normal((0, 0, -9.81), 0.3, (N, 3))
     thrust = 0.3 + 0.01 * rng.normal(size=N)
-    return Block(
-        segment, DT_S, t_ns, walk, rate, force, absent, absent, thrust, thrust, np.ones(N), absent, absent, valid, np.ones(N, bool)
-    )  # fmt: skip
+    always = np.ones(N, dtype=np.bool_)
+    others = (absent, absent, thrust, thrust, np.ones(N), absent, absent)
+    return Block(segment, DT_S, t_ns, walk, rate, force, *others, valid, always)
 
 
 def cut(blocks: list[Block], edges: list[int]) -> list[Rows]:

@@ -24,6 +24,7 @@ from mavdiag.monitors.run_length import (
     training_pieces,
 )
 from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import Axis, FloatArray
 from mavdiag.testing import example_context, example_rows
 
@@ -95,7 +96,7 @@ def test_b4_a_chunk_does_not_end_a_run() -> None:
     assert one.tolist() == other.tolist()
 
 
-def _part(rows: Rows, low: int, high: int) -> run_length.RateBlock:
+def _part(rows: Rows, low: int, high: int) -> RateBlock:
     rates, kept = rows.rates, slice(low, high)
     return replace(
         rates,
