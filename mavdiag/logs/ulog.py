@@ -6,7 +6,6 @@ Damaged parts are skipped as pyulog skips them.
 """
 
 import io
-import math
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
@@ -18,18 +17,20 @@ from numpy.typing import NDArray
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.link.conversion import euler_angles
+from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import as_floats, recorded
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_US, RPM
 
-__all__ = ["read_ulog"]
+__all__ = ["KIND", "read_ulog"]
 
-NS_PER_US = 1_000
+PROFILE = "px4-log"
+SIGNATURE = b"ULog\x01\x12\x35"
 MAX_TIME_US = 2**53  # anything later is damage, and would not fit in nanoseconds
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
 PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
-RAD_S_PER_RPM = math.pi / 30
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
@@ -49,15 +50,6 @@ def _as_is(values: FloatArray) -> FloatArray:
     return values
 
 
-def _euler(q: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (n, 3) of quaternions w, x, y, z (n, 4), body to earth."""
-    w, x, y, z = q.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.column_stack([roll, pitch, yaw])
-
-
 def _norm(values: FloatArray) -> FloatArray:
     length: FloatArray = np.linalg.norm(values, axis=1, keepdims=True)
     return length
@@ -75,7 +67,7 @@ def _in_use(values: FloatArray) -> FloatArray:
 
 def _turning(values: FloatArray) -> FloatArray:
     """Columns that ever turn, from rpm of either sign to rad/s."""
-    return np.abs(values[:, (values != 0).any(axis=0)]) * RAD_S_PER_RPM
+    return np.abs(values[:, (values != 0).any(axis=0)]) * RPM
 
 
 def _armed(state: FloatArray) -> FloatArray:
@@ -101,7 +93,7 @@ def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
 # The first row of a signal whose topic and fields are in the log is taken. Later rows are other versions' topics.
 _ROWS = (
     _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
-    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), _euler),
+    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), euler_angles),
     _Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
     _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
     _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
@@ -117,7 +109,7 @@ _ROWS = (
         delay="accelerometer_timestamp_relative",
     ),
     _Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
-    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), _euler),
+    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     _Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
     _Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
     _Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
@@ -141,7 +133,7 @@ def read_ulog(path: Path) -> Log:
         series = _series(topics)
     except InputError as error:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
-    return Log(path.name, sha256_of(data), "px4-log", Telemetry(series), _started_ns(topics, series))
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(topics, series))
 
 
 class _Metered(io.BytesIO):
@@ -241,3 +233,12 @@ def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> 
         return 0
     first = known[0]
     return (int(utc[first]) - int(boot[first])) * NS_PER_US + min(int(s.t_ns[0]) for s in series)
+
+
+KIND = LogKind(
+    "ULog",
+    lambda head: head.startswith(SIGNATURE),
+    lambda path, vehicle, profile: read_ulog(path),
+    PROFILE,
+    RECORDED_GATE,
+)

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mavdiag.link.clock import MS_32, US_32, US_64, Counter, Reading, Run, Timeline, place, rebooted, unwrap
+from mavdiag.link.clock import MS_32, US_32, US_64, Counter, ClockReading, Run, Timeline, place, rebooted, unwrap
 from mavdiag.telemetry import IntArray
 
 S = 1_000_000_000
@@ -28,7 +28,7 @@ def test_a_wrap_is_undone_wherever_the_samples_are_cut(counter: Counter, split: 
     first = unwrap(counter, None, raw[:split], host[:split])
     second = unwrap(counter, first.reading, raw[split:], host[split:])
     assert np.concatenate([first.clock_ns, second.clock_ns]).tolist() == (true * counter.tick_ns).tolist()
-    assert second.reading == Reading(4, 1, int(host[-1]))
+    assert second.reading == ClockReading(4, 1, int(host[-1]))
 
 
 def test_a_late_frame_across_the_wrap_keeps_its_place() -> None:
@@ -100,7 +100,7 @@ def test_unix_stamps_are_laid_over_boot_stamps(pieces: int) -> None:
     _, other_host = delayed(2)
     boot_raw, epoch_raw = 3_000 + true // 1_000_000, EPOCH_US + true // 1000
     timeline, placed = Timeline(), []
-    last: tuple[Reading | None, Reading | None] = (None, None)
+    last: tuple[ClockReading | None, ClockReading | None] = (None, None)
     cuts = np.linspace(0, 500, pieces + 1).astype(int)
     for a, b in pairwise(cuts.tolist()):
         boot = unwrap(MS_32, last[0], boot_raw[a:b], host[a:b])

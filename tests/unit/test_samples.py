@@ -11,7 +11,7 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.conversion import euler_angles
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Profile, detect_profile, profile_named
-from mavdiag.link.samples import Converter, SampleState, by_vehicle, joined
+from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 G = 9.80665
@@ -31,7 +31,7 @@ class Vehicle:
 
 
 def telemetry_of(frames: list[Frame], profile: str = "qdrone2") -> Telemetry:
-    return Converter(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
 
 
 def values_of(telemetry: Telemetry, signal: Signal) -> FloatArray:
@@ -136,7 +136,7 @@ def test_unsound_numbers_are_dropped_and_counted() -> None:
         vehicle.frame(MessageId.ATTITUDE_TARGET, 3, TargetMask.ATTITUDE, (nan,) * 4, 0, 0, 0, float("inf")),
         vehicle.frame(MessageId.ATTITUDE_TARGET, 4, 0, LEVEL, 0, 0, 0, 0.5),
     ]
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), frames)
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
     assert telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns.tolist() == [2_000_000, 4_000_000]
     assert telemetry.need(Signal.RATE_SETPOINT).t_ns.tolist() == [1_000_000, 3_000_000, 4_000_000]
     assert telemetry.need(Signal.THRUST_SETPOINT).t_ns.tolist() == [1_000_000, 2_000_000, 4_000_000]
@@ -212,7 +212,7 @@ def flight(reboot: bool = False) -> list[Frame]:
 @pytest.mark.parametrize("size", [1, 7, 100])
 def test_how_frames_are_cut_does_not_matter(reboot: bool, size: int) -> None:
     frames = flight(reboot)
-    converter = Converter(PROFILES["qdrone2"])
+    converter = SampleDecoder(PROFILES["qdrone2"])
     whole_state, whole = converter.step(SampleState(), frames)
     state, pieces = SampleState(), []
     for k in range(0, len(frames), size):
@@ -229,7 +229,7 @@ def test_how_frames_are_cut_does_not_matter(reboot: bool, size: int) -> None:
 
 
 def test_all_streams_pass_a_reboot_together() -> None:
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), flight(reboot=True))
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), flight(reboot=True))
     assert state.timeline.reboots == 1
     setpoint, imu = telemetry.need(Signal.ATTITUDE_SETPOINT), telemetry.need(Signal.BODY_RATE)
     assert len(setpoint) == len(imu) == 200
@@ -244,7 +244,7 @@ def test_two_vehicles_of_one_name_cost_no_more_than_their_frames() -> None:
     for k in range(3000):
         frames.append(one.frame(MessageId.ATTITUDE, 90_000_000 + k))
         frames.append(other.frame(MessageId.ATTITUDE, k))
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), frames)
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
     assert state.timeline.reboots >= 2999
     assert len(telemetry.need(Signal.ATTITUDE)) == 6000
 
@@ -256,14 +256,14 @@ def test_frames_of_several_vehicles_are_told_apart() -> None:
 
 
 def test_only_the_signals_of_interest_are_read() -> None:
-    converter = Converter(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
+    converter = SampleDecoder(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
     assert converter.wanted == {MessageId.RAW_IMU, MessageId.VIBRATION}
     _, telemetry = converter.step(SampleState(), flight())
     assert {series.signal for series in telemetry.series} == {Signal.BODY_RATE, Signal.SPECIFIC_FORCE}
 
 
 def test_nothing_in_nothing_out() -> None:
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), [])
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), [])
     assert state == SampleState()
     assert telemetry.series == ()
 

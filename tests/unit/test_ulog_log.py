@@ -10,7 +10,7 @@ from made_logs import ULOG_HEAD, ULogTopic, ulog, ulog_message
 
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
-from mavdiag.logs.log import Log
+from mavdiag.telemetry import Log
 from mavdiag.logs.ulog import read_ulog
 from mavdiag.telemetry import Signal
 
