@@ -98,6 +98,7 @@ class Run(NamedTuple):
     reading: where the counter stands now.
     used: samples that were looked at, up to where the counter broke off.
     kept: (used,) which of them are in line and make the rows of clock_ns; None for all.
+    ambiguous: its counter wraps often, so that going on is no proof that the vehicle did not start anew.
     """
 
     clock_ns: IntArray
@@ -107,6 +108,7 @@ class Run(NamedTuple):
     reading: ClockReading
     used: int
     kept: BoolArray | None = None
+    ambiguous: bool = False
 
 
 def unwrap(
@@ -129,7 +131,16 @@ def unwrap(
     if steady and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS) and _ascends(raw):
         clock_ns = raw * counter.tick_ns
         reading = ClockReading(final, before.turns, int(host_ns[-1]))
-        return Run(clock_ns + ahead_ns if ahead_ns else clock_ns, host_ns, end, on_epoch, reading, len(raw))
+        return Run(
+            clock_ns + ahead_ns if ahead_ns else clock_ns,
+            host_ns,
+            end,
+            on_epoch,
+            reading,
+            len(raw),
+            None,
+            counter.ambiguous,
+        )
     raw = np.clip(raw, 0, HIGHEST_NS // counter.tick_ns)
     if last is None:
         before = before._replace(raw=int(raw[0]))
@@ -154,8 +165,9 @@ def changed_clock(counter: Counter, last: ClockReading, raw: int) -> bool:
 
 def started_anew(timeline: "Timeline", counter: Counter, raw: int, host_ns: int) -> bool:
     """Whether a stamp out of line, received at `host_ns`, is a vehicle that started anew; else it is a stray."""
-    silent_ns = host_ns - timeline.host_ns
-    young = raw * counter.tick_ns <= silent_ns + UPTIME_SLACK_NS
+    clock_ns = raw * counter.tick_ns
+    silent_ns = host_ns - timeline.seen_ns[clock_ns >= EPOCH_NS]
+    young = clock_ns <= silent_ns + UPTIME_SLACK_NS
     return silent_ns >= (SILENT_NS if young else GONE_NS)
 
 
@@ -189,7 +201,8 @@ def _unwrap_step_by_step(counter: Counter, before: ClockReading, raw: IntArray, 
     clock_ns = count[:used][inline] * tick_ns
     latest_ns = int(clock_ns.max()) if len(clock_ns) else 0
     reading = ClockReading(high, turns, seen_ns)
-    return Run(clock_ns, host_ns[:used][inline], latest_ns, on_epoch, reading, used, None if inline.all() else inline)
+    kept_rows = None if inline.all() else inline
+    return Run(clock_ns, host_ns[:used][inline], latest_ns, on_epoch, reading, used, kept_rows, counter.ambiguous)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +230,8 @@ class Timeline:
     base_ns: what to add to it [ns].
     delays: of the clock since boot and of unix time.
     t_ns: latest time known [ns], None before the first stamp.
-    host_ns: when the last stamp in line was received [ns].
+    host_ns: when the last stamp was received [ns].
+    seen_ns: when the last stamp in line was, of the clock since boot and of unix time [ns].
     reboots: how often the vehicle started anew.
     """
 
@@ -226,6 +240,7 @@ class Timeline:
     delays: tuple[Delay | None, Delay | None] = (None, None)
     t_ns: int | None = None
     host_ns: int = 0
+    seen_ns: tuple[int, int] = (0, 0)
     reboots: int = 0
 
     def since_boot_ns(self, host_ns: int) -> int | None:
@@ -248,7 +263,7 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     if timeline.on_epoch is None:
         timeline = _begun(timeline, runs[0])
     boot, epoch = timeline.delays
-    received_ns, known_ns = timeline.host_ns, timeline.t_ns
+    received_ns, known_ns, seen_ns = timeline.host_ns, timeline.t_ns, list(timeline.seen_ns)
     boot = _watched(boot, runs, received_ns, on_epoch=False)
     epoch = _watched(epoch, runs, received_ns, on_epoch=True)
     lag_ns = epoch.least_ns - boot.least_ns if boot and epoch else 0
@@ -264,8 +279,11 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
         if len(t_ns) and (known_ns is None or run.latest_ns + offset_ns > known_ns):
             known_ns = run.latest_ns + offset_ns
         received_ns = max(received_ns, run.reading.host_ns)
+        if not run.ambiguous:
+            seen_ns[run.on_epoch] = max(seen_ns[run.on_epoch], run.reading.host_ns)
         times.append(t_ns)
-    return Timeline(timeline.on_epoch, timeline.base_ns, (boot, epoch), known_ns, received_ns, timeline.reboots), times
+    seen, delays = (seen_ns[0], seen_ns[1]), (boot, epoch)
+    return replace(timeline, delays=delays, t_ns=known_ns, host_ns=received_ns, seen_ns=seen), times
 
 
 def _begun(timeline: Timeline, first: Run) -> Timeline:

@@ -33,13 +33,16 @@ __all__ = [
 
 MILLI = 1e-3
 MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1000, about 2048; parted at their mean
+# Our choices: armed, more than idle thrust, and two seconds for take-off. Live, an alert must not wait for an end.
+LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=2.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
 _TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in ("type", "autopilot"))
 _RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
 
-#: Messages with a gyro and an accelerometer, in order of preference after a profile's own; one count in m/s^2 and rad/s.
+#: Messages with a gyro and an accelerometer, in order of preference after a profile's own, and what one count is in
+#: m/s^2 and in rad/s.
 IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
     MessageId.HIGHRES_IMU: (1.0, 1.0),
     MessageId.RAW_IMU: None,  # without unit: the profile says
@@ -108,8 +111,7 @@ class Profile:
     actuator_span: tuple[float, float]
     rotor_speed: MessageId
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
-    # Our choices: armed, more than idle thrust, and two seconds for take-off. Live, an alert must not wait for an end.
-    gate: GateSpec = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=2.0)
+    gate: GateSpec = LIVE_GATE
 
     @property
     def messages(self) -> frozenset[int]:

@@ -202,8 +202,8 @@ class SampleDecoder:
     def _decided(self, state: SampleState, frame: Frame) -> tuple[SampleState, bool]:
         """A frame out of line: a change of clock, a reboot, or (True) a stray to leave out."""
         source, last = self._sources[frame.msgid], state.readings[frame.msgid]
-        counter: Counter = source.counter or Counter(1, 0)
-        raw = int(np.frombuffer(frame.payload, source.dtype)[source.time].astype(np.int64)[0])
+        counter = source.counter or Counter(1, 0)
+        raw = max(0, int(np.frombuffer(frame.payload, source.dtype)[source.time].astype(np.int64)[0]))
         if changed_clock(counter, last, raw):
             return replace(
                 state, readings={m: reading for m, reading in state.readings.items() if m != frame.msgid}
@@ -262,8 +262,8 @@ def _first_placed(
         return 0, known_ns
     for msgid, group in groups.items():
         if group.run is not None and len(group.record) and not group.run.on_epoch:
-            teller = next(k for k, frame in enumerate(frames) if frame[0] == msgid and frame[2] == AUTOPILOT)
-            first = sum(frame[0] == own[0][0] and frame[2] == AUTOPILOT for frame in frames[:teller])
+            known_from = next(k for k, frame in enumerate(frames) if frame[0] == msgid and frame[2] == AUTOPILOT)
+            first = sum(frame[0] == own[0][0] and frame[2] == AUTOPILOT for frame in frames[:known_from])
             since_ns = int(group.run.clock_ns[0]) - int(group.run.host_ns[0])
             return first, since_ns + own[first].host_ns if first < len(own) else None
     return len(own), None
