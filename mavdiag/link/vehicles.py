@@ -135,10 +135,17 @@ class VehicleStream:
 
 @dataclass(slots=True)
 class _Pending:
-    """A system id that has not entered: since when it is watched, its latest frames, and why it waits."""
+    """A system id that has not entered.
+
+    since_ns: since when it is watched [ns].
+    frames: its latest.
+    beat: its autopilot's latest heartbeat.
+    reason: why it waits though its autopilot was received.
+    """
 
     since_ns: int
     frames: list[Frame] = field(default_factory=list)
+    beat: Frame | None = None
     reason: str = ""
 
 
@@ -208,14 +215,13 @@ class LinkDecoder:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
         pending = self._pending.setdefault(sysid, _Pending(now_ns))
         pending.frames = [*pending.frames, *frames][-WAITING_FRAMES:]
-        beat = any(is_autopilot_heartbeat(frame) for frame in pending.frames)
-        imu = sum(frame.msgid in IMU_MESSAGES for frame in pending.frames)
-        watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or imu >= WAITING_FRAMES // 2
-        if not beat or (self._profile is None and not watched):
+        pending.beat = next(filter(is_autopilot_heartbeat, reversed(frames)), pending.beat)
+        watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) == WAITING_FRAMES
+        if pending.beat is None or (self._profile is None and not watched):
             return []
         profile = self._profile
         if profile is None:
-            recognised = detect_profile(pending.frames, self._profiles)
+            recognised = detect_profile([pending.beat, *pending.frames], self._profiles)
             profile, pending.reason = recognised.profile, recognised.reason
         if profile is None:
             return []

@@ -74,11 +74,11 @@ def read_dataflash(path: Path) -> Log:
     for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
     """
     data = read_bytes(path)
-    tables = read_tables(data, _WANTED)
+    tables, notes = read_tables(data, _WANTED)
     series = _series(tables)
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(tables, series))
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(tables, series), notes)
 
 
 def _series(tables: Mapping[str, Table]) -> tuple[Series, ...]:

@@ -34,6 +34,7 @@ PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
+HEADER_BYTES = 3  # of a message; nothing more at the end of a sound file
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
 
@@ -57,12 +58,19 @@ def _norm(values: FloatArray) -> FloatArray:
 
 def _pulses(output: FloatArray) -> FloatArray:
     """Outputs that carry a pulse, (pulse - 1000 us) / 1000 us and not below 0; the others are left out."""
-    return np.maximum(output[:, (output >= PWM_LEAST_US).any(axis=0)] - PWM_ZERO_US, 0.0) / PWM_SPAN_US
+    pulses = output[:, (output >= PWM_LEAST_US).any(axis=0)]
+    return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
 def _in_use(values: FloatArray) -> FloatArray:
     """Columns that are ever a number: PX4 fills unused outputs with NaN."""
-    return values[:, np.isfinite(values).any(axis=0)]
+    return _moving(values[:, np.isfinite(values).any(axis=0)])
+
+
+def _moving(values: FloatArray) -> FloatArray:
+    """The columns up to the last that ever changes: what stands still behind the motors is none (all, if none does)."""
+    moves = np.flatnonzero((values[1:] != values[:-1]).any(axis=0))
+    return values[:, : int(moves[-1]) + 1] if len(moves) else values
 
 
 def _turning(values: FloatArray) -> FloatArray:
@@ -76,7 +84,13 @@ def _armed(state: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """How one signal is made from one topic. delay: a field with the sample's time after the time stamp [us]."""
+    """How one signal is made from one topic.
+
+    signal: what is made.
+    topic, fields: of what.
+    convert: from the fields (n, k) to SI and FRD.
+    delay: a field with the sample's time after the time stamp [us].
+    """
 
     signal: Signal
     topic: str
@@ -129,41 +143,53 @@ def read_ulog(path: Path) -> Log:
     """
     data = read_bytes(path)
     try:
-        topics = _topics(data)
+        topics, notes = _topics(data)
         series = _series(topics)
     except InputError as error:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(topics, series))
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(topics, series), notes)
 
 
 class _Metered(io.BytesIO):
-    """A file in memory that may be read only so much: after some damage pyulog steps back for ever."""
+    """A file in memory that may be read only so much: after some damage pyulog steps back for ever.
+
+    cut_short: whether more was asked for at the end than there was: a message that the file has no room for.
+    """
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self._left = READ_ALLOWANCE * len(data)
+        self.cut_short = False
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As of any file. Raises InputError when the allowance is used up."""
         chunk = super().read(size)
+        if size is not None and len(chunk) < size and (chunk or size != HEADER_BYTES):
+            self.cut_short = True
         self._left -= len(chunk) + 1
         if self._left < 0:
             raise InputError("it is damaged beyond use; download the log again")
         return chunk
 
 
-def _topics(data: bytes) -> Mapping[str, ULog.Data]:
-    """The topics of interest by name. Raises InputError if pyulog cannot make sense of the file."""
+def _topics(data: bytes) -> tuple[Mapping[str, ULog.Data], tuple[str, ...]]:
+    """The topics of interest by name, and what is wrong with the file, one sentence each.
+
+    Raises InputError if pyulog cannot make sense of the file.
+    """
+    file = _Metered(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
             _check_definitions(ULog(_Metered(data), parse_header_only=True))
-            log = ULog(_Metered(data), list(_TOPICS))
+            log = ULog(file, list(_TOPICS))
     except _PARSER_ERRORS as error:
         raise InputError(f"it is damaged ({' '.join(str(error).split())}); download the log again") from error
     found: dict[str, ULog.Data] = {}
     for item in log.data_list:  # sorted by name and instance
         found.setdefault(item.name, item)
-    return found
+    damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
+    cut = "it ends within a message: the recording was cut off" if file.cut_short else ""
+    return found, tuple(note for note in (damaged, cut) if note)
 
 
 def _check_definitions(log: ULog) -> None:
