@@ -6,7 +6,7 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -28,7 +28,7 @@ from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
 from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
-from mavdiag.identify.validate import ResidualReport, examine_residual, validate
+from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output, load_baseline
 from mavdiag.telemetry import Axis, Log
@@ -166,7 +166,7 @@ def compare_models(
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
     published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
     if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
-        models[published.source] = replace(published.model, b=published.model.b * published.input_scale)
+        models[published.source] = published.scaled
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
@@ -196,7 +196,10 @@ def track(
     vehicle: Vehicle = None,
     as_json: AsJson = False,
 ) -> None:
-    """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?"""
+    """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?
+
+    The estimate has the bias of least squares under noise: look at its changes, not at its values.
+    """
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
@@ -230,8 +233,10 @@ def _pair(flight: FlightRates) -> tuple[list[Any], list[Any]]:
 
 
 def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
-    """Tests of y - y_sim over the longest stretch, which no border of two stretches disturbs."""
+    """Tests of the residual over the longest stretch: y - y_sim, or for LS the one-step error, which it makes white."""
     u, y = max(zip(flight.u, flight.y, strict=True), key=lambda pair: len(pair[0]))
+    if model.method is Method.LS:
+        return one_step_report(model, u, y)
     settled = round(SETTLE_S / model.dt)
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
