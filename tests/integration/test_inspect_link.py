@@ -48,5 +48,5 @@ def test_l10_an_unknown_vehicle_is_called_unknown_and_no_qdrone2(sysids: tuple[i
     assert log.profile == UNKNOWN
     assert "profile is not clear" in log.notes[0]
     assert len(log[Signal.ATTITUDE]) > 5
-    with pytest.raises(InputError, match="nothing arrived in 0.1 s"):
+    with pytest.raises(InputError, match=r"nothing arrived in 0\.1 s"):
         listen(address, 0.1, None)
