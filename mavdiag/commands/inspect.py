@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from mavdiag.commands.listen import listen
 from mavdiag.commands.options import AsJson, Vehicle
+from mavdiag.link.link import open_link
 from mavdiag.logs import read_log
 from mavdiag.telemetry import FloatArray, Log, Series
 from mavdiag.units import NS_PER_S
@@ -47,11 +47,15 @@ def inspect(
     source: Annotated[str, typer.Argument(metavar="ENDPOINT|LOG", help="udpin:127.0.0.1:14550, ... or a log file.")],
     duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
     vehicle: Vehicle = None,
+    profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
-    live = source.startswith(ADDRESSES)
-    log = listen(source, duration, vehicle) if live else read_log(Path(source), vehicle)
+    if source.startswith(ADDRESSES):
+        with open_link(source, vehicle, profile) as link:
+            log = link.record(duration)
+    else:
+        log = read_log(Path(source), vehicle, profile)
     found = [summary(series) for series in log.telemetry.series if len(series)]
     if as_json:
         signals = [asdict(one) for one in found]
@@ -79,7 +83,7 @@ def _print(log: Log, found: list[Summary]) -> None:
     console = Console(highlight=False)
     console.print(f"{log.name}: profile {log.profile}", soft_wrap=True, markup=False)
     for note in log.notes:
-        console.print(note, soft_wrap=True, markup=False)
+        console.print(f"note: {note}", soft_wrap=True, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("signal", "samples", "rate\nHz", "jitter\nms", "longest\ngap s"):
         table.add_column(heading, justify="left" if heading == "signal" else "right", no_wrap=True)

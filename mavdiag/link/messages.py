@@ -1,4 +1,4 @@
-"""The names that the project speaks MAVLink with: message ids and the enumerations of the common dialect.
+"""The names of MAVLink that the project uses: message ids and the enumerations of the common dialect.
 
 The numbers are those of the message definitions (common.xml, ardupilotmega.xml). Any other message of the dialect can
 be sent and received by its number.
@@ -54,6 +54,8 @@ class MessageId(IntEnum):
     ESC_STATUS = 291
     ACTUATOR_OUTPUT_STATUS = 375
     ESC_TELEMETRY_1_TO_4 = 11030
+    ESC_TELEMETRY_5_TO_8 = 11031
+    ESC_TELEMETRY_9_TO_12 = 11032
 
 
 class Severity(IntEnum):

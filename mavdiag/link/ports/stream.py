@@ -9,7 +9,7 @@ import serial
 
 from mavdiag.link.ports.base import RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
-__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "whole_frames"]
+__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "frame_length", "whole_frames"]
 
 CLIENTS_MAX = 16  # a TCP server turns further clients away
 
@@ -160,7 +160,7 @@ class Serial(_Reconnecting):
 
 
 class TcpServer(Endpoint):
-    """Accepts up to `CLIENTS_MAX` clients; sends to all, and hears all, cut between their frames.
+    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames.
 
     Raises LinkError if the port cannot be bound.
     """
@@ -245,14 +245,14 @@ def whole_frames(data: bytes) -> int:
     """
     start = 0
     while start < len(data):
-        length = _frame_length(data, start)
+        length = frame_length(data, start)
         if length is None or start + length > len(data):
             return start
         start += length
     return start
 
 
-def _frame_length(data: bytes, start: int) -> int | None:
+def frame_length(data: bytes, start: int) -> int | None:
     """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say.
 
     MAVLink serialization: v1 is 0xFE with 8 bytes around the payload, v2 is 0xFD with 12, and 13 more if signed.
@@ -274,7 +274,7 @@ def _tcp_socket(family: socket.AddressFamily) -> socket.socket:
 
 
 def _tune(link: socket.socket) -> None:
-    """Never wait, never hold small frames back, and notice a peer that died without a word."""
+    """Never wait, never hold small frames back, and notice a peer that is gone."""
     link.setblocking(False)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
