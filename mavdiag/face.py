@@ -158,12 +158,11 @@ def _logs(source: Source, vehicle: int | None) -> list[Log]:
     if isinstance(source, Log):
         return [source]
     path = Path(source)
+    found: Iterable[Path] = (path,)
     if path.is_dir():
         found = path.iterdir()
     elif not path.exists() and any(sign in str(path) for sign in "*?["):
         found = Path(path.anchor).glob(str(path.relative_to(path.anchor)))
-    else:
-        found = iter((path,))
     logs = [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in sorted(found) if not one.is_dir()]
     if not logs:
         raise InputError(f"{source}: no log there; name files, a folder, or a pattern like 'healthy/*.tlog'")

@@ -34,12 +34,10 @@ class MonitorSummary:
 
     name: str
     axis: Axis | None
-    maximum: float | None
+    maximum: float
     threshold: float
     unit: str
     alarms: int
-    judged_s: float = 0.0
-    not_judged: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +134,7 @@ def _summaries(watches: Sequence[Watch], peaks: Sequence[float], events: Sequenc
         alarms = sum(event.monitor == monitor.name for event in events)
         one = MonitorSummary(monitor.name, monitor.axis, peak, watch.threshold, monitor.unit, alarms)
         old = nearest.get(one.name)
-        if old is None or (one.maximum or 0.0) * old.threshold > (old.maximum or 0.0) * one.threshold:
+        if old is None or one.maximum * old.threshold > old.maximum * one.threshold:
             nearest[one.name] = one
     return tuple(nearest.values())
 

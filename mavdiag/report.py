@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from mavdiag.decision.events import Event
+from mavdiag.decision.alarm import Event
 from mavdiag.judging import LogVerdict, MonitorSummary
 
 __all__ = ["event_json", "verdict_json"]

@@ -1,5 +1,6 @@
 """`mavdiag inspect`: which rates, units and profile arrive?"""
 
+import itertools
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -65,7 +66,7 @@ def inspect(
 
 def summary(series: Series) -> Summary:
     """Figures of one signal, which has samples."""
-    steps: FloatArray = np.diff(np.unique(series.t_ns)) / NS_PER_S
+    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64) / NS_PER_S
     rate = jitter = gap = None
     if len(steps):
         rate, gap = float(len(steps) / steps.sum()), float(steps.max())
@@ -82,13 +83,15 @@ def _print(log: Log, found: list[Summary]) -> None:
     console = Console(highlight=False)
     console.print(f"{log.name}: profile {log.profile}", soft_wrap=True, markup=False)
     for note in log.notes:
-        console.print(note, soft_wrap=True, markup=False)
+        console.print(f"note: {note}", soft_wrap=True, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("signal", "samples", "rate\nHz", "jitter\nms", "longest\ngap s"):
         table.add_column(heading, justify="left" if heading == "signal" else "right", no_wrap=True)
     table.add_column("range of each column")
     for one in found:
-        ranges = "\n".join(_range(low, high) for low, high in zip(one.lowest, one.highest, strict=True))
+        each = (_range(low, high) for low, high in zip(one.lowest, one.highest, strict=True))
+        counted = ((text, len(list(some))) for text, some in itertools.groupby(each))
+        ranges = "\n".join(text if count == 1 else f"{text} ({count} columns)" for text, count in counted)
         timing = (_number(one.rate_hz, 1), _number(one.jitter_ms, 2), _number(one.longest_gap_s, 3))
         table.add_row(f"{one.signal}\n  {one.unit}".rstrip(), str(one.samples), *timing, ranges)
     console.print(table)

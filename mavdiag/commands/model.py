@@ -6,7 +6,7 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -28,12 +28,12 @@ from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
 from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
-from mavdiag.identify.validate import ResidualReport, examine_residual, validate
+from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output, load_baseline
 from mavdiag.telemetry import Axis, Log
 
-__all__ = ["app", "models_of"]
+__all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -140,15 +140,11 @@ def sweep(
         else:
             rows = _windows(train, other, axis, order, method)
     best = best_row(rows)
-    if as_json:
-        for row in rows:
-            typer.echo(json.dumps(_row_json(row, best=row is best)))
-        return
-    ranked = sorted((row for row in rows if row.model is not None), key=lambda row: -row.score)
-    shown = [best, *(row for row in ranked if row is not best)][:SHOWN_ROWS]
-    cells = [(*map(str, row.order), str(row.window or "-"), *_scores(row), "best" * (row is best)) for row in shown]
-    _table(("na", "nb", "nk", "window", "R_T2", "R_T2 val.", "YIC", ""), cells)
-    typer.echo(f"{len(rows) - len(ranked)} of {len(rows)} could not be identified")
+    ranked = sorted(rows, key=lambda row: (row is best, row.score), reverse=True)
+    known = [_sweep_line(row, best=row is best) for row in ranked if row.model is not None]
+    _print([_sweep_line(row, best=row is best) for row in rows] if as_json else known[:SHOWN_ROWS], as_json=as_json)
+    if not as_json:
+        typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
 
 
 @app.command(name="compare")
@@ -166,23 +162,17 @@ def compare_models(
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
     published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
     if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
-        models[published.source] = replace(published.model, b=published.model.b * published.input_scale)
+        models[published.source] = published.scaled
     measured = _response(flight, window)
     if measured is None:
         raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
-    cells = []
+    lines = []
     for name, model in models.items():
         gap, fitness = compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
-        if as_json:
-            typer.echo(json.dumps({"model": name, "r2t": fitness.r2t, **asdict(gap)}))
-        span = f"{gap.lowest_hz:.2f}..{gap.highest_hz:.2f}"
-        cells.append((name, f"{gap.gain_db:.2f}", f"{gap.phase_deg:.1f}", f"{fitness.r2t:.4f}", span))
-    if not as_json:
-        _table(("model", "gain error dB", "phase error °", "R_T2", "Hz compared"), cells)
-        if len(models) == 1:
-            typer.echo(
-                f"the thesis's models are of roll and pitch at 1 kHz; this is {axis} at {1 / flight.dt_s:.0f} Hz"
-            )
+        lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
+    _print(lines, as_json=as_json)
+    if len(models) == 1 and not as_json:
+        typer.echo(f"the thesis's models are of roll and pitch at 1 kHz; this is {axis} at {1 / flight.dt_s:.0f} Hz")
 
 
 @app.command()
@@ -196,20 +186,20 @@ def track(
     vehicle: Vehicle = None,
     as_json: AsJson = False,
 ) -> None:
-    """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?"""
+    """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?
+
+    The estimate has the bias of least squares under noise: look at its changes, not at its values.
+    """
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    cells = []
+    lines = []
     for t_s, model in _tracked(flight, every, memory, parse_order(order)):
-        known = model_figures(model)
-        pole = known.poles[0]
-        if as_json:
-            line = {"flight_s": round(t_s, 3), "stable": model.stable, "dc_gain": asdict(known.dc_gain)}
-            typer.echo(json.dumps({**line, "pole": asdict(pole)}))
-        cells.append((f"{t_s:.1f}", _text(known.dc_gain), _text(pole.natural_hz), _text(pole.damping)))
-    if not as_json:
-        _table(("flight s", "DC gain", "slowest pole Hz", "damping"), cells)
+        found = model_figures(model)
+        slowest = found.poles[0]
+        figures = {"dc_gain": found.dc_gain, "pole_hz": slowest.natural_hz, "damping": slowest.damping}
+        lines.append({"flight_s": round(t_s, 3), **figures, "stable": model.stable})
+    _print(lines, as_json=as_json)
 
 
 def _is_baseline(file: Path) -> bool:
@@ -230,8 +220,10 @@ def _pair(flight: FlightRates) -> tuple[list[Any], list[Any]]:
 
 
 def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
-    """Tests of y - y_sim over the longest stretch, which no border of two stretches disturbs."""
+    """Tests of the residual over the longest stretch: y - y_sim, or for LS the one-step error, which it makes white."""
     u, y = max(zip(flight.u, flight.y, strict=True), key=lambda pair: len(pair[0]))
+    if model.method is Method.LS:
+        return one_step_report(model, u, y)
     settled = round(SETTLE_S / model.dt)
     return examine_residual((y - model.simulate(u))[settled:], u[settled:])
 
@@ -308,29 +300,31 @@ def _text(figure: Figure) -> str:
     return f"{figure.value:.{places}f} ± {figure.standard_error:.{places}f}"
 
 
-def _scores(row: SweepRow) -> tuple[str, str, str]:
-    model = row.model
-    if model is None:
-        return "-", "-", "-"
-    held_out = "-" if math.isnan(row.r2t_validation) else f"{row.r2t_validation:.4f}"
-    return f"{model.r2t:.4f}", held_out, f"{model.yic:.2f}"
+def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
+    model, order = row.model, ",".join(map(str, row.order))
+    fitted = {"r2t": math.nan, "yic": math.nan} if model is None else {"r2t": model.r2t, "yic": model.yic}
+    figures = {**fitted, "r2t_validation": row.r2t_validation}
+    known = {name: value if math.isfinite(value) else None for name, value in figures.items()}
+    reason = {"refused": row.refused} if row.refused else {}
+    return {"order": order, "window": row.window or None, **known, "best": best, **reason}
 
 
-def _row_json(row: SweepRow, *, best: bool) -> dict[str, Any]:
-    model = row.model
-    figures = {} if model is None else {"r2t": model.r2t, "yic": model.yic if np.isfinite(model.yic) else None}
-    held_out = None if math.isnan(row.r2t_validation) else row.r2t_validation
-    about = {"order": row.order, "window": row.window or None, "refused": row.refused or None, "best": best}
-    return {**about, **figures, "r2t_validation": held_out}
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
+    """Lines of equal keys, as JSON objects or as a table."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(*row)
+    if as_json:
+        for line in lines:
+            typer.echo(json.dumps({key: asdict(one) if isinstance(one, Figure) else one for key, one in line.items()}))
+        return
+    table = Table(*(lines[0] if lines else ()), box=None, padding=(0, 2, 0, 0))
+    for line in lines:
+        table.add_row(*map(_cell, line.values()))
     Console(highlight=False).print(table)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool) or value is None:
+        return "yes" if value else "-"
+    return _text(value) if isinstance(value, Figure) else f"{value:.4f}" if isinstance(value, float) else str(value)

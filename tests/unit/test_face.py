@@ -14,6 +14,7 @@ from mavdiag import face
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError, UsageError
+from mavdiag.learning import LearnOptions
 from mavdiag.telemetry import Axis
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
@@ -27,7 +28,7 @@ def test_the_import_loads_nothing_heavy_and_every_name_is_there() -> None:
     for name in md.__all__:
         assert getattr(md, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'absent'"):
-        md.absent  # type: ignore[attr-defined]  # noqa: B018
+        md.absent  # noqa: B018
 
 
 def test_the_package_of_identification_can_be_called() -> None:
@@ -79,7 +80,7 @@ def test_sources_may_be_logs_files_folders_and_patterns(tmp_path: Path, monkeypa
 
 
 def test_an_airframe_may_be_a_value_a_name_or_a_file_and_gets_a_label() -> None:
-    options = face.LearnOptions()
+    options = LearnOptions()
     assert face.with_airframe(options, None, None) is options
     named = face.with_airframe(options, "qdrone2", "drone 7").airframe
     assert (named.name, named.layout is not None) == ("drone 7", True)
