@@ -18,7 +18,7 @@ from pathlib import Path
 
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs.tlog import read_tlog
-from mavdiag.storage import save_baseline
+from mavdiag.baseline import Baseline
 
 SETTLE_S = 4.0  # from the first message until the detector judges
 PEER = """
@@ -37,7 +37,7 @@ def baseline_file(folder: Path, rate: int) -> Path:
     subprocess.run(plant, check=True, capture_output=True)
     one = read_tlog(log)
     flight = Flight(one.name, one.sha256, one.profile, one.telemetry)
-    save_baseline(path, learn([flight], LearnOptions(), created="2026-01-01T00:00:00Z"))
+    learn([flight], LearnOptions(), created="2026-01-01T00:00:00Z").save(path)
     return path
 
 

@@ -1,41 +1,46 @@
-"""The baseline artefact `mavdiag.baseline/1`: what a healthy airframe looks like over one link, and at what price.
+"""The baseline artefact `mavdiag.baseline/2`: what a healthy airframe looks like over one link, and at what price.
 
-It is a contract: whose it is, over which link profile and rate, the models with their standard errors, the margins
-and thresholds with the flights that support them, where the data came from, and a digest over all of it. Loading
-validates everything and refuses what does not fit, naming the field; `check_link` refuses another link. Text in, text
-out: files are the business of `mavdiag.storage`.
+It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
+support it, where the data came from, and a digest over all of it. Loading validates everything and refuses what does
+not fit, naming the field; `check_link` refuses another link. `upgrade` reads schema /1.
 """
 
 import hashlib
 import json
-from typing import Annotated, Any, Literal, TypeAlias
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
-from mavdiag.errors import BaselineError, InputError
-from mavdiag.monitors.innovation import InnovationSpec
-from mavdiag.monitors.rotor_signature import RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.monitors.unbalance import UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevelSpec
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.errors import BaselineError, InputError, MavdiagError
+from mavdiag.monitors import by_name, monitor_of
 from mavdiag.rows.align import Grid
-from mavdiag.telemetry import Axis
+from mavdiag.rows.gate import GateSpec
+from mavdiag.storage import read_text, write_atomically
+from mavdiag.telemetry import Signal
 from mavdiag.thresholds.rule import Threshold
 
 __all__ = [
+    "RATE_TOLERANCE",
     "SCHEMA",
-    "Airframe",
-    "AxisModel",
     "Baseline",
-    "GateLimits",
     "Link",
     "MonitorEntry",
     "Provenance",
     "Refusal",
-    "Scope",
     "SourceLog",
-    "Spec",
     "Window",
     "check_link",
     "dump",
@@ -43,8 +48,9 @@ __all__ = [
     "sealed",
 ]
 
-SCHEMA = "mavdiag.baseline/1"
+SCHEMA = "mavdiag.baseline/2"
 RATE_TOLERANCE = 0.02  # of the sample time; beyond it the model's poles mean another system (our choice)
+REMEDY = "make the baseline anew with `mavdiag identify`"
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -54,38 +60,21 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-Scope: TypeAlias = Literal["airframe", "type"]
-
-
-class Airframe(_Part):
-    """Whose baseline it is: one airframe, or a type from several vehicles (T 4.4.1).
-
-    frame: rotor layout, a key of `mavdiag.airframe.layout.FRAMES`; None if it is not known.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    scope: Scope
-    frame: str | None
-
-
-class GateLimits(_Part):
-    """What counts as flying; see `mavdiag.rows.gate`."""
-
-    min_height_m: float | None
-    min_thrust: float | None
-    need_armed: bool
-    trim_start_s: NotNegative
-    trim_end_s: NotNegative
-
-
 class Link(_Part):
-    """How the streams reach us. dt_s: row period; max_gap_s: longest gap that is interpolated."""
+    """How the streams reach us.
+
+    profile: link profile or kind of log.
+    dt_s: row period [s].
+    grid: how rows are placed.
+    max_gap_s: longest gap that is interpolated [s].
+    gate: what counts as flying.
+    """
 
     profile: str
     dt_s: Positive
     grid: Grid
     max_gap_s: Positive
-    gate: GateLimits
+    gate: GateSpec
 
 
 class Window(_Part):
@@ -101,42 +90,33 @@ class Window(_Part):
         return self
 
 
-class AxisModel(_Part):
-    """ARX model of one axis, A(z^-1) y = B(z^-1) u, with its figures of merit.
-
-    a, b: coefficients from z^0 on; standard_errors: of a1..a_na, then of the nb estimated b.
-    """
-
-    axis: Axis
-    order: tuple[int, int, int]
-    method: Literal["ls", "sriv"]
-    a: tuple[float, ...]
-    b: tuple[float, ...]
-    standard_errors: tuple[float, ...]
-    r2t: float
-    nrmse_fit: float
-    mse: NotNegative
-    rows: Annotated[int, Field(gt=0)]
-
-    @model_validator(mode="after")
-    def _fits(self) -> "AxisModel":
-        na, nb, nk = self.order
-        if len(self.a) != na + 1 or self.a[0] != 1.0 or len(self.b) != nb + nk or len(self.standard_errors) != na + nb:
-            raise ValueError(f"coefficients do not fit the order {self.order}")
-        return self
-
-
-Spec = Annotated[
-    RunLengthSpec | InnovationSpec | RotorSignatureSpec | UnbalanceSpec | VibrationLevelSpec | RotorTrimSpec,
-    Field(discriminator="kind"),
-]
-
-
 class MonitorEntry(_Part):
-    """A monitor's healthy reference and the threshold that its statistic is held against."""
+    """A monitor's fit, of the type that its class names, and the threshold of its statistic."""
 
-    spec: Spec
+    spec: Any
     threshold: Threshold
+
+    @field_validator("spec", mode="before")
+    @classmethod
+    def _known(cls, value: Any) -> Any:
+        return _adapter(value["kind"]).validate_python(_checked(value)) if isinstance(value, dict) else value
+
+    @field_serializer("spec")
+    def _plain(self, value: Any) -> Any:
+        return _adapter(value.kind).dump_python(value, mode="json")
+
+
+@cache
+def _adapter(kind: str) -> TypeAdapter[Any]:
+    return TypeAdapter(by_name(kind).spec_type)
+
+
+def _checked(value: dict[str, Any]) -> dict[str, Any]:
+    """A stored fit with no field that its monitor does not know. Raises ValueError."""
+    known = {one.name for one in fields(by_name(value["kind"]).spec_type)}
+    if unknown := sorted(set(value) - known):
+        raise ValueError(f"{value['kind']} has no field {unknown[0]}")
+    return value
 
 
 class Refusal(_Part):
@@ -163,41 +143,74 @@ class Provenance(_Part):
 
 
 class Baseline(_Part):
-    """The whole artefact. healthy_hours: judged time of all logs."""
+    """The whole artefact.
+
+    airframe: whose it is.
+    link, window: how rows are made.
+    monitors: what judges by it.
+    not_judgeable: monitors that cannot work on such flights, and why.
+    healthy_hours: flight that it was learnt from.
+    provenance: where it came from.
+    digest: over all the rest.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
-    schema_id: Literal["mavdiag.baseline/1"] = Field(alias="schema", default="mavdiag.baseline/1")
+    schema_id: Literal["mavdiag.baseline/2"] = Field(alias="schema", default="mavdiag.baseline/2")
     airframe: Airframe
     link: Link
     window: Window
-    models: Annotated[tuple[AxisModel, ...], Field(min_length=1)]
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
     healthy_hours: NotNegative
     provenance: Provenance
     digest: str = ""
 
-    @model_validator(mode="after")
-    def _each_monitor_has_its_model(self) -> "Baseline":
-        axes = {model.axis for model in self.models}
-        for spec, _ in self.latency:
-            if spec.axis not in axes:
-                raise ValueError(f"monitor {spec.kind} needs a model of the {spec.axis} axis")
-        return self
-
     @property
-    def latency(self) -> tuple[tuple[RunLengthSpec, Threshold], ...]:
-        """The thesis's monitors, one an axis; each threshold is the FML [s] of its axis."""
-        found = ((entry.spec, entry.threshold) for entry in self.monitors)
-        return tuple((spec, threshold) for spec, threshold in found if isinstance(spec, RunLengthSpec))
+    def fsd(self) -> tuple[tuple[Any, Threshold], ...]:
+        """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
+        return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
 
-    def model_of(self, axis: Axis) -> AxisModel:
-        """The model of an axis. Raises BaselineError if there is none."""
-        for model in self.models:
-            if model.axis is axis:
-                return model
-        raise BaselineError(f"the baseline has no model of the {axis} axis")
+    def needs(self) -> frozenset[Signal]:
+        """The signals that its monitors rest on."""
+        return frozenset[Signal]().union(*(monitor_of(entry.spec).signals for entry in self.monitors))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Baseline":
+        """Read and validate a file. Raises BaselineError: what is wrong with it, in one line."""
+        try:
+            return parse(read_text(Path(path)))
+        except BaselineError as error:
+            raise BaselineError(f"{path}: {error}") from error
+        except InputError as error:
+            raise BaselineError(f"{error}; make a baseline with `mavdiag identify`") from error
+
+    def save(self, path: str | Path) -> None:
+        """Write it; the old file stays whole until the new one is. Raises UsageError if it cannot be written."""
+        write_atomically(Path(path), dump(self))
+
+    def __str__(self) -> str:
+        """What it says, for a person: whose it is, what judges at which price, and what does not."""
+        frame, link = self.airframe, self.link
+        layout = "unknown" if frame.layout is None else frame.layout.name
+        lines = [
+            f"airframe   {frame.name} ({frame.scope}), rotor layout {layout}",
+            f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid",
+            f"window     {self.window.samples} samples, order {self.window.order}",
+        ]
+        for entry in self.monitors:
+            monitor = monitor_of(entry.spec)
+            name = monitor.name if monitor.axis is None else f"{monitor.name} {monitor.axis}"
+            over = f" of |r| above {monitor.reference:.4f} rad/s" if monitor.reference else ""
+            lines.append(f"{name:<15} threshold {entry.threshold.value:.4g} {monitor.unit}{over}")
+            lines.append(f"{'':<15} {entry.threshold.statement()}")
+        lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
+        lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
+        return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}"])
+
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(entry.spec.kind for entry in self.monitors))
+        return f"<Baseline of {self.airframe.name}: {names}>"
 
 
 def sealed(baseline: Baseline) -> Baseline:
@@ -214,24 +227,41 @@ def parse(text: str) -> Baseline:
     """A baseline from its JSON text. Raises BaselineError, naming the field that does not fit."""
     try:
         raw = json.loads(text)
-    except ValueError as error:
-        raise BaselineError(
-            f"not a baseline: the text is no JSON ({error}); make one with `mavdiag identify`"
-        ) from error
+    except (ValueError, RecursionError) as error:
+        raise BaselineError(f"the text is no JSON ({error}); {REMEDY}") from error
     found = raw.get("schema") if isinstance(raw, dict) else None
+    if found == "mavdiag.baseline/1":
+        raise BaselineError(f"schema: {found!r} is the old one; bring it up with `mavdiag baseline upgrade`")
     if found != SCHEMA:
-        raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; make the baseline anew with `mavdiag identify`")
-    try:
-        baseline = Baseline.model_validate(raw)
-    except InputError as error:  # from a specification that checks itself
-        raise BaselineError(f"monitors: {error}; make the baseline anew with `mavdiag identify`") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"]) or "baseline"
-        raise BaselineError(f"{where}: {first['msg']}; make the baseline anew with `mavdiag identify`") from error
+        raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; {REMEDY}")
+    baseline = validated(raw)
     if baseline.digest != _digest(baseline):
         raise BaselineError("digest: the file was changed after it was made; make it anew with `mavdiag identify`")
     return baseline
+
+
+def validated(raw: dict[str, Any]) -> Baseline:
+    """A baseline from plain values, its digest unchecked. Raises BaselineError, naming the field."""
+    try:
+        return Baseline.model_validate(raw)
+    except (MavdiagError, KeyError) as error:  # from a specification that checks itself
+        raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"]) or "baseline"
+        raise BaselineError(f"{where}: {first['msg']}; {REMEDY}") from error
+
+
+def _place(raw: dict[str, Any]) -> str:
+    """Where a value refuses itself: the first entry that does, else the airframe."""
+    for number, entry in enumerate(raw.get("monitors") or ()):
+        try:
+            MonitorEntry.model_validate(entry)
+        except (MavdiagError, KeyError):
+            return f"monitors.{number}.spec"
+        except ValidationError:
+            continue
+    return "airframe"
 
 
 def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:

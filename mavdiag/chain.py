@@ -1,286 +1,277 @@
-"""The chain put together: telemetry in, findings out; the same for a log and for a live link.
+"""The chain put together: telemetry in, alarms and the decision out; the same for a log and for a live link.
 
-    telemetry ─ align ─ gate ─ rates ─▶ rows ─ monitors ─▶ readings ─ events ─▶ findings
+    telemetry ─ front ─▶ rows ─ monitors ─▶ statistics ─ decision ─▶ events, changes
 
-`Front` is the part up to the rows, which learning shares; `Chain` adds the monitors of a baseline. Both are values;
-all memory is in their states.
+One pass: each step is entered once for a chunk. All memory is in the state.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from mavdiag.baseline import Baseline, MonitorEntry
-from mavdiag.decision import diagnosis
-from mavdiag.decision import events as event_step
-from mavdiag.decision.diagnosis import DiagnosisSpec, DiagnosisState, Opinion, opinion_at
-from mavdiag.decision.events import Event, EventSpec, EventState, Reading
-from mavdiag.decision.fusion import Channel, FusionSpec
+from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import DecisionSpec, DecisionState, Event, SlotSpec
+from mavdiag.decision.diagnosis import Change, Diagnosis
+from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
-from mavdiag.identify import ArxModel, Method
-from mavdiag.monitors.base import Monitor, Rows
-from mavdiag.monitors.innovation import Innovation, InnovationSpec
-from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
-from mavdiag.monitors.run_length import RunLength, RunLengthSpec
-from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec
-from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
-from mavdiag.rows import align as align_step
-from mavdiag.rows import gate as gate_step
-from mavdiag.rows import rates as rate_step
-from mavdiag.rows.align import AlignSpec, AlignState
+from mavdiag.monitors import MONITORS, monitor_of
+from mavdiag.monitors.base import Monitor
+from mavdiag.rows.align import AlignSpec
 from mavdiag.rows.block import Block
-from mavdiag.rows.gate import GateSpec, GateState
-from mavdiag.rows.rates import RateSpec, RateState
-from mavdiag.telemetry import Axis, Telemetry
+from mavdiag.rows.front import Front, FrontState, Rows
+from mavdiag.rows.gate import Border
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Axis, Signal, Telemetry
 
-__all__ = [
-    "Chain",
-    "ChainState",
-    "Findings",
-    "Front",
-    "FrontState",
-    "Level",
-    "Watch",
-    "chain_of",
-    "front_of",
-    "model_of",
-]
+__all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Slot", "chain_of", "front_of"]
 
-
-FEATURES = ("vibration", "energy", "effort")
-NO_DIAGNOSIS = DiagnosisSpec(FusionSpec(()), {})
-CLEAR_S = 2.0  # how long a windowed statistic must have been back before its event is over (our choice)
+WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrontState:
-    """Memory of the alignment, the gate and the rate filters."""
+class Slot:
+    """A monitor and its threshold.
 
-    align: AlignState
-    gate: GateState
-    rates: RateState
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Front:
-    """Telemetry to uniform rows of flight and their rates."""
-
-    align: AlignSpec
-    gate: GateSpec
-    rates: RateSpec
-
-    def start(self) -> FrontState:
-        """Nothing heard yet."""
-        return FrontState(align_step.start(), gate_step.start(), rate_step.start(self.rates))
-
-    def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows, ...]]:
-        """Take in a chunk of telemetry; return the rows that it completes."""
-        aligned, blocks = align_step.align(self.align, state.align, telemetry)
-        gated, blocks = gate_step.gate(self.gate, state.gate, blocks)
-        return self._rows(aligned, gated, state.rates, blocks)
-
-    def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows, ...]]:
-        """The end of a log: the rows that were waiting."""
-        aligned, blocks = align_step.finish(self.align, state.align)
-        gated, blocks = gate_step.gate(self.gate, state.gate, blocks)
-        gated, rest = gate_step.finish(self.gate, gated)
-        return self._rows(aligned, gated, state.rates, (*blocks, *rest))
-
-    def _rows(
-        self, aligned: AlignState, gated: GateState, filtered: RateState, blocks: tuple[Block, ...]
-    ) -> tuple[FrontState, tuple[Rows, ...]]:
-        out: list[Rows] = []
-        for block in blocks:
-            filtered, rate_block = rate_step.rates(self.rates, filtered, block)
-            out.append(Rows(block, rate_block))
-        return FrontState(aligned, gated, filtered), tuple(out)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Watch:
-    """A monitor and the threshold it is held against.
-
-    reference: what its signal is held against, if anything (for the thesis rule the margin [rad/s]); clear_s: how
-    long the statistic must have been back before an event closes. decides: its event is a fault by itself; else it is
-    a suspicion that others must confirm.
+    decides: its alarm is a fault by itself; else it is a suspicion.
     """
 
-    monitor: Monitor[Any]
+    monitor: Monitor[Any, Any]
     threshold: float
-    reference: float = 0.0
-    clear_s: float = 0.0
-    decides: bool = True
+    decides: bool
 
     @property
-    def events(self) -> EventSpec:
-        """When an event of this monitor opens and closes."""
-        return EventSpec(self.monitor.name, self.monitor.axis, self.threshold, self.clear_s)
+    def key(self) -> tuple[str, Axis | None]:
+        """Name and axis of the monitor."""
+        return self.monitor.name, self.monitor.axis
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
-    """The latest reading of one watch, for a display or a telemetry twin; fields as in `Reading` and `Watch`."""
+class Account:
+    """How long a slot judged, and why it did not.
+
+    flight_s: flight time so far.
+    judged_s: time that its valid values stand for.
+    peak: highest valid statistic; None if there was none.
+    missing: flight time in which it did not judge and a signal was unknown, by signal [s].
+    """
+
+    flight_s: float = 0.0
+    judged_s: float = 0.0
+    peak: float | None = None
+    missing: Mapping[Signal, float] = field(default_factory=dict)
+
+    @property
+    def not_judged(self) -> Mapping[str, float]:
+        """Reasons with their seconds: a signal that is unknown, or waiting for unbroken flight."""
+        found = {f"no {signal.replace('_', ' ')}": span_s for signal, span_s in self.missing.items()}
+        waited_s = self.flight_s - self.judged_s - sum(found.values())
+        return {**found, WAITING: waited_s} if waited_s > 0 else found
+
+    def add(self, found: Statistic, flight_s: float, missing: Mapping[Signal, float]) -> "Account":
+        """The account after the next rows."""
+        lacking = dict(self.missing)
+        idle_s = max(0.0, flight_s - found.judged_s)
+        for signal, span_s in missing.items():
+            lacking[signal] = lacking.get(signal, 0.0) + min(span_s, idle_s)
+            idle_s -= min(span_s, idle_s)
+        highest = float(found.value[found.valid].max()) if found.valid.any() else None
+        peak = highest if self.peak is None else self.peak if highest is None else max(self.peak, highest)
+        return Account(self.flight_s + flight_s, self.judged_s + found.judged_s, peak, lacking)
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """The latest value of one slot, for a display; fields as in `Slot` and `Statistic`."""
 
     monitor: str
     axis: Axis | None
+    unit: str
     statistic: float
     threshold: float
     signal: float
     reference: float
+    valid: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class ChainOutput:
     """What one chunk brought.
 
-    judged_s: new judged time. now_ns: vehicle time of the latest row, None if none came. peaks: one figure a watch, the
-    highest judged statistic, 0 if none was.
+    events: alarms of monitors that opened (end_ns None) or closed.
+    changes: of the decision.
+    gauges: the latest value of every slot that has one.
+    flight_s: new flight time.
+    judged_s: new flight time in which a deciding slot judged.
+    now_ns: vehicle time of the latest row; None if none came.
     """
 
     events: tuple[Event, ...] = ()
-    levels: tuple[Level, ...] = ()
+    changes: tuple[Change, ...] = ()
+    gauges: tuple[Gauge, ...] = ()
+    flight_s: float = 0.0
     judged_s: float = 0.0
     now_ns: int | None = None
-    peaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainState:
-    """Memory of the front, of every watch, and of what they add up to."""
+    """Memory of the front, the monitors and the decision.
+
+    accounts: of each slot, since the start.
+    judged_s: flight time in which a deciding slot judged, since the start.
+    now_ns: vehicle time of the latest row.
+    """
 
     front: FrontState
     monitors: tuple[Any, ...]
-    events: tuple[EventState, ...]
-    diagnosis: DiagnosisState
+    decision: DecisionState
+    accounts: tuple[Account, ...]
+    judged_s: float = 0.0
+    now_ns: int | None = None
 
     @property
-    def opinion(self) -> Opinion | None:
-        """What is held of the fault that is declared now; None while there is none."""
-        return opinion_at(self.diagnosis, None)
+    def diagnosis(self) -> Diagnosis:
+        """What is held of the vehicle now."""
+        return self.decision.diagnosis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Front, watches and diagnosis: the whole way from telemetry to events.
-
-    diagnosis: its channels are the deciding watches, in their order; without one, events name no rotor.
-    """
+    """Front, slots and decision: the whole way from telemetry to alarms."""
 
     front: Front
-    watches: tuple[Watch, ...]
-    diagnosis: DiagnosisSpec = NO_DIAGNOSIS
+    slots: tuple[Slot, ...]
+    decision: DecisionSpec
 
     def start(self) -> ChainState:
-        """Nothing heard yet."""
-        monitors = tuple(watch.monitor.start() for watch in self.watches)
-        events = tuple(event_step.start() for _ in self.watches)
-        return ChainState(self.front.start(), monitors, events, diagnosis.start(self.diagnosis))
+        """Nothing seen yet."""
+        accounts = (Account(),) * len(self.slots)
+        return ChainState(self.front.start(), self._fresh(), self.decision.start(), accounts)
 
-    def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, Findings]:
+    def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
-        front, rows = self.front.step(state.front, telemetry)
-        return self._watch(state, front, rows)
+        front, parts = self.front.step(state.front, telemetry)
+        return self._judge(replace(state, front=front), parts)
 
-    def finish(self, state: ChainState) -> Findings:
-        """The end of a log: the last rows, and events that are still open with their highest figures."""
-        front, rows = self.front.finish(state.front)
-        state, findings = self._watch(state, front, rows)
-        still_open = tuple(
-            diagnosis.named(state.diagnosis, event) for one in state.events for event in event_step.finish(one)
+    def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+        """The link was lost or the watch ends: close what is open. Rows may go on later."""
+        return self._judge(state, () if state.now_ns is None else (Border(state.now_ns),))
+
+    def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+        """The end of a log: the last rows, and events that are still open, with end_ns None."""
+        front, parts = self.front.finish(state.front)
+        state, output = self._judge(replace(state, front=front), parts)
+        if state.now_ns is None:
+            return state, output
+        decision, events, changes = self.decision.step(state.decision, (), state.now_ns, final=True)
+        events = (*output.events, *events, *self.decision.open_events(decision))
+        state = replace(state, decision=decision)
+        return state, replace(output, events=events, changes=(*output.changes, *changes))
+
+    def _fresh(self) -> tuple[Any, ...]:
+        return tuple(slot.monitor.start() for slot in self.slots)
+
+    def _judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> tuple[ChainState, ChainOutput]:
+        output = ChainOutput()
+        for part in parts:
+            if isinstance(part, Border):
+                decision, events, changes = self.decision.end_flight(state.decision, part.t_ns)
+                state = replace(state, monitors=self._fresh(), decision=decision)
+            elif len(part.block) == 0:
+                continue
+            else:
+                state, events, changes, output = self._rows(state, part, output)
+            output = replace(output, events=(*output.events, *events), changes=(*output.changes, *changes))
+        return state, output
+
+    def _rows(
+        self, state: ChainState, rows: Rows, output: ChainOutput
+    ) -> tuple[ChainState, tuple[Event, ...], tuple[Change, ...], ChainOutput]:
+        monitors, found = [], []
+        for slot, memory in zip(self.slots, state.monitors, strict=True):
+            after, statistic = slot.monitor.step(memory, rows)
+            monitors.append(after)
+            found.append(statistic)
+        now_ns = int(rows.block.t_ns[-1])
+        decision, events, changes = self.decision.step(state.decision, found, now_ns)
+        flight_s = len(rows.block) * rows.block.dt_s
+        judged_s = max((one.judged_s for slot, one in zip(self.slots, found, strict=True) if slot.decides), default=0.0)
+        accounts = self._accounts(state.accounts, found, rows.block, flight_s)
+        state = ChainState(state.front, tuple(monitors), decision, accounts, state.judged_s + judged_s, now_ns)
+        output = replace(
+            output,
+            gauges=tuple(_gauge(slot, one) for slot, one in zip(self.slots, found, strict=True) if len(one)),
+            flight_s=output.flight_s + flight_s,
+            judged_s=output.judged_s + judged_s,
+            now_ns=now_ns,
         )
-        return replace(findings, events=(*findings.events, *still_open))
+        return state, events, changes, output
 
-    def _watch(self, state: ChainState, front: FrontState, all_rows: tuple[Rows, ...]) -> tuple[ChainState, Findings]:
-        monitors, event_states, opinions = list(state.monitors), list(state.events), state.diagnosis
-        channels = {channel.monitor for channel in self.diagnosis.fusion.channels}
-        found: list[Event] = []
-        levels: list[Level] = []
-        judged, peaks = 0, [0.0] * len(self.watches)
-        now_ns: int | None = None
-        for rows in all_rows:
-            levels.clear()
-            readings: list[Reading] = []
-            fresh: list[Event] = []
-            for i, watch in enumerate(self.watches):
-                monitors[i], reading = watch.monitor.step(monitors[i], rows)
-                event_states[i], seen = event_step.events(watch.events, event_states[i], reading)
-                fresh += seen
-                if watch.decides and watch.monitor.name in channels:
-                    readings.append(reading)
-                peaks[i] = max(peaks[i], float(reading.statistic.max(where=reading.valid, initial=0.0)))
-                if len(reading.t_ns):
-                    levels.append(_level(watch, reading))
-            opinions = diagnosis.step(self.diagnosis, opinions, readings)
-            found += [diagnosis.named(opinions, event) for event in fresh]
-            judged += int(rows.rates.valid.sum())
-            now_ns = int(rows.block.t_ns[-1])
-        state = ChainState(front, tuple(monitors), tuple(event_states), opinions)
-        return state, Findings(tuple(found), tuple(levels), judged * self.front.align.dt_s, now_ns, tuple(peaks))
+    def _accounts(
+        self, accounts: Sequence[Account], found: Sequence[Statistic], block: Block, flight_s: float
+    ) -> tuple[Account, ...]:
+        lacking: dict[Signal, float] = {}
+        out = []
+        for slot, account, one in zip(self.slots, accounts, found, strict=True):
+            missing: dict[Signal, float] = {}
+            for signal in sorted(slot.monitor.signals) if not one.valid.any() else ():
+                if signal not in lacking:
+                    lacking[signal] = float(np.count_nonzero(~block.known(signal))) * block.dt_s
+                if lacking[signal]:
+                    missing[signal] = lacking[signal]
+            out.append(account.add(one, flight_s, missing))
+        return tuple(out)
 
 
-def _level(watch: Watch, reading: Reading) -> Level:
-    monitor, statistic, signal = watch.monitor, float(reading.statistic[-1]), float(reading.signal[-1])
-    return Level(monitor.name, monitor.axis, statistic, watch.threshold, signal, watch.reference)
+def _gauge(slot: Slot, found: Statistic) -> Gauge:
+    monitor = slot.monitor
+    return Gauge(
+        monitor=monitor.name,
+        axis=monitor.axis,
+        unit=monitor.unit,
+        statistic=float(found.value[-1]),
+        threshold=slot.threshold,
+        signal=float(found.signal[-1]),
+        reference=monitor.reference,
+        valid=bool(found.valid[-1]),
+    )
 
 
 def front_of(baseline: Baseline) -> Front:
     """The front that a baseline was made with."""
-    link, limits = baseline.link, baseline.link.gate
-    return Front(
-        AlignSpec(link.dt_s, link.grid, link.max_gap_s),
-        GateSpec(limits.min_height_m, limits.min_thrust, limits.need_armed, limits.trim_start_s, limits.trim_end_s),
-        RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order),
-    )
+    link = baseline.link
+    rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
+    return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates)
 
 
 def chain_of(baseline: Baseline) -> Chain:
-    """The chain that judges by a baseline. Raises BaselineError if it does not hold together.
+    """The chain that judges by a baseline.
 
-    The thesis's rule decides only where it stands alone: it alarms on trajectories that its flights did not have.
+    A monitor that does not decide (the thesis's rule, which alarms on trajectories that its flights did not have) does
+    so where it stands alone.
     """
-    watches = tuple(_watch_of(baseline, entry) for entry in baseline.monitors)
-    others = [watch for watch in watches if watch.monitor.name != "latency"]
-    if not others:
-        return Chain(front_of(baseline), watches)
-    watches = tuple(replace(watch, decides=watch in others) for watch in watches)
-    names = [watch.monitor.name for watch in others]
-    unbalance = any(watch.monitor.name == "vibration" and watch.monitor.unit == "g mm" for watch in others)
-    feature = {name: names.index(name) for name in FEATURES if name in names and (name != "vibration" or unbalance)}
-    half_window_s = baseline.window.samples // 2 * baseline.link.dt_s  # readings of filtered rates are known that late
-    channels = tuple(
-        Channel(
-            watch.monitor.name,
-            watch.monitor.unit,
-            watch.threshold,
-            half_window_s if watch.monitor.name == "innovation" else 0.0,
-        )
-        for watch in others
+    order = [monitor.name for monitor in MONITORS]
+    entries = sorted(baseline.monitors, key=lambda entry: order.index(entry.spec.kind))
+    monitors = [monitor_of(entry.spec) for entry in entries]
+    alone = not any(monitor.decides for monitor in monitors)
+    slots = tuple(
+        Slot(monitor, entry.threshold.value, monitor.decides or alone)
+        for monitor, entry in zip(monitors, entries, strict=True)
     )
-    known = known_fault_types() if "energy" in feature else ()
-    return Chain(front_of(baseline), watches, DiagnosisSpec(FusionSpec(channels), feature, known))
-
-
-def _watch_of(baseline: Baseline, entry: MonitorEntry) -> Watch:
-    limit = entry.threshold.value
-    match entry.spec:
-        case RunLengthSpec() as spec:
-            monitor = RunLength(model_of(baseline, spec.axis), spec.axis, spec.margin_rad_s)
-            return Watch(monitor, limit, spec.margin_rad_s)
-        case InnovationSpec() as spec:
-            return Watch(Innovation(spec), limit, clear_s=CLEAR_S)
-        case RotorSignatureSpec() as spec:
-            return Watch(RotorSignature(spec), limit, clear_s=CLEAR_S)
-        case UnbalanceSpec() as spec:
-            return Watch(Unbalance(spec), limit, clear_s=CLEAR_S)
-        case RotorTrimSpec() as spec:
-            return Watch(RotorTrim(spec), limit, clear_s=CLEAR_S)
-        case VibrationLevelSpec() as spec:
-            return Watch(VibrationLevel(spec), limit, clear_s=CLEAR_S)
-
-
-def model_of(baseline: Baseline, axis: Axis) -> ArxModel:
-    """The identified model of one axis, ready to simulate. Raises BaselineError if the baseline has none."""
-    found = baseline.model_of(axis)
-    return ArxModel(np.array(found.a), np.array(found.b), baseline.link.dt_s, found.order, Method(found.method))
+    specs = tuple(
+        SlotSpec(
+            EventSpec(*slot.key, slot.threshold, slot.monitor.clear_s),
+            slot.monitor.unit,
+            slot.decides,
+            slot.monitor.delay_s,
+            slot.monitor.evidence,
+            slot.monitor.feature,
+        )
+        for slot in slots
+    )
+    features = {spec.feature for spec in specs}
+    known = known_fault_types(baseline.airframe.classifier) if "motion" in features else ()
+    return Chain(front_of(baseline), slots, DecisionSpec(specs, known))

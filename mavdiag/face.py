@@ -23,7 +23,6 @@ from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for
 from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
 from mavdiag.rows.gate import Border
-from mavdiag.storage import load_baseline
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
 __all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "with_airframe"]
@@ -170,7 +169,7 @@ def _logs(source: Source, vehicle: int | None) -> list[Log]:
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:
-    return baseline if isinstance(baseline, Baseline) else load_baseline(Path(baseline))
+    return baseline if isinstance(baseline, Baseline) else Baseline.load(Path(baseline))
 
 
 def _in_order(output: ChainOutput) -> tuple[Event | Change, ...]:

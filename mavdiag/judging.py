@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-
-import numpy as np
+from typing import Any
 
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.chain import Chain, Watch, chain_of
-from mavdiag.decision.events import Event
-from mavdiag.errors import BaselineError, InputError
-from mavdiag.logs import Log
+from mavdiag.chain import Account, Chain, ChainState, chain_of
+from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.rows.align import measure_grid
-from mavdiag.telemetry import NS_PER_S, Axis, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, Log
+from mavdiag.units import NS_PER_S
 
-__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "between", "exit_code", "judge"]
+__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "exit_code", "judge"]
 
-MIN_JUDGED_S = 1.0  # less airborne flight than this supports no verdict (our choice)
+MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
 
 
 class Verdict(StrEnum):
@@ -30,14 +29,26 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MonitorSummary:
-    """One monitor over the whole log, on the axis where it came nearest to its threshold."""
+    """One monitor over the whole log, on the axis where it came nearest to its threshold.
+
+    name, axis: whose it is.
+    maximum: highest judged statistic; None if it never judged.
+    threshold, unit: of the statistic.
+    alarms: its events on all axes.
+    judged_s: time that it judged [s].
+    not_judged: why it did not judge for the longest; None if it judged all the flight but its warm-up.
+    decides: its alarm is a fault by itself.
+    """
 
     name: str
     axis: Axis | None
-    maximum: float
+    maximum: float | None
     threshold: float
     unit: str
     alarms: int
+    judged_s: float = 0.0
+    not_judged: str | None = None
+    decides: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +62,12 @@ class JudgedEvent:
 
 @dataclass(frozen=True, slots=True)
 class LogVerdict:
-    """The verdict on one log. judged_s: airborne time that was judged; rate_hz: of the gyro stream."""
+    """The verdict on one log.
+
+    judged_s: flight time in which a deciding monitor judged.
+    rate_hz: of the gyro stream.
+    changes: the decision's log.
+    """
 
     log: str
     verdict: Verdict
@@ -61,36 +77,47 @@ class LogVerdict:
     rate_hz: float = 0.0
     monitors: tuple[MonitorSummary, ...] = ()
     events: tuple[JudgedEvent, ...] = ()
+    changes: tuple[Change, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.log}: {self.verdict.value}, {self.reason}"
+
+    def to_frame(self) -> Any:
+        """The events as a pandas DataFrame, one row each. Raises UsageError if pandas is not installed."""
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise UsageError("a data frame needs pandas; install it with `pip install pandas`") from error
+        names = ("monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity", "confidence")
+        rows = [
+            {"t_s": one.t_s, "end_s": one.end_s, **{name: getattr(one.event, name) for name in names}}
+            for one in self.events
+        ]
+        return pd.DataFrame(rows, columns=["t_s", "end_s", *names])
 
 
 def judge(log: Log, baseline: Baseline) -> LogVerdict:
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason."""
     try:
-        log.telemetry.need(Signal.ATTITUDE_SETPOINT)
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, str(error), profile=log.profile)
     try:
         check_link(baseline, profile=log.profile, dt_s=dt_s)
     except BaselineError as error:
-        return LogVerdict(
-            log.name, Verdict.NOT_JUDGEABLE, f"another link: {error}", profile=log.profile, rate_hz=1 / dt_s
-        )
-    return _run(log, chain_of(baseline), 1 / dt_s)
-
-
-def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
-    """The part of a log between two times of the vehicle's clock [s]. Raises InputError if it is empty."""
-    if from_s is None and to_s is None:
-        return telemetry
-    low = np.iinfo(np.int64).min if from_s is None else round(from_s * NS_PER_S)
-    high = np.iinfo(np.int64).max if to_s is None else round(to_s * NS_PER_S)
-    kept = tuple(_cut(series, int(low), int(high)) for series in telemetry.series)
-    if not any(len(series) for series in kept):
-        times = [int(t) for series in telemetry.series if len(series) for t in (series.t_ns.min(), series.t_ns.max())]
-        span = f"it goes from {min(times) / NS_PER_S:.1f} to {max(times) / NS_PER_S:.1f} s" if times else "it is empty"
-        raise InputError(f"no data between {from_s} s and {to_s} s of the vehicle's clock; {span}")
-    return Telemetry(kept)
+        reason = f"another link: {error}"
+        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
+    chain = chain_of(baseline)
+    state, first = chain.step(chain.start(), log.telemetry)
+    state, last = chain.finish(state)
+    events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
+    monitors = _summaries(chain, state, events)
+    verdict, reason = _verdict(monitors, state, events, changes)
+    reason = "; ".join((reason, *log.notes))
+    judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
+    return LogVerdict(
+        log.name, verdict, reason, state.judged_s, log.profile, 1 / dt_s, monitors, judged, tuple(changes)
+    )
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
@@ -99,58 +126,86 @@ def exit_code(verdicts: Sequence[Verdict]) -> int:
     return next((code for verdict, code in order if verdict in verdicts), 0)
 
 
-def _cut(series: Series, low_ns: int, high_ns: int) -> Series:
-    keep = (series.t_ns >= low_ns) & (series.t_ns < high_ns)
-    return Series(series.signal, series.t_ns[keep], series.host_ns[keep], series.values[keep])
+def _verdict(
+    monitors: Sequence[MonitorSummary], state: ChainState, events: Sequence[Event], changes: Sequence[Change]
+) -> tuple[Verdict, str]:
+    """The verdict and its reason: a fault if the decision declared one, healthy only if a deciding monitor judged."""
+    faults = [change for change in changes if change.stage is Stage.FAULT]
+    if faults:
+        return Verdict.FAULT, _fault_reason(faults, events)
+    deciding = [one for one in monitors if one.decides]
+    spoken = [one for one in deciding if one.judged_s >= MIN_JUDGED_S]
+    others = ", ".join(f"{one.name} ({one.not_judged})" for one in deciding if one not in spoken)
+    if not spoken:
+        flight_s = max((account.flight_s for account in state.accounts), default=0.0)
+        if flight_s == 0:
+            return Verdict.NOT_JUDGEABLE, "never airborne: no armed flight with thrust"
+        return Verdict.NOT_JUDGEABLE, f"{flight_s:.1f} s of flight, but no deciding monitor judged: {others}"
+    suspected = any(change.stage is Stage.SUSPECTED for change in changes)
+    basis = ", ".join(f"{one.name} {one.judged_s:.1f} s" for one in spoken)
+    kind = f"only suspected ({len(events)} alarms)" if events else "only suspected" if suspected else "no alarm"
+    return Verdict.HEALTHY, f"{kind}; judged by {basis}" + (f"; not judged by {others}" if others else "")
 
 
-def _run(log: Log, chain: Chain, rate_hz: float) -> LogVerdict:
-    state, first = chain.step(chain.start(), log.telemetry)
-    last = chain.finish(state)
-    judged_s = first.judged_s + last.judged_s
-    if judged_s < MIN_JUDGED_S:
-        reason = "never airborne: no armed flight with thrust" if judged_s == 0 else f"only {judged_s:.1f} s airborne"
-        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, judged_s, log.profile, rate_hz)
-    events = _merged((*first.events, *last.events))
-    peaks = tuple(max(a, b) for a, b in zip(first.peaks, last.peaks, strict=True))
-    monitors = _summaries(chain.watches, peaks, events)
-    judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
-    deciding = {(watch.monitor.name, watch.monitor.axis) for watch in chain.watches if watch.decides}
-    faults = [event for event in events if (event.monitor, event.axis) in deciding]
-    verdict = Verdict.FAULT if faults else Verdict.HEALTHY
-    return LogVerdict(log.name, verdict, _reason(faults, events), judged_s, log.profile, rate_hz, monitors, judged)
+def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
+    """The highest evidence, and the rotor and type that were named last."""
+    worst = max(faults, key=lambda one: one.statistic / one.threshold if one.threshold else 0.0)
+    highest = max(
+        (event for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis)),
+        key=lambda event: event.statistic,
+        default=None,
+    )
+    statistic = worst.statistic if highest is None else highest.statistic
+    places = 3
+    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
+        places += 1
+    rotor = next((f"; rotor {one.rotor}" for one in reversed(faults) if one.rotor is not None), "")
+    kind = next((f"; {one.fault_type}" for one in reversed(faults) if one.fault_type is not None), "")
+    axis = f" on {worst.axis}" if worst.axis is not None else ""
+    count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
+    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
+    return f"{evidence}{rotor}{kind}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:
-    """Each event once, as it was last told, in order of time."""
+    """Each event once, as it was last known, in order of time."""
     latest = {(event.monitor, event.axis, event.start_ns): event for event in found}
     return tuple(sorted(latest.values(), key=lambda event: (event.start_ns, event.monitor, str(event.axis))))
 
 
-def _summaries(watches: Sequence[Watch], peaks: Sequence[float], events: Sequence[Event]) -> tuple[MonitorSummary, ...]:
+def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tuple[MonitorSummary, ...]:
     nearest: dict[str, MonitorSummary] = {}
-    for watch, peak in zip(watches, peaks, strict=True):
-        monitor = watch.monitor
-        alarms = sum(event.monitor == monitor.name for event in events)
-        one = MonitorSummary(monitor.name, monitor.axis, peak, watch.threshold, monitor.unit, alarms)
-        old = nearest.get(one.name)
-        if old is None or one.maximum * old.threshold > old.maximum * one.threshold:
-            nearest[one.name] = one
+    for slot, account in zip(chain.slots, state.accounts, strict=True):
+        alarms = sum(event.monitor == slot.monitor.name for event in events)
+        name, axis = slot.key
+        one = MonitorSummary(
+            name,
+            axis,
+            account.peak,
+            slot.threshold,
+            slot.monitor.unit,
+            alarms,
+            account.judged_s,
+            _why_not(account),
+            slot.decides,
+        )
+        old = nearest.get(name)
+        if old is None or (one.maximum or 0.0) / one.threshold > (old.maximum or 0.0) / old.threshold:
+            nearest[name] = one
     return tuple(nearest.values())
+
+
+def _why_not(account: Account) -> str | None:
+    """The reason that cost most time; a monitor that judged and only warmed up has none."""
+    reasons = (
+        account.not_judged
+        if account.judged_s == 0
+        else {f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}
+    )
+    if not reasons or max(reasons.values()) < MIN_JUDGED_S:
+        return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
+    return max(reasons, key=lambda reason: reasons[reason])
 
 
 def _seconds(t_ns: int | None) -> float | None:
     return None if t_ns is None else t_ns / NS_PER_S
-
-
-def _reason(faults: Sequence[Event], events: Sequence[Event]) -> str:
-    """The worst evidence in one line; a suspicion that nothing confirmed is said to be one."""
-    if not events:
-        return "no monitor above its threshold"
-    worst = max(faults or events, key=lambda event: event.statistic / event.threshold if event.threshold else 0.0)
-    axis = f" on {worst.axis}" if worst.axis is not None else ""
-    rotor = f"; rotor {worst.rotor}" if worst.rotor is not None else ""
-    kind = f"; {worst.fault_type}" if worst.fault_type is not None else ""
-    count = f"{len(faults or events)} alarm{'s' if len(faults or events) > 1 else ''}"
-    evidence = f"{worst.monitor}{axis} {worst.statistic:.3g} > {worst.threshold:.3g}{rotor}{kind}, {count}"
-    return evidence if faults else f"only suspected: {evidence}"

@@ -3,14 +3,10 @@
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from mavdiag.errors import BaselineError, InputError, UsageError
+from mavdiag.errors import InputError, UsageError
 
-if TYPE_CHECKING:
-    from mavdiag.baseline import Baseline
-
-__all__ = ["check_output", "load_baseline", "read_text", "save_baseline", "write_atomically"]
+__all__ = ["check_output", "read_text", "write_atomically"]
 
 
 def read_text(path: Path) -> str:
@@ -58,22 +54,3 @@ def write_atomically(path: Path, text: str) -> None:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
         raise UsageError(f"{path}: cannot be written ({error.strerror or error}); name another file") from error
-
-
-def load_baseline(path: Path) -> "Baseline":
-    """Read and validate a baseline. Raises BaselineError: what is wrong with the file, in one line."""
-    from mavdiag.baseline import parse
-
-    try:
-        return parse(read_text(path))
-    except BaselineError as error:
-        raise BaselineError(f"{path}: {error}") from error
-    except InputError as error:
-        raise BaselineError(f"{error}; make a baseline with `mavdiag identify`") from error
-
-
-def save_baseline(path: Path, baseline: "Baseline") -> None:
-    """Write a baseline; the old file stays whole until the new one is. Raises UsageError if it cannot be written."""
-    from mavdiag.baseline import dump
-
-    write_atomically(path, dump(baseline))

@@ -7,10 +7,11 @@ from typing import Annotated
 import typer
 
 from mavdiag import commandline
-from mavdiag.baseline import upgrade as upgraded
+from mavdiag.baseline import Baseline
 from mavdiag.commands.options import AsJson
 from mavdiag.errors import BaselineError
-from mavdiag.storage import check_output, load_baseline, read_text, save_baseline
+from mavdiag.storage import check_output, read_text
+from mavdiag.upgrade import upgrade as upgraded
 
 __all__ = ["app", "check", "show", "upgrade"]
 
@@ -22,14 +23,14 @@ File = Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.
 @app.command()
 def show(file: File, as_json: AsJson = False) -> None:
     """Print what a baseline says: whose it is, its thresholds with what supports them, and what cannot be judged."""
-    baseline = load_baseline(file)
+    baseline = Baseline.load(file)
     typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)) if as_json else str(baseline))
 
 
 @app.command()
 def check(file: File) -> None:
     """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
-    baseline = load_baseline(file)
+    baseline = Baseline.load(file)
     typer.echo(f"{file}: sound, {baseline.digest}")
 
 
@@ -50,5 +51,5 @@ def upgrade(
         baseline = upgraded(raw)
     except BaselineError as error:
         raise BaselineError(f"{file}: {error}") from error
-    save_baseline(output, baseline)
+    baseline.save(output)
     typer.echo(f"{output}: {baseline.airframe.name}, {len(baseline.monitors)} monitors")

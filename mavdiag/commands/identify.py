@@ -16,7 +16,7 @@ from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.monitors.run_length import MarginRule, RunLength
-from mavdiag.storage import check_output, save_baseline
+from mavdiag.storage import check_output
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = ["identify", "make_baseline"]
@@ -71,7 +71,7 @@ def identify(
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
-    save_baseline(output, baseline)
+    baseline.save(output)
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
     else:

@@ -30,7 +30,7 @@ from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_RO
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.storage import check_output, load_baseline
+from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis, Log
 
 __all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
@@ -89,7 +89,7 @@ def show(
     if plot is not None:
         check_output(plot)
     if _is_baseline(file):
-        models = {one: record.model() for one, record in models_of(load_baseline(file)).items() if one in axis.axes}
+        models = {one: record.model() for one, record in models_of(Baseline.load(file)).items() if one in axis.axes}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
         flights: dict[Axis, FlightRates] = {}

@@ -12,7 +12,6 @@ from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge
 from mavdiag.report import verdict_json
-from mavdiag.storage import load_baseline
 
 __all__ = ["scan"]
 
@@ -26,7 +25,7 @@ def scan(
     to_s: ToS = None,
 ) -> None:
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable; of several logs the first of 2, 1, 3, 0."""
-    reference = load_baseline(baseline)
+    reference = Baseline.load(baseline)
     verdicts: list[LogVerdict] = []
     for path in each(logs, "judging"):
         verdict = _judge(path, reference, vehicle, from_s, to_s)

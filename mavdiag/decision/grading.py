@@ -18,18 +18,19 @@ airframe: a hint for the mechanic, no measurement. The unbalance is measured.
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from importlib import resources
 
 import numpy as np
 
-from mavdiag.airframe.balance import BalanceReport, Grade, assess_unbalance
 from mavdiag.airframe.propellers import FaultType
-from mavdiag.decision.events import Reading
 from mavdiag.errors import InputError
-from mavdiag.telemetry import NS_PER_S, FloatArray
+from mavdiag.monitors.base import Feature
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
 
 __all__ = [
     "Assessment",
@@ -39,12 +40,8 @@ __all__ = [
     "Gathered",
     "Outcome",
     "assess",
-    "balance_report",
-    "features_of",
-    "gather",
     "known_fault_types",
     "parse_fault_types",
-    "start",
 ]
 
 SCHEMA = "mavdiag.fault_types/1"
@@ -53,8 +50,9 @@ TYPE_AT = 0.6  # confidence below which no type is named (our choice)
 SEVERITY_AT = 0.4  # and no severity, of three (our choice)
 LEAST_UNBALANCE_G_MM = 0.05  # below it the estimate is noise (our choice)
 LEAST_MOTION_RAD_S = 1e-4
-VIBRATION_AFTER_S, MOTION_AFTER_S, RISE_AFTER_S = 0.6, 2.95, 4.0  # windows that hold the fault only (their lengths)
+UNBALANCE_AFTER_S, MOTION_AFTER_S, RISE_AFTER_S = 0.6, 2.95, 4.0  # windows that hold the fault only (their lengths)
 FEATURES = 3
+CLASSIFIERS = {"qdrone2-emulated": "fault_types.json"}  # the names that an airframe may give
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,64 +79,51 @@ class Features:
         return out
 
 
+_WAIT_S = {Feature.UNBALANCE: UNBALANCE_AFTER_S, Feature.MOTION: MOTION_AFTER_S, Feature.RISE: RISE_AFTER_S}
+
+
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """Sums since the declaration: of U^2, A^2 and a, with the number of readings in each."""
+    """Sums since the declaration of a fault, each with its number of values.
+
+    since_ns: vehicle time of the declaration.
+    unbalance, motion: of U^2 and A^2.
+    rise: of a.
+    """
 
     since_ns: int
     unbalance: tuple[float, int] = (0.0, 0)
     motion: tuple[float, int] = (0.0, 0)
     rise: tuple[float, int] = (0.0, 0)
-    latest_ns: int = 0
+
+    def add(self, feature: str, found: Statistic, rotor: int | None) -> "Gathered":
+        """Add the next values of a feature. Only windows that lie after the declaration count.
+
+        rotor: from 1, as named so far; the rise counts only where one is.
+        """
+        after = found.valid & (found.t_ns >= self.since_ns + round(_WAIT_S[feature] * NS_PER_S))
+        if not after.any():
+            return self
+        if feature == Feature.RISE:
+            if rotor is None or rotor > found.rotors.shape[1]:
+                return self
+            return replace(self, rise=_sum(self.rise, found.rotors[after, rotor - 1]))
+        squares = np.square(found.level[after])
+        if feature == Feature.UNBALANCE:
+            return replace(self, unbalance=_sum(self.unbalance, squares))
+        return replace(self, motion=_sum(self.motion, squares))
+
+    @property
+    def features(self) -> Features:
+        """The features so far."""
+        (u, n_u), (m, n_m), (a, n_a) = self.unbalance, self.motion, self.rise
+        return Features(
+            math.sqrt(u / n_u) if n_u else None, math.sqrt(m / n_m) if n_m else None, a / n_a if n_a else None
+        )
 
 
-def start(declared_ns: int) -> Gathered:
-    """Nothing read yet since the declaration at that vehicle time."""
-    return Gathered(declared_ns, latest_ns=declared_ns)
-
-
-def gather(
-    state: Gathered,
-    *,
-    vibration: Reading | None = None,
-    energy: Reading | None = None,
-    effort: Reading | None = None,
-    rotor: int | None = None,
-) -> Gathered:
-    """Add the next readings. Only windows that lie after the declaration count.
-
-    vibration: must be in g mm. effort counts only where a rotor is named: `rotor` from 1.
-    """
-    latest = max([state.latest_ns, *(int(r.t_ns[-1]) for r in (vibration, energy, effort) if r and len(r.t_ns))])
-    unbalance = _square_sum(state, state.unbalance, vibration, VIBRATION_AFTER_S)
-    motion = _square_sum(state, state.motion, energy, MOTION_AFTER_S)
-    rise = state.rise
-    if effort is not None and rotor is not None and rotor <= effort.rotors.shape[1]:
-        after = _after(state, effort, RISE_AFTER_S)
-        rise = (rise[0] + float(effort.rotors[after, rotor - 1].sum()), rise[1] + int(after.sum()))
-    return Gathered(state.since_ns, unbalance, motion, rise, latest)
-
-
-def features_of(state: Gathered) -> Features:
-    """The features so far."""
-    return Features(
-        math.sqrt(state.unbalance[0] / state.unbalance[1]) if state.unbalance[1] else None,
-        math.sqrt(state.motion[0] / state.motion[1]) if state.motion[1] else None,
-        state.rise[0] / state.rise[1] if state.rise[1] else None,
-    )
-
-
-def _after(state: Gathered, reading: Reading, wait_s: float) -> FloatArray:
-    return np.asarray(reading.valid & (reading.t_ns >= state.since_ns + round(wait_s * NS_PER_S)))
-
-
-def _square_sum(
-    state: Gathered, before: tuple[float, int], reading: Reading | None, wait_s: float
-) -> tuple[float, int]:
-    if reading is None or len(reading.t_ns) == 0:
-        return before
-    after = _after(state, reading, wait_s)
-    return before[0] + float(np.square(reading.level[after]).sum()), before[1] + int(after.sum())
+def _sum(before: tuple[float, int], values: FloatArray) -> tuple[float, int]:
+    return before[0] + float(values.sum()), before[1] + len(values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,16 +172,13 @@ class Assessment:
     distance: float | None = None
 
 
-def assess(gathered: Gathered, known: Sequence[FaultTypes]) -> Assessment:
+def assess(gathered: Gathered, known: FaultTypes) -> Assessment:
     """Name type and severity from what was gathered so far, by the clouds for so much time."""
-    features = features_of(gathered)
-    elapsed_s = (gathered.latest_ns - gathered.since_ns) / NS_PER_S
-    ready = [one for one in known if one.after_s <= elapsed_s + 1e-6]
-    x = features.vector
+    features = gathered.features
+    x, clouds = features.vector, known.clouds
     told = np.isfinite(x)
-    if not ready or told.sum() < 2 or not told[1]:
+    if told.sum() < 2 or not told[1]:
         return Assessment(Outcome.TOO_EARLY, features)
-    clouds = max(ready, key=lambda one: one.after_s).clouds
     log_density, distance = _densities(clouds, x, told)
     nearest = float(distance.min())
     if nearest > FAR:
@@ -229,19 +211,12 @@ def _densities(clouds: Sequence[FaultCloud], x: FloatArray, told: FloatArray) ->
     return log_density, distance
 
 
-def balance_report(
-    features: Features, *, rotor_mass_g: float, speed_rpm: float, grade: Grade = Grade.G6_3
-) -> BalanceReport | None:
-    """The estimated unbalance against what ISO 1940-1 permits, None if it was not read. Raises UsageError."""
-    if features.unbalance_g_mm is None:
-        return None
-    return assess_unbalance(features.unbalance_g_mm, rotor_mass_g=rotor_mass_g, speed_rpm=speed_rpm, grade=grade)
-
-
 @cache
-def known_fault_types() -> tuple[FaultTypes, ...]:
-    """The parameters that come with the package."""
-    text = resources.files("mavdiag.decision").joinpath("fault_types.json").read_text(encoding="utf-8")
+def known_fault_types(classifier: str | None) -> tuple[FaultTypes, ...]:
+    """The fault types that hold for an airframe with this classifier; none if it has none or it is not known here."""
+    if classifier not in CLASSIFIERS:
+        return ()
+    text = resources.files("mavdiag.decision").joinpath(CLASSIFIERS[classifier]).read_text(encoding="utf-8")
     return parse_fault_types(text)
 
 

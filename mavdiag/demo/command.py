@@ -22,7 +22,6 @@ from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
 from mavdiag.learning import thesis_options
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.storage import load_baseline, save_baseline
 
 __all__ = ["demo", "own_baseline", "source_digest"]
 
@@ -57,7 +56,7 @@ def demo(
 
 
 def _print_baseline(reference: Path, *, quiet: bool) -> None:
-    thesis = _thesis_monitors(load_baseline(reference))
+    thesis = _thesis_monitors(Baseline.load(reference))
     if not thesis:
         raise UsageError(f"{reference}: has no fsd monitor; the demo needs one from `mavdiag identify`")
     margin_rad_s, fml_s = thesis[0]
@@ -92,7 +91,7 @@ def own_baseline(*, quiet: bool) -> Path:
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
-        save_baseline(path, make_baseline(logs, with_airframe(thesis_options(), "qdrone2", "qdrone2 drone 1")))
+        make_baseline(logs, with_airframe(thesis_options(), "qdrone2", "qdrone2 drone 1")).save(path)
     return path
 
 
@@ -111,7 +110,7 @@ def source_digest(packages: Sequence[str] = ("mavdiag", "sitl_plant")) -> str:
 def _usable(path: Path) -> bool:
     """Whether there is one, and it can be read."""
     try:
-        return bool(_thesis_monitors(load_baseline(path)))
+        return bool(_thesis_monitors(Baseline.load(path)))
     except BaselineError:
         return False
 

@@ -1,104 +1,83 @@
-"""Healthy flights before anything is learnt: the link they came over, and their airborne rows."""
+"""Healthy flights before anything is learnt: the link they came over, and their rows of flight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.chain import Front
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import Rows
+from mavdiag.logs import gate_for
 from mavdiag.rows.align import AlignSpec, Grid, measure_grid
-from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.front import Front, Rows
+from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
-from mavdiag.telemetry import NS_PER_S, Signal, Telemetry
+from mavdiag.telemetry import Log, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
-__all__ = ["Flight", "LearntFlight", "airborne", "check_signals", "front_for", "gate_for", "rows_of"]
+__all__ = ["LearntFlight", "airborne", "front_for", "rows_of"]
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
-
-# Airborne limits by log profile. A Crazyflie's log has no arming state; its limits are those that its recordings were
-# found to need (height 0.38 m, thrust 25000 of 65535, 0.5 s and 0.6 s off the ends). Logs of the big autopilots have
-# both ends of a flight in them; a live link must not wait for the end, so its gate has no trim there. Our choices.
-_RECORDED = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=1.0, trim_end_s=0.6)
-_GATES = {
-    "crazyflie": GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
-    "ardupilot-log": _RECORDED,
-    "px4-log": _RECORDED,
-}
-_MAVLINK_GATE = GateSpec(min_thrust=0.1, need_armed=True)  # our choice: armed, and more than idle thrust
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Flight:
-    """One healthy flight. sha256: of the file it came from, or of its bytes on the wire."""
-
-    name: str
-    sha256: str
-    profile: str
-    telemetry: Telemetry
+RATE_TOLERANCE = 0.02  # of the sample time; beyond it the flights' models are of another system (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearntFlight:
-    """A flight's rows of healthy flying, in order, and how long of them may be judged [s]."""
+    """A flight, its rows of flying in order, and how long of them may be judged [s]."""
 
-    flight: Flight
+    flight: Log
     rows: tuple[Rows, ...]
     judged_s: float
 
 
-def gate_for(profile: str) -> GateSpec:
-    """What counts as flying on a link of this profile."""
-    return _GATES.get(profile, _MAVLINK_GATE)
+def front_for(flights: Sequence[Log], window_s: float, gate: GateSpec | None = None) -> Front:
+    """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
 
-
-def front_for(flights: Sequence[Flight], window_s: float) -> Front:
-    """The front that suits all the flights. Raises InputError if they do not belong to one kind of link."""
+    Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
+    """
     profiles = sorted({flight.profile for flight in flights})
     if len(profiles) != 1:
         raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
-    measured = [measure_grid(flight.telemetry) for flight in flights]
+    measured = [_grid(flight) for flight in flights]
     periods = np.array([dt_s for dt_s, _ in measured])
     dt_s = float(np.median(periods))
-    if np.any(np.abs(periods / dt_s - 1) > 0.02):
-        slow, fast = 1 / periods.max(), 1 / periods.min()
-        raise InputError(f"the flights have different gyro rates ({slow:.1f} to {fast:.1f} Hz); learn from one rate")
+    apart = np.abs(periods / dt_s - 1)
+    if np.any(apart > RATE_TOLERANCE):
+        odd = int(apart.argmax())
+        other = f"{flights[odd].name} has a gyro rate of {1 / periods[odd]:.1f} Hz"
+        raise InputError(f"{other}, the others have {1 / dt_s:.1f} Hz; learn from flights of one rate")
     grid = Grid.NATIVE if all(grid is Grid.NATIVE for _, grid in measured) else Grid.RESAMPLED
     align = AlignSpec(dt_s, grid, max_gap_s=_gap_limit(flights))
-    return Front(align, gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
+    return Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
 
 
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
-    state, rows = front.step(front.start(), telemetry)
-    _, rest = front.finish(state)
-    return (*rows, *rest)
+    state, first = front.step(front.start(), telemetry)
+    return tuple(part for part in (*first, *front.finish(state)[1]) if not isinstance(part, Border))
 
 
-def check_signals(flight: Flight) -> None:
-    """Raise InputError, naming the flight, if it lacks a signal that nothing can be done without."""
-    for signal in (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT):
-        try:
-            flight.telemetry.need(signal)
-        except InputError as error:
-            raise InputError(f"{flight.name}: {error}") from error
-
-
-def _gap_limit(flights: Sequence[Flight]) -> float:
-    """35 ms, or a few periods of a set-point stream that is slower than that."""
-    steps = [np.diff(np.unique(flight.telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns)) for flight in flights]
-    period_s = float(np.median(np.concatenate(steps))) / NS_PER_S if any(len(s) for s in steps) else 0.0
-    return max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * period_s)
-
-
-def airborne(front: Front, flight: Flight) -> LearntFlight:
-    """The flying part of a flight. Raises InputError if it is under a second."""
+def airborne(front: Front, flight: Log) -> LearntFlight:
+    """The flying part of a flight. Raises InputError, naming it, if there is hardly any."""
     rows = rows_of(front, flight.telemetry)
     judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
         raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight, too short to learn from")
     return LearntFlight(flight, rows, judged_s)
+
+
+def _grid(flight: Log) -> tuple[float, Grid]:
+    try:
+        return measure_grid(flight.telemetry)
+    except InputError as error:
+        raise InputError(f"{flight.name}: {error}") from error
+
+
+def _gap_limit(flights: Sequence[Log]) -> float:
+    """35 ms, or a few periods of a set-point stream that is slower than that."""
+    found = [flight.telemetry.get(Signal.ATTITUDE_SETPOINT) for flight in flights]
+    steps = [np.diff(np.unique(series.t_ns)) for series in found if series is not None]
+    period_s = float(np.median(np.concatenate(steps))) / NS_PER_S if any(len(s) for s in steps) else 0.0
+    return max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * period_s)

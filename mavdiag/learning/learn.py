@@ -1,52 +1,45 @@
-"""From healthy flights to a baseline: measure the link, identify the models, set the thresholds."""
+"""From healthy flights to a baseline: measure the link, fit the monitors, set their thresholds."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from mavdiag import __version__
-from mavdiag.airframe.layout import RotorLayout, detect_layout, layout_named
-from mavdiag.baseline import (
-    Airframe,
-    Baseline,
-    GateLimits,
-    Link,
-    MonitorEntry,
-    Provenance,
-    Scope,
-    SourceLog,
-    Window,
-    sealed,
-)
-from mavdiag.chain import Front
-from mavdiag.errors import InputError, UsageError
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.detect import detect_layout
+from mavdiag.airframe.load import airframe_named
+from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window, sealed
+from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import Flight, LearntFlight, airborne, check_signals, front_for
-from mavdiag.learning.monitors import KINDS, LearnContext, learn_monitors
-from mavdiag.learning.run_length import ModelOptions, learn_axis
+from mavdiag.learning.flights import LearntFlight, airborne, front_for
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors.margin import MarginRule
-from mavdiag.telemetry import Axis
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
+from mavdiag.logs import airframe_name_for
+from mavdiag.monitors import BY_NAME, by_name, monitor_of
+from mavdiag.monitors.base import Flights, LearnContext
+from mavdiag.monitors.run_length import MarginRule, RunLength
+from mavdiag.rows.front import Front
+from mavdiag.telemetry import Axis, Log
+from mavdiag.thresholds.heldout import Scores, held_out_scores
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
 __all__ = ["ALL_MONITORS", "LearnOptions", "learn", "thesis_options"]
 
-LATENCY = "latency"
-ALL_MONITORS = (LATENCY, *KINDS)
-# Rotor layouts that a profile implies; of other vehicles it is found from their own flights, or told.
-_FRAMES = {"qdrone2": "qdrone2", "spec": "qdrone2", "crazyflie": "crazyflie"}
-_QDRONE2_HOVER = (1.504, 10_000 * math.pi / 30)  # T Table 5.1 and 3.2.2: 1.504 kg at about 10,000 rpm
-_HOVERS = {"qdrone2": _QDRONE2_HOVER, "spec": _QDRONE2_HOVER}
+ALL_MONITORS = tuple(BY_NAME)
 
 
 @dataclass(frozen=True, slots=True)
 class LearnOptions:
     """How to learn.
 
-    axes: to model and to watch by the thesis's rule. window_s: Savitzky-Golay window. airframe: the name to give;
-    scope: one airframe or a type. monitors: kinds to use. rule: how thresholds follow from healthy maxima.
-    alarms_per_hour: budget of all monitors together. frame: rotor layout, None to find it. hover: mass [kg]
-    and the rotor speed that carries it [rad/s], to tell vibration in g mm.
+    axes: the axes that the thesis's monitor models and watches.
+    method, order: how its models are fitted.
+    window_s: Savitzky-Golay window [s].
+    margin_rule: the margin of the thesis's monitor.
+    airframe: the vehicle, as far as it is known.
+    monitors: names of the monitors to use.
+    rule: how thresholds follow from healthy maxima.
+    alarms_per_hour: budget of all deciding monitors together.
+    Raises UsageError for a monitor that there is not, or a budget that is not positive.
     """
 
     axes: tuple[Axis, ...] = (Axis.ROLL, Axis.PITCH)
@@ -54,62 +47,66 @@ class LearnOptions:
     order: Order = (2, 2, 1)
     window_s: float = 0.1
     margin_rule: MarginRule = MarginRule.PERCENTILE_90
-    airframe: str = "unnamed"
-    scope: Scope = "airframe"
+    airframe: Airframe = field(default_factory=Airframe)
     monitors: tuple[str, ...] = ALL_MONITORS
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
-    frame: str | None = None
-    hover: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.monitors if name not in ALL_MONITORS]
-        if unknown or not self.monitors:
-            raise UsageError(f"no monitor {', '.join(unknown) or 'named'}; there are {', '.join(ALL_MONITORS)}")
+        for name in self.monitors:
+            by_name(name)
+        if not self.monitors:
+            raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
 
 
-def thesis_options(airframe: str = "unnamed", axes: tuple[Axis, ...] = (Axis.ROLL,)) -> LearnOptions:
+def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> LearnOptions:
     """The thesis's own way: one monitor, FML the longest healthy run, roll the primary axis (T 5.5)."""
-    return LearnOptions(axes=axes, airframe=airframe, monitors=(LATENCY,), rule=ThresholdRule.MAXIMUM)
+    return LearnOptions(
+        axes=axes, airframe=airframe or Airframe(), monitors=(RunLength.name,), rule=ThresholdRule.MAXIMUM
+    )
 
 
-def learn(flights: Sequence[Flight], options: LearnOptions, *, created: str) -> Baseline:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """A monitor's fit to all flights, and what its statistic reached on flights that a fit did not see."""
+
+    spec: Any
+    scores: Scores
+    decides: bool
+
+
+def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Baseline:
     """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
 
-    Raises InputError if a flight lacks a signal or is never airborne, and IdentificationError if the flights cannot
-    carry the model; both name the flight or the axis and say what to do.
+    A monitor that cannot work on such flights is recorded with its reason, and hinders no other.
+    Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work; both
+    say what to do.
     """
     if not flights:
         raise InputError("no healthy flight to learn from")
-    for flight in flights:
-        check_signals(flight)
-    front = front_for(flights, options.window_s)
+    airframe = _airframe(options.airframe, flights[0].profile)
+    front = front_for(flights, options.window_s, airframe.gate)
     learnt = [airborne(front, flight) for flight in flights]
-    profile, frame = flights[0].profile, _frame(learnt, flights[0].profile, options)
-    share = options.alarms_per_hour / len(options.monitors)
-    models, entries = [], []
-    for axis in options.axes:
-        per_axis = share / len(options.axes)
-        how = ModelOptions(options.method, options.order, options.margin_rule)
-        model, spec, threshold = learn_axis(
-            learnt, axis, front.align.dt_s, how, rule=options.rule, budget_per_hour=per_axis
-        )
-        models.append(model)
-        if LATENCY in options.monitors:
-            entries.append(MonitorEntry(spec=spec, threshold=threshold))
-    corner = PROFILES[profile].imu_corner_hz if profile in PROFILES else None
-    context = LearnContext(frame, corner, options.hover or _HOVERS.get(profile), options.rule, share)
-    others = [name for name in options.monitors if name != LATENCY]
-    more, refusals = learn_monitors(others, [one.rows for one in learnt], context)
+    rows = [one.rows for one in learnt]
+    airframe, unknown = _with_layout(airframe, rows)
+    fitted, refusals = _fit_all(rows, options, _context(options, airframe, front, flights[0].profile), unknown)
+    if not fitted:
+        reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
+        raise IdentificationError(f"no monitor can judge such flights ({reasons})")
     return sealed(
         Baseline(
-            airframe=Airframe(name=options.airframe, scope=options.scope, frame=None if frame is None else frame.name),
-            link=_link(profile, front),
+            airframe=airframe,
+            link=Link(
+                profile=flights[0].profile,
+                dt_s=front.align.dt_s,
+                grid=front.align.grid,
+                max_gap_s=front.align.max_gap_s,
+                gate=front.gate,
+            ),
             window=Window(samples=front.rates.window, order=2),
-            models=tuple(models),
-            monitors=(*entries, *more),
+            monitors=tuple(_entries(fitted, options, len(flights))),
             not_judgeable=tuple(refusals),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
             provenance=_provenance(learnt, created),
@@ -117,28 +114,93 @@ def learn(flights: Sequence[Flight], options: LearnOptions, *, created: str) -> 
     )
 
 
-def _frame(flights: Sequence[LearntFlight], profile: str, options: LearnOptions) -> RotorLayout | None:
-    name = options.frame or _FRAMES.get(profile)
-    return layout_named(name) if name else detect_layout([rows for one in flights for rows in one.rows])
+def _airframe(told: Airframe, profile: str) -> Airframe:
+    """The airframe with what the kind of log says of it; a link says nothing."""
+    name = airframe_name_for(profile)
+    if name is None or told.layout is not None:
+        return told
+    known = airframe_named(name)
+    return replace(
+        known,
+        name=known.name if told.name == Airframe().name else told.name,
+        scope=told.scope,
+        gate=told.gate or known.gate,
+    )
+
+
+def _with_layout(airframe: Airframe, flights: Flights) -> tuple[Airframe, str]:
+    """The airframe with the rotor layout that its flights show, and why none is known if none is."""
+    if airframe.layout is not None:
+        return airframe, ""
+    found = detect_layout(rows.block for flight in flights for rows in flight)
+    return (airframe, found.reason) if found.layout is None else (replace(airframe, layout=found.layout), "")
+
+
+def _context(options: LearnOptions, airframe: Airframe, front: Front, profile: str) -> LearnContext:
+    corner_hz = airframe.imu_corner_hz or (PROFILES[profile].imu_corner_hz if profile in PROFILES else None)
+    return LearnContext(
+        airframe=airframe,
+        imu_corner_hz=corner_hz,
+        dt_s=front.align.dt_s,
+        window=front.rates.window,
+        axes=options.axes,
+        method=options.method,
+        order=options.order,
+        margin_rule=options.margin_rule,
+    )
+
+
+def _fit_all(
+    flights: Flights, options: LearnOptions, context: LearnContext, unknown: str
+) -> tuple[list[_Fitted], list[Refusal]]:
+    """Every named monitor that can work on these flights, and the reason of each that cannot."""
+    fitted: list[_Fitted] = []
+    refusals: list[Refusal] = []
+    for name in options.monitors:
+        kind = by_name(name)
+        try:
+            specs = kind.fit(flights, context)
+            found = held_out_scores(flights, lambda some, kind=kind: [kind(spec) for spec in kind.fit(some, context)])
+        except (InputError, IdentificationError) as error:
+            reason = str(error)
+            refusals.append(
+                Refusal(monitor=name, reason=f"{reason} ({unknown})" if unknown and "layout" in reason else reason)
+            )
+            continue
+        for spec in specs:
+            axis = monitor_of(spec).axis
+            if axis in found:
+                fitted.append(_Fitted(spec, found[axis], kind.decides))
+            else:
+                refusals.append(
+                    Refusal(monitor=name, reason=f"{axis}: too little healthy flight to score it; fly longer")
+                )
+        refusals += [
+            Refusal(monitor=name, reason=f"{axis}: it cannot be modelled; fly a trajectory that moves this axis")
+            for axis in (options.axes if kind is RunLength else ())
+            if axis not in {spec.axis for spec in specs}
+        ]
+    return fitted, refusals
+
+
+def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> list[MonitorEntry]:
+    """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes."""
+    names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
+    share = options.alarms_per_hour / len(names)
+    entries = []
+    for one in fitted:
+        same = sum(other.spec.kind == one.spec.kind for other in fitted)
+        threshold = threshold_of(
+            one.scores,
+            flights=flights,
+            budget_per_hour=share / same,
+            guard=by_name(one.spec.kind).guard,
+            rule=options.rule,
+        )
+        entries.append(MonitorEntry(spec=one.spec, threshold=threshold))
+    return entries
 
 
 def _provenance(flights: Sequence[LearntFlight], created: str) -> Provenance:
     logs = tuple(SourceLog(name=one.flight.name, sha256=one.flight.sha256, judged_s=one.judged_s) for one in flights)
     return Provenance(logs=logs, created=created, tool=f"mavdiag {__version__}")
-
-
-def _link(profile: str, front: Front) -> Link:
-    gate = front.gate
-    return Link(
-        profile=profile,
-        dt_s=front.align.dt_s,
-        grid=front.align.grid,
-        max_gap_s=front.align.max_gap_s,
-        gate=GateLimits(
-            min_height_m=gate.min_height_m,
-            min_thrust=gate.min_thrust,
-            need_armed=gate.need_armed,
-            trim_start_s=gate.trim_start_s,
-            trim_end_s=gate.trim_end_s,
-        ),
-    )

@@ -1,79 +1,102 @@
-"""Score a statistic on healthy flights that its fit did not see, as maxima over blocks of flight.
+"""Score a statistic on healthy flights that its fit did not see, as maxima over blocks of judged time.
 
 With several flights each is scored by a fit to the others. A single flight is cut into pieces, its separate hops where
-there are as many, and each piece is scored by a fit to the rest.
+there are as many, and each piece is scored by a fit to the rest. This is the only place that makes blocks.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.monitors.base import Flights, Monitor
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
-from mavdiag.telemetry import NS_PER_S, FloatArray, IntArray
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Axis, FloatArray
 
-__all__ = ["Flights", "Scores", "folds", "held_out_scores", "score"]
+__all__ = ["BLOCK_S", "Flights", "Scored", "Scores", "folds", "held_out_scores", "pooled", "score"]
 
-BLOCK_S = 10.0  # our choice; 7 to 13 s change no verdict on the recorded flights
+BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
 MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
-Spec = TypeVar("Spec")
+Flights: TypeAlias = Sequence[Sequence[Rows]]
+
+
+class Scored(Protocol):
+    """What can be scored: a monitor."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """The body axis that it is about."""
+
+    def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
+        """Judge a whole flight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """maxima: (b,) of the statistic, one a block of flight. block_s: its length.
+    """What a statistic reached in healthy flight.
 
-    judged_s: time of flight that the maxima cover, from the first valid row of a segment to its last judged one.
+    maxima: (b,) its highest valid value in each block.
+    spans_s: (b,) judged time of each block [s].
     """
 
     maxima: FloatArray
-    judged_s: float
-    block_s: float = BLOCK_S
+    spans_s: FloatArray
+
+    @property
+    def judged_s(self) -> float:
+        """Judged time in all blocks: the number of valid values times the span that each stands for."""
+        return float(self.spans_s.sum())
 
 
-def score(monitor: Monitor[Any, Any], flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
+def score(monitor: Scored, flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
     """Block maxima of a monitor over one flight.
 
-    A block is `block_s` of one segment, counted from its first valid row. A remainder counts if half a block of it
-    was judged, or if it is all that the segment has.
+    A block holds `block_s` of judged time, whatever lies between; a remainder shorter than half a block belongs to the
+    block before it. Only valid values count, so warm-up, gaps and ground do not.
     """
-    maxima: list[float] = []
-    judged_s = 0.0
-    for t_s, statistic, dt_s in _judged(monitor, flight):
-        number = np.floor(t_s / block_s).astype(np.int64)
-        for one in np.unique(number):
-            inside = statistic[number == one]
-            if one == 0 or len(inside) * dt_s >= block_s / 2:
-                maxima.append(float(inside.max()))
-        judged_s += float(t_s[-1]) + dt_s
-    return Scores(np.array(maxima), judged_s, block_s)
+    values, period_s = [np.empty(0)], 0.0
+    for statistic in monitor.over(flight):
+        values.append(statistic.value[statistic.valid])
+        period_s = statistic.period_s
+    x = np.concatenate(values)
+    if len(x) == 0:
+        return Scores(np.empty(0), np.empty(0))
+    size = max(1, round(block_s / period_s))
+    count = max(1, len(x) // size + (len(x) % size >= size / 2))
+    starts = np.arange(count) * size
+    return Scores(np.maximum.reduceat(x, starts), np.diff(np.append(starts, len(x))) * period_s)
+
+
+def pooled(parts: Iterable[Scores]) -> Scores:
+    """Scores of several flights as one."""
+    found = list(parts)
+    empty = [np.empty(0)]
+    return Scores(
+        np.concatenate([one.maxima for one in found] or empty), np.concatenate([one.spans_s for one in found] or empty)
+    )
 
 
 def held_out_scores(
-    flights: Flights,
-    fit: Callable[[Flights], Spec],
-    watch: Callable[[Spec], Monitor[Any, Any]],
-    block_s: float = BLOCK_S,
-) -> Scores:
-    """Scores of all flights, each by a fit that did not see it. watch: the monitor of a fit.
+    flights: Flights, fit: Callable[[Flights], Sequence[Scored]], block_s: float = BLOCK_S
+) -> dict[Axis | None, Scores]:
+    """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit.
 
     Raises IdentificationError if there is nothing to fit to or no block to score.
     """
-    parts = []
+    parts: dict[Axis | None, list[Scores]] = {}
     for left_out, rest in folds(flights, block_s):
-        monitor = watch(fit(rest))
-        parts += [score(monitor, flight, block_s) for flight in left_out]
-    maxima = np.concatenate([part.maxima for part in parts]) if parts else np.empty(0)
-    if len(maxima) == 0:
+        for monitor in fit(rest):
+            parts.setdefault(monitor.axis, []).extend(score(monitor, flight, block_s) for flight in left_out)
+    found = {axis: scores for axis, some in parts.items() if len((scores := pooled(some)).maxima)}
+    if not found:
         raise IdentificationError("the healthy flights are too short to score the statistic on; fly longer")
-    return Scores(maxima, sum(part.judged_s for part in parts), block_s)
+    return found
 
 
 def folds(flights: Flights, block_s: float = BLOCK_S) -> Iterator[tuple[Flights, Flights]]:
@@ -85,29 +108,6 @@ def folds(flights: Flights, block_s: float = BLOCK_S) -> Iterator[tuple[Flights,
     for fold in range(count):
         left_out = [flight for i, flight in enumerate(flights) if i % count == fold]
         yield left_out, [flight for i, flight in enumerate(flights) if i % count != fold]
-
-
-def _judged(monitor: Monitor[Any, Any], flight: Sequence[Rows]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """For each segment: time since its first valid row [s] and statistic of the judged rows, and their period."""
-    state, last = monitor.start(), -1
-    first_ns: dict[int, int] = {}
-    times: dict[int, list[IntArray]] = {}
-    values: dict[int, list[FloatArray]] = {}
-    for rows in flight:
-        state = state if rows.block.segment == last else monitor.start()
-        last = rows.block.segment
-        state, reading = monitor.step(state, rows)
-        segment, valid = rows.block.segment, rows.block.valid
-        if segment not in first_ns and valid.any():
-            first_ns[segment] = int(rows.block.t_ns[np.argmax(valid)])
-        times.setdefault(segment, []).append(reading.t_ns[reading.valid])
-        values.setdefault(segment, []).append(reading.value[reading.valid])
-    for segment, start_ns in first_ns.items():
-        t_ns = np.concatenate(times[segment])
-        if len(t_ns):
-            # a monitor may speak more seldom than there are rows: what counts is the time that its readings stand for
-            period_s = float(np.median(np.diff(t_ns))) / NS_PER_S if len(t_ns) > 1 else flight[0].block.dt_s
-            yield (t_ns - start_ns) / NS_PER_S, np.concatenate(values[segment]), period_s
 
 
 def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, Flights]]:

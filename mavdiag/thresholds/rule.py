@@ -1,16 +1,20 @@
 """What a healthy vehicle allows: the threshold of a statistic from its own healthy flights, for a budget of alarms.
 
-One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s, and
-the blocks' maxima x carry a Gumbel law (extreme-value theory: maxima of light-tailed statistics tend to it; Coles, An
-Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3):
+One rule for every monitor. The statistic is scored on flights that its fit did not see, cut into blocks of 10 s of
+judged time, and the blocks' maxima x carry a Gumbel law (extreme-value theory: maxima of light-tailed statistics tend
+to it; Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, ch. 3). The maximum of a block of length
+L lies beta ln(L/B) above that of a block of length B = 10 s, so a short block counts as what it is:
 
-    beta = max(sd(x) sqrt(6)/pi, 0.1 |mean(x)|),    mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi        (moments)
-    threshold = mu + beta ln(1/(r B)),    r alarms a second, B the block's length
+    beta = max(sd(x) sqrt(6)/pi, s |mean(x)|),    s = 0.1 min(1, sqrt(20/n)) for n blocks
+    mu = mean(x) - 0.5772 sd(x) sqrt(6)/pi - beta mean(ln(L/B))                                   (moments)
+    threshold = mu + beta ln(1/(r B)),    r alarms in a second of judged time
 
 The threshold is linear in the statistic: in its logarithm a tail as heavy as the budget is far would be allowed.
-The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail (its share 0.1 and the other
-small-sample allowances were chosen on recorded healthy flights). A third parameter (GEV, or a generalised Pareto tail
-above a level) is not offered: tens of blocks cannot tell its shape.
+The floor on beta is for few blocks: a handful of like maxima does not prove a thin tail; it fades as blocks come (its
+share 0.1, the 20 blocks and the other small-sample allowances are our choices, made on recorded healthy flights).
+Moments are used and not L-moments (Hosking, J. R. Stat. Soc. B 52 (1990)): for the Gumbel law with tens of blocks both
+scatter alike, and the floor rules anyway. A third parameter (GEV, or a generalised Pareto tail above a level) is not
+offered: tens of blocks cannot tell its shape.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
 What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above
@@ -18,24 +22,20 @@ What the flights themselves show is `demonstrated_per_hour`: T hours without an 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, TypeVar
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, UsageError
-from mavdiag.monitors.base import Monitor
-from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.guard import Guard
-from mavdiag.thresholds.heldout import Flights, Scores, held_out_scores
+from mavdiag.thresholds.heldout import BLOCK_S, Scores
+from mavdiag.units import S_PER_H
 
 __all__ = [
     "Guard",
     "Threshold",
     "ThresholdRule",
-    "calibrate",
     "false_alarms_per_flight",
     "flights_for_guarantee",
     "flights_for_maximum",
@@ -48,10 +48,8 @@ BUDGET_PER_HOUR = 0.05  # of all monitors together (our choice)
 EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
 ONE_SIDED_95 = 1.645  # quantile of the normal law
-SECONDS_PER_HOUR = 3600.0
+ENOUGH_BLOCKS = 20  # from here on the floor on beta fades (our choice)
 NO_GUARD = Guard()
-
-Spec = TypeVar("Spec")
 
 
 class ThresholdRule(StrEnum):
@@ -65,11 +63,19 @@ class ThresholdRule(StrEnum):
 class Threshold:
     """A threshold and what supports it.
 
-    value: alarm when the statistic is strictly above it. location, scale: mu and beta of the block maxima (for the
-    maximum rule their mean, and 0). standard_error: of the extreme-value level, for independent blocks. allowance:
-    what the guard added to that level. blocks of `block_s`, from that many flights; hours: judged healthy time.
-    exceeding: healthy blocks above the value. budget_per_hour: alarms asked for. demonstrated_per_hour: what these
-    hours exclude at 95 %. false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
+    value: the monitor alarms when its statistic is strictly above it.
+    rule: how it follows from the healthy maxima.
+    location, scale: mu and beta of the block maxima; for the maximum rule their mean, and 0.
+    standard_error: of the extreme-value level, for independent blocks.
+    allowance: what the guard added to that level.
+    blocks: healthy blocks that support it.
+    block_s: judged time of a whole block [s].
+    flights: flights that they come from.
+    hours: judged healthy time, that is valid values times the span that each stands for.
+    exceeding: healthy blocks above the value.
+    budget_per_hour: alarms asked for, in an hour of judged time.
+    demonstrated_per_hour: alarms in an hour that this time excludes at 95 %.
+    false_alarms_per_flight: 1/(n + 1), the price of the maximum rule.
     """
 
     value: float
@@ -119,7 +125,7 @@ def threshold_of(
     """The threshold that scores of healthy flights allow. budget_per_hour: this monitor's share.
 
     >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
-    >>> found = threshold_of(Scores(maxima, 2000.0), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
+    >>> found = threshold_of(Scores(maxima, np.full(200, 10.0)), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
     >>> round(found.value, 1), round(1.0 + 0.2 * math.log(1000), 1), round(found.demonstrated_per_hour, 1)
     (2.5, 2.4, 5.4)
 
@@ -130,13 +136,13 @@ def threshold_of(
     x = scores.maxima
     if len(x) == 0 or not np.isfinite(x).all():
         raise IdentificationError("healthy statistics must be finite numbers, and there must be some")
-    rate = budget_per_hour / SECONDS_PER_HOUR * scores.block_s
+    rate = budget_per_hour / S_PER_H * BLOCK_S
     location, scale, level = float(np.mean(x)), 0.0, float(x.max())
     if rule is ThresholdRule.GUMBEL:
-        location, scale = _gumbel(x, guard.scale_share)
+        location, scale = _gumbel(scores, guard.scale_share)
         level = location - scale * math.log(rate)
     value = max(level + guard.allowance(flights), float(np.mean(x)) + guard.above_mean, guard.least)
-    hours, exceeding = scores.judged_s / SECONDS_PER_HOUR, int(np.count_nonzero(x > value))
+    hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
         rule=rule,
@@ -145,29 +151,13 @@ def threshold_of(
         standard_error=_standard_error(scale, rate, len(x)),
         allowance=value - level,
         blocks=len(x),
-        block_s=scores.block_s,
+        block_s=BLOCK_S,
         flights=flights,
         hours=hours,
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,
         demonstrated_per_hour=poisson_upper(exceeding) / hours,
         false_alarms_per_flight=false_alarms_per_flight(flights),
-    )
-
-
-def calibrate(
-    flights: Flights,
-    fit: Callable[[Flights], Spec],
-    watch: Callable[[Spec], Monitor[Any, Any]],
-    *,
-    budget_per_hour: float = BUDGET_PER_HOUR,
-    guard: Guard = NO_GUARD,
-    rule: ThresholdRule = ThresholdRule.GUMBEL,
-) -> tuple[Spec, Threshold]:
-    """A monitor's spec, fitted to all flights, and its threshold, from fits that did not see what they score."""
-    scores = held_out_scores(flights, fit, watch)
-    return fit(flights), threshold_of(
-        scores, flights=len(flights), budget_per_hour=budget_per_hour, guard=guard, rule=rule
     )
 
 
@@ -179,15 +169,9 @@ def poisson_upper(events: int, confidence: float = 0.95) -> float:
     >>> [round(poisson_upper(k), 2) for k in (0, 1, 5)]
     [3.0, 4.74, 10.51]
     """
-    low, high = 0.0, 10.0 + 3.0 * events
-    for _ in range(60):
-        m = (low + high) / 2
-        term, total = math.exp(-m), 0.0
-        for k in range(events + 1):
-            total += term
-            term *= m / (k + 1)
-        low, high = (m, high) if total > 1 - confidence else (low, m)
-    return (low + high) / 2
+    from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
+
+    return float(gammaincinv(events + 1, confidence))
 
 
 def more_flights(threshold: Threshold, budget_per_hour: float) -> int:
@@ -217,11 +201,14 @@ def flights_for_guarantee(false_alarms: float = 0.05, confidence: float = 0.95) 
     return math.ceil(math.log(1.0 - confidence) / math.log(1.0 - false_alarms))
 
 
-def _gumbel(x: FloatArray, scale_share: float) -> tuple[float, float]:
-    """Location and floored scale by moments. The location keeps the scale before the floor."""
-    mean, spread = float(np.mean(x)), float(np.std(x, ddof=1)) if len(x) > 1 else 0.0
-    beta = spread * GUMBEL_SCALE
-    return mean - EULER_GAMMA * beta, max(beta, scale_share * abs(mean))
+def _gumbel(scores: Scores, scale_share: float) -> tuple[float, float]:
+    """Location, of blocks of 10 s, and floored scale by moments. The location keeps the scale before the floor."""
+    x, log_span = scores.maxima, np.log(scores.spans_s / BLOCK_S)
+    mean, beta = float(np.mean(x)), 0.0
+    for _ in range(3 if len(x) > 1 else 0):  # blocks of unlike length spread by beta ln(L/B) more
+        beta = float(np.std(x - beta * log_span, ddof=1)) * GUMBEL_SCALE
+    scale = max(beta, scale_share * math.sqrt(min(1.0, ENOUGH_BLOCKS / len(x))) * abs(mean))
+    return mean - EULER_GAMMA * beta - scale * float(np.mean(log_span)), scale
 
 
 def _standard_error(scale: float, rate: float, blocks: int) -> float:

@@ -14,7 +14,7 @@ from detector.states import State
 from detector.values import Learned, LearningFailed
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
-from mavdiag.storage import load_baseline
+from mavdiag.baseline import Baseline
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
 ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
@@ -95,7 +95,7 @@ def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0, save=path), MadeVehicle(1), fitter=fitter)
     bench.run(12.0)
     assert bench.daemon.fleet.vehicles[1].state.state is State.MONITORING
-    assert load_baseline(path).digest == baseline_for().digest
+    assert Baseline.load(path).digest == baseline_for().digest
     assert "PROP monitoring roll" in texts(heard(bench.far))
     assert [job.airframe for job in fitter.jobs] == ["vehicle 1"]
 

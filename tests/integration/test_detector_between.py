@@ -16,7 +16,7 @@ from plant_process import flying
 
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs.tlog import read_tlog
-from mavdiag.storage import save_baseline
+from mavdiag.baseline import Baseline
 
 pytestmark = pytest.mark.realtime
 PATIENCE_S = 60.0
@@ -31,7 +31,7 @@ def baseline(tmp_path: Path) -> Path:
     subprocess.run(command, check=True, capture_output=True, timeout=120.0)
     one = read_tlog(log)
     flight = Flight(one.name, one.sha256, one.profile, one.telemetry)
-    save_baseline(path, learn([flight], LearnOptions(), created="2026-01-01T00:00:00Z"))
+    learn([flight], LearnOptions(), created="2026-01-01T00:00:00Z").save(path)
     return path
 
 

@@ -22,7 +22,7 @@ from detector.values import Learned, LearningFailed
 from mavdiag.link.codec import Decoder, decode_statustext
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
-from mavdiag.storage import save_baseline
+from mavdiag.baseline import Baseline
 from mavdiag.telemetry import Telemetry
 
 COMMAND = [sys.executable, "-m", "detector"]
@@ -160,7 +160,7 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
 
 
 def test_a_baseline_and_a_configuration_file_are_taken(tmp_path: Path) -> None:
-    save_baseline(tmp_path / "b.json", baseline_for())
+    baseline_for().save(tmp_path / "b.json")
     config = tmp_path / "detector.toml"
     config.write_text(f'baseline = "{tmp_path}/b.json"\nconnect = "tcpin:127.0.0.1:0"\n')
     with running("--config", str(config)) as (_, first):
@@ -246,7 +246,7 @@ def test_it_is_ready_with_less_than_a_second_of_work() -> None:
 
 @pytest.mark.realtime
 def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> None:
-    save_baseline(tmp_path / "b.json", baseline_for())
+    baseline_for().save(tmp_path / "b.json")
     with open_endpoint("udpin:127.0.0.1:0") as free:
         metrics = free.address.removeprefix("udpin:")
     options = ("--baseline", str(tmp_path / "b.json"), "--connect", "udpin:127.0.0.1:0", "--metrics", metrics)

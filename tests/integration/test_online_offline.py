@@ -13,7 +13,7 @@ from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.report import event_json
-from mavdiag.storage import save_baseline
+from mavdiag.baseline import Baseline
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
 
@@ -37,7 +37,7 @@ def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None
     ]
     baseline = learn(flights, LearnOptions(), created="2026-01-01T00:00:00+00:00")
     file, journal, log = tmp_path / "b.json", tmp_path / "events.jsonl", tmp_path / "flight.tlog"
-    save_baseline(file, baseline)
+    baseline.save(file)
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
         child(

@@ -15,7 +15,7 @@ from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.storage import load_baseline, save_baseline
+from mavdiag.baseline import Baseline
 from mavdiag.telemetry import Axis
 
 
@@ -118,8 +118,8 @@ def test_another_link_is_refused_with_the_field(baseline: Baseline) -> None:
 
 def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
-    save_baseline(path, baseline)
-    watch = chain_of(load_baseline(path)).watches[0]
+    baseline.save(path)
+    watch = chain_of(Baseline.load(path)).watches[0]
     assert isinstance(watch.monitor, RunLength)
     np.testing.assert_array_equal(watch.monitor.model.a, baseline.model_of(Axis.ROLL).a)
     assert watch.threshold == baseline.latency[0][1].value
@@ -128,11 +128,11 @@ def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, 
 def test_saving_replaces_the_file_whole_or_not_at_all(baseline: Baseline, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
     path.write_text("old")
-    save_baseline(path, baseline)
-    assert load_baseline(path) == baseline
+    baseline.save(path)
+    assert Baseline.load(path) == baseline
     assert [p.name for p in tmp_path.iterdir()] == ["b.json"]
     with pytest.raises(UsageError, match="name a folder you can write to"):
-        save_baseline(tmp_path / "absent" / "b.json", baseline)
+        baseline.save(tmp_path / "absent" / "b.json")
 
 
 @pytest.mark.parametrize(("content", "says"), [(None, "no such file"), (b"\xff\xfe\x00", "not UTF-8 text")])
@@ -141,4 +141,4 @@ def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | Non
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(BaselineError, match=says):
-        load_baseline(path)
+        Baseline.load(path)

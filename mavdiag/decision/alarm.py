@@ -1,0 +1,293 @@
+"""The one decision about a vehicle: not judged, quiet, suspected, fault. Everything that judges reads its stage.
+
+A slot is a monitor with its threshold; its ratio is its statistic over its threshold, which was set for its own share
+of the alarm budget. So any one that decides may declare a fault, and the shares add up to the budget:
+
+    calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
+
+A fault lasts until all ratios have been calm for 2 s, or until the flight ends. While no deciding slot has judged for a
+second, the stage is "not judged". A slot that does not decide raises a suspicion at most, and only when it is over.
+
+Time is looked at every 0.1 s of the vehicle's clock, when everything up to then is known. So the result does not depend
+on how the data were cut: a live link and its recording give the same events, rotors, types and severities.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import TypeAlias
+
+from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
+from mavdiag.decision.events import Event, EventSpec, EventState
+from mavdiag.decision.grading import FaultTypes, Gathered, assess
+from mavdiag.decision.isolation import RotorReading, isolate
+from mavdiag.decision.looks import Looks, Reading, cut, known_from
+from mavdiag.monitors.base import RotorEvidence
+from mavdiag.rows.statistic import Statistic
+from mavdiag.units import NS_PER_S
+
+__all__ = ["NEXT", "Change", "DecisionSpec", "DecisionState", "Diagnosis", "Event", "Height", "SlotSpec", "Stage"]
+
+CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
+CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a fault (our choice)
+LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
+NAN = float("nan")
+NOTHING_SEEN = Diagnosis()
+STALE_NS = NS_PER_S  # a slot whose last valid value is older does not count (our choice)
+
+
+class Height(IntEnum):
+    """How high the highest ratio is. SETTLED: calm for 2 s. UNKNOWN: nothing judged."""
+
+    UNKNOWN = -1
+    SETTLED = 0
+    CALM = 1
+    HELD = 2
+    RAISED = 3
+    OVER = 4
+
+
+NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
+    (Stage.NOT_JUDGED, Height.SETTLED): (Stage.QUIET, "monitors judge"),
+    (Stage.NOT_JUDGED, Height.CALM): (Stage.QUIET, "monitors judge"),
+    (Stage.NOT_JUDGED, Height.HELD): (Stage.QUIET, "monitors judge"),
+    (Stage.NOT_JUDGED, Height.RAISED): (Stage.SUSPECTED, "a monitor comes near its threshold"),
+    (Stage.NOT_JUDGED, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
+    (Stage.QUIET, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges"),
+    (Stage.QUIET, Height.RAISED): (Stage.SUSPECTED, "a monitor comes near its threshold"),
+    (Stage.QUIET, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
+    (Stage.SUSPECTED, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges"),
+    (Stage.SUSPECTED, Height.OVER): (Stage.FAULT, "a monitor is above its threshold"),
+    (Stage.SUSPECTED, Height.SETTLED): (Stage.QUIET, "all monitors have been calm again"),
+    (Stage.FAULT, Height.UNKNOWN): (Stage.NOT_JUDGED, "no monitor judges"),
+    (Stage.FAULT, Height.SETTLED): (Stage.QUIET, "all monitors have been calm again"),
+}
+"""Every other pair leaves the stage as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlotSpec:
+    """A monitor's place in the decision; the fields are those of `Monitor`, threshold is the baseline's."""
+
+    events: EventSpec
+    unit: str
+    decides: bool
+    delay_s: float
+    evidence: RotorEvidence | None
+    feature: str | None
+
+    @property
+    def threshold(self) -> float:
+        """In the statistic's unit."""
+        return self.events.threshold
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionState:
+    """All that the decision remembers.
+
+    latest: of each slot its latest reading, None if it does not judge.
+    events: of each slot its open event.
+    waiting: of each slot the values that were not looked at yet.
+    diagnosis: what is held now.
+    looked_ns: everything up to here was looked at; None before the first value.
+    calm_ns: since when all ratios are calm; None if they are not.
+    fault: the diagnosis of the latest fault, for events that close after it.
+    gathered, graded: what was gathered since the fault was declared, and how many of the fixed times have passed.
+    """
+
+    latest: tuple[Reading | None, ...]
+    events: tuple[EventState, ...]
+    waiting: tuple[tuple[Statistic, ...], ...]
+    diagnosis: Diagnosis = NOTHING_SEEN
+    looked_ns: int | None = None
+    calm_ns: int | None = None
+    fault: Diagnosis | None = None
+    gathered: Gathered | None = None
+    graded: int = 0
+
+
+Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionSpec:
+    """The slots, and the fault types that are known for this airframe (none: no type is named)."""
+
+    slots: tuple[SlotSpec, ...]
+    known: tuple[FaultTypes, ...] = ()
+
+    def start(self) -> DecisionState:
+        """Nothing seen yet."""
+        n = len(self.slots)
+        return DecisionState((None,) * n, (EventState(),) * n, ((),) * n)
+
+    def step(self, state: DecisionState, found: Sequence[Statistic], until_ns: int, *, final: bool = False) -> Step:
+        """Take the next values of every slot; everything that was known up to `until_ns` has come by now.
+
+        final: look at `until_ns` too, since nothing follows: the end of a flight or of the data.
+        """
+        waiting = state.waiting
+        if found:
+            waiting = tuple((*old, new) if len(new) else old for old, new in zip(state.waiting, found, strict=True))
+        looks = self._times(state.looked_ns, waiting, until_ns, final)
+        if not looks:
+            return replace(state, waiting=waiting), (), ()
+        parts = [cut(some, slot.delay_s, slot.threshold, looks) for slot, some in zip(self.slots, waiting, strict=True)]
+        events: list[Event] = []
+        changes: list[Change] = []
+        for number, t_ns in enumerate(looks):
+            state, fresh = self._read(state, parts, number, t_ns)
+            state, change = self._decide(state, t_ns)
+            if state.diagnosis.stage is Stage.FAULT:
+                state, graded = self._grade(state, parts, number, t_ns)
+                change = change or graded
+            events += self._named(state, fresh)
+            changes += [Change.of(state.diagnosis, t_ns)] if change else []
+        state = replace(state, waiting=tuple(one.rest for one in parts), looked_ns=looks[-1])
+        return state, tuple(events), tuple(changes)
+
+    def end_flight(self, state: DecisionState, t_ns: int) -> Step:
+        """The flight or its segment ended at that time: look at what is left, and close what is open."""
+        state, events, changes = self.step(state, (), t_ns, final=True)
+        closed = [
+            event for slot, one in zip(self.slots, state.events, strict=True) for event in slot.events.end(one)[1]
+        ]
+        ended = Diagnosis(reason="not flying", since_ns=t_ns)
+        if state.diagnosis.stage is not Stage.NOT_JUDGED:
+            changes = (*changes, Change.of(ended, t_ns))
+        events = (*events, *self._named(state, closed))
+        return replace(self.start(), diagnosis=ended), events, changes
+
+    def open_events(self, state: DecisionState) -> tuple[Event, ...]:
+        """The events that last, with what is known of them."""
+        return tuple(self._named(state, [one.open for one in state.events if one.open is not None]))
+
+    def _times(
+        self, looked_ns: int | None, waiting: Sequence[Sequence[Statistic]], until_ns: int, final: bool
+    ) -> list[int]:
+        """The times to look at: every 0.1 s since the last look, or since the first value."""
+        known = (known_from(some, slot.delay_s) for slot, some in zip(self.slots, waiting, strict=True))
+        begun = [t_ns for t_ns in known if t_ns is not None]
+        if looked_ns is None and not begun:
+            return []
+        first_ns = min(begun) - 1 if looked_ns is None else looked_ns
+        looks = list(range((first_ns // LOOK_NS + 1) * LOOK_NS, until_ns + 1, LOOK_NS))
+        return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
+
+    def _read(
+        self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int
+    ) -> tuple[DecisionState, list[Event]]:
+        """Take one look's values: the latest reading and the events of every slot."""
+        latest, events, fresh = list(state.latest), list(state.events), list[Event]()
+        for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
+            ratio = one.highest(number)
+            if ratio is None:
+                continue
+            latest[i] = one.reading(number, t_ns)
+            part = one.part(number) if ratio > 1.0 or events[i].open is not None else None
+            if part is not None:
+                events[i], seen = slot.events.step(events[i], part)
+                fresh += seen
+        return replace(state, latest=tuple(latest), events=tuple(events)), fresh
+
+    def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
+        """Look the transition up, and see whether the rotor can be named; tells whether anything changed."""
+        fresh = [
+            (reading, slot)
+            for reading, slot in zip(state.latest, self.slots, strict=True)
+            if reading is not None and t_ns - reading.t_ns <= STALE_NS
+        ]
+        height = max((_height(reading.ratio, slot.decides) for reading, slot in fresh), default=Height.UNKNOWN)
+        if not any(slot.decides for _, slot in fresh):
+            height = Height.UNKNOWN
+        calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+        if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
+            height = Height.SETTLED
+        now = _leading(state.diagnosis, fresh)
+        stage, reason = NEXT.get((now.stage, height), (now.stage, now.reason))
+        changed = stage is not now.stage
+        if changed:
+            now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
+        state = replace(state, calm_ns=calm_ns)
+        if stage is not Stage.FAULT:
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
+            return replace(state, diagnosis=now, gathered=None, graded=0), changed
+        if changed:
+            state = replace(state, gathered=Gathered(t_ns), graded=0)
+        place = isolate(
+            [
+                RotorReading(slot.evidence, reading.ratio, slot.threshold, reading.rotors)
+                for reading, slot in fresh
+                if slot.evidence is not None
+            ]
+        )
+        if place.rotor is not None and place.rotor != now.rotor:
+            now = replace(now, rotor=place.rotor, confidence=place.confidence)
+            if not changed:
+                now, changed = replace(now, reason="the rotor is named"), True
+        return replace(state, diagnosis=now, fault=now), changed
+
+    def _grade(
+        self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int
+    ) -> tuple[DecisionState, bool]:
+        """Gather the features, and name type and severity at each of the fixed times after the declaration."""
+        gathered, now = state.gathered, state.diagnosis
+        if gathered is None or state.graded >= len(self.known):
+            return state, False
+        for slot, one in zip(self.slots, parts, strict=True):
+            part = None if slot.feature is None else one.part(number)
+            if part is not None and slot.feature is not None:
+                gathered = gathered.add(slot.feature, part, now.rotor)
+        state = replace(state, gathered=gathered)
+        if t_ns - gathered.since_ns < self.known[state.graded].after_s * NS_PER_S:
+            return state, False
+        found = assess(gathered, self.known[state.graded])
+        after = replace(now, fault_type=found.fault_type, severity=found.severity)
+        news = after != now
+        after = replace(after, reason="the kind of fault is named") if news else after
+        return replace(state, graded=state.graded + 1, diagnosis=after, fault=after), news
+
+    def _named(self, state: DecisionState, events: Sequence[Event]) -> list[Event]:
+        """The events with rotor, type and severity as they are known now, if they belong to the latest fault."""
+        fault = state.fault
+        if fault is None:
+            return list(events)
+        return [
+            replace(
+                event,
+                rotor=fault.rotor,
+                confidence=fault.confidence,
+                fault_type=fault.fault_type,
+                severity=fault.severity,
+            )
+            if event.end_ns is None or event.end_ns >= fault.since_ns
+            else event
+            for event in events
+        ]
+
+
+def _leading(diagnosis: Diagnosis, fresh: Sequence[tuple[Reading, SlotSpec]]) -> Diagnosis:
+    """The diagnosis with the present evidence of the highest ratio."""
+    if not fresh:
+        return replace(diagnosis, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
+    reading, slot = max(fresh, key=lambda pair: (pair[1].decides, pair[0].ratio))
+    named = slot.events
+    return replace(
+        diagnosis,
+        monitor=named.monitor,
+        axis=named.axis,
+        unit=slot.unit,
+        statistic=max(reading.value, reading.ratio * slot.threshold),
+        threshold=slot.threshold,
+    )
+
+
+def _height(ratio: float, decides: bool) -> Height:
+    if not decides:
+        return Height.RAISED if ratio > 1.0 else Height.CALM
+    if ratio > 1.0:
+        return Height.OVER
+    if ratio >= RAISED_FROM:
+        return Height.RAISED
+    return Height.HELD if ratio >= CALM_BELOW else Height.CALM
