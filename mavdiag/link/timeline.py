@@ -6,7 +6,8 @@ least transport delay seen of each. The receiver's clock never adds its jitter t
 A stamp that is out of line (over a second old, or hours ahead) is no reboot while others go on: a second path may be
 slower, and somebody may send old frames again. Such frames are left out. The vehicle starts anew when its old clock
 has been silent, for a second if the new clock is no further than a reboot in that silence can have brought it, else for
-ten, and three frames in a row agree on the new clock. So reboots cannot be counted more often than once a second.
+ten, and three frames in a row agree on a new clock that goes on. So reboots cannot be counted more often than once a
+second.
 
 Everything is a value: state in, state out; cutting the samples into other pieces gives the same times.
 """
@@ -20,14 +21,15 @@ import numpy as np
 
 from mavdiag.link.clock import EPOCH_NS, HIGHEST_NS, LATE_NS, SILENT_NS, Counter, Run
 from mavdiag.telemetry import IntArray
-from mavdiag.units import NS_PER_S
+from mavdiag.units import NS_PER_MS, NS_PER_S
 
 __all__ = ["Delay", "OutOfLine", "Rival", "Timeline", "out_of_line", "place", "rebooted"]
 
 # Choices, not measurements; SILENT_NS is one, too.
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
 UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
-AGREEING = 3  # frames in a row that must agree on the new clock to within LATE_NS
+AGREEING = 3  # frames in a row that must agree on the new clock to within LATE_NS, each later than the one before
+STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
 REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
 SETTLE_NS = 2 * NS_PER_S  # how long the delay of a clock is watched before a second clock is laid over the first
 
@@ -113,10 +115,15 @@ def out_of_line(timeline: Timeline, counter: Counter, raw: int, host_ns: int) ->
     young = clock_ns <= silent_ns + UPTIME_SLACK_NS
     if silent_ns < (SILENT_NS if young else GONE_NS):
         return timeline, OutOfLine.STRAY
-    before = timeline.rival or Rival(clock_ns, host_ns, 0)
-    if abs((clock_ns - before.clock_ns) - (host_ns - before.host_ns)) > LATE_NS:
+    before = timeline.rival
+    if before is None:
+        return replace(timeline, rival=Rival(clock_ns, host_ns, 1)), OutOfLine.RIVAL
+    advance_ns = clock_ns - before.clock_ns
+    if abs(advance_ns - (host_ns - before.host_ns)) > LATE_NS:
         return replace(timeline, rival=None), OutOfLine.STRAY
-    if before.frames + 1 >= AGREEING:
+    if advance_ns < STEP_NS:
+        return timeline, OutOfLine.RIVAL
+    if before.frames + 1 == AGREEING:
         return rebooted(timeline), OutOfLine.REBOOT
     return replace(timeline, rival=Rival(clock_ns, host_ns, before.frames + 1)), OutOfLine.RIVAL
 
