@@ -37,8 +37,8 @@ def _print(log: Log) -> None:
     from rich.table import Table
 
     table = Table(title=f"{log.name}: profile {log.profile}")
-    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range of each column"):
-        table.add_column(heading, justify="right", overflow="fold")
+    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for series in log.telemetry.series:
         if len(series):
             table.add_row(series.signal, str(len(series)), *_timing(series), _extent(series))
@@ -59,5 +59,8 @@ def _timing(series: Series) -> tuple[str, str, str]:
 
 
 def _extent(series: Series) -> str:
-    columns = (column[np.isfinite(column)] for column in series.values.T)
-    return ", ".join(f"{known.min():.3g}..{known.max():.3g}" if len(known) else "-" for known in columns)
+    """Range of each column, one line each; outputs and rotors up to the last in use."""
+    used = np.flatnonzero((np.nan_to_num(series.values) != 0).any(axis=0))
+    shown = series.values[:, : int(used[-1]) + 1] if len(used) else series.values[:, :1]
+    columns = (column[np.isfinite(column)] for column in shown.T)
+    return "\n".join(f"{known.min():.3g}..{known.max():.3g}" if len(known) else "-" for known in columns)
