@@ -37,7 +37,7 @@ def _print(log: Log) -> None:
     from rich.table import Table
 
     table = Table(title=f"{log.name}: profile {log.profile}")
-    for heading in ("signal", "samples", "rate Hz", "jitter ms", "longest gap s", "range"):
+    for heading in ("signal", "samples", "Hz", "jitter ms", "gap s", "range"):
         table.add_column(heading, justify="right", no_wrap=True)
     for series in log.telemetry.series:
         if len(series):
