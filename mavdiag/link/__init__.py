@@ -1,1 +1,1 @@
-"""The MAVLink side: bytes to frames (`codec`), counters to time (`clock`), frames to SI (`samples`), and the ports."""
+"""The MAVLink side: bytes to frames (`codec`), frames to SI (`samples`), links to vehicles (`vehicles`), the ports."""

@@ -3,8 +3,8 @@
     state = SampleState()
     state, telemetry = decoder.step(state, frames)
 
-What a message means is in `conversion`, when it was is in `clock`; here they are put together. How the frames are cut
-into blocks does not matter.
+What a message means is in `conversion`, when it was is in `clock` and `timeline`; here they are put together. How the
+frames are cut into blocks does not matter.
 """
 
 from collections import defaultdict
@@ -15,21 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.link.clock import (
-    ClockReading,
-    Counter,
-    Run,
-    Timeline,
-    changed_clock,
-    place,
-    rebooted,
-    started_anew,
-    unwrap,
-)
+from mavdiag.link.clock import ClockReading, Counter, Run, changed_clock, unwrap
 from mavdiag.link.codec import Frame
 from mavdiag.link.conversion import SOURCES, Part, Record, Source, sources
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
+from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 
 __all__ = ["SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
@@ -208,10 +199,13 @@ class SampleDecoder:
             return replace(
                 state, readings={m: reading for m, reading in state.readings.items() if m != frame.msgid}
             ), False
-        if started_anew(state.timeline, counter, raw, frame.host_ns):
-            return SampleState(rebooted(state.timeline), dropped=state.dropped), False
-        patience = last._replace(host_ns=frame.host_ns)  # the next decision is due after another second
-        return replace(state, readings={**state.readings, frame.msgid: patience}), True
+        timeline, what = out_of_line(state.timeline, counter, raw, frame.host_ns)
+        if what is OutOfLine.REBOOT:
+            return SampleState(timeline, dropped=state.dropped), False
+        readings = dict(state.readings)
+        if what is OutOfLine.STRAY:  # the next decision is due after another second
+            readings[frame.msgid] = last._replace(host_ns=frame.host_ns)
+        return replace(state, timeline=timeline, readings=readings), True
 
     def _converted(
         self, state: SampleState, frames: Sequence[Frame], groups: Mapping[int, _Group]

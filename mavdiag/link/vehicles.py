@@ -10,12 +10,12 @@ frames are kept (in all under 40 MB).
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mavdiag.link.clock import Timeline
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
+from mavdiag.link.timeline import Timeline
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 

@@ -35,6 +35,14 @@ def flight(seed: int, epoch_imu: bool) -> list[Frame]:
     return frames
 
 
+def two_paths(seed: int) -> list[Frame]:
+    """A flight over two paths, the second up to 3 s behind, with a reboot that both show."""
+    rng = np.random.default_rng(seed)
+    behind_ns, frames = int(rng.integers(0, 3_000_000_000)), flight(seed, epoch_imu=False)
+    late = [frame._replace(host_ns=frame.host_ns + behind_ns) for frame in frames]
+    return sorted(frames + late, key=lambda frame: frame.host_ns)
+
+
 def same(one: Telemetry, other: Telemetry) -> bool:
     return {s.signal for s in one.series} == {s.signal for s in other.series} and all(
         np.array_equal(series.t_ns, other.need(series.signal).t_ns)
@@ -56,6 +64,19 @@ def test_how_frames_are_cut_does_not_matter(seed: int, epoch_imu: bool, sizes: l
         at, k = at + size, k + 1
     assert state == whole_state
     assert state.timeline.reboots == 1
+    assert same(joined(pieces), whole)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 300))
+def test_b9_how_two_paths_are_cut_does_not_matter(seed: int, size: int) -> None:
+    frames, converter = two_paths(seed), SampleDecoder(PROFILES["qdrone2"])
+    whole_state, whole = converter.step(SampleState(), frames)
+    state, pieces = SampleState(), []
+    for k in range(0, len(frames), size):
+        state, piece = converter.step(state, frames[k : k + size])
+        pieces.append(piece)
+    assert state == whole_state
     assert same(joined(pieces), whole)
 
 

@@ -5,19 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mavdiag.link.clock import (
-    MS_32,
-    US_32,
-    US_64,
-    ClockReading,
-    Counter,
-    Run,
-    Timeline,
-    place,
-    rebooted,
-    started_anew,
-    unwrap,
-)
+from mavdiag.link.clock import MS_32, US_32, US_64, ClockReading, Counter, Run, unwrap
+from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place, rebooted
 from mavdiag.telemetry import IntArray
 
 S = 1_000_000_000
@@ -173,4 +162,17 @@ def test_b9_what_is_out_of_line_while_others_go_on_is_left_out() -> None:
 )
 def test_b9_a_vehicle_starts_anew_after_silence(silent_s: float, uptime_s: float, anew: bool) -> None:
     timeline, _ = place(Timeline(), [run_of(MS_32, [900_000], [5 * S])])
-    assert started_anew(timeline, MS_32, int(1000 * uptime_s), 5 * S + int(silent_s * S)) is anew
+    found = []
+    for k in range(3):
+        raw, host_ns = int(1000 * uptime_s) + 10 * k, 5 * S + int(silent_s * S) + 10_000_000 * k
+        timeline, what = out_of_line(timeline, MS_32, raw, host_ns)
+        found.append(what)
+    assert found == ([OutOfLine.RIVAL, OutOfLine.RIVAL, OutOfLine.REBOOT] if anew else [OutOfLine.STRAY] * 3)
+    assert timeline.reboots == anew
+
+
+def test_b9_stamps_that_do_not_agree_are_no_reboot() -> None:
+    timeline, _ = place(Timeline(), [run_of(MS_32, [900_000], [5 * S])])
+    for k, raw in enumerate((0, 5_000, 0, 5_000, 0, 5_000)):
+        timeline, _ = out_of_line(timeline, MS_32, raw, 8 * S + 10_000_000 * k)
+    assert timeline.reboots == 0

@@ -1,0 +1,196 @@
+"""One vehicle timeline from many counters: reboots bridged, two clocks laid over each other.
+
+The timeline is the clock of the first stamped message; the other clock, since boot or unix time, is laid over it by the
+least transport delay seen of each. The receiver's clock never adds its jitter to a stamp.
+
+A stamp that is out of line (over a second old, or hours ahead) is no reboot while others go on: a second path may be
+slower, and somebody may send old frames again. Such frames are left out. The vehicle starts anew when its old clock
+has been silent, for a second if the new clock is no further than a reboot in that silence can have brought it, else for
+ten, and three frames in a row agree on a new clock that goes on. So reboots cannot be counted more often than once a
+second.
+
+Everything is a value: state in, state out; cutting the samples into other pieces gives the same times.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from typing import NamedTuple
+
+import numpy as np
+
+from mavdiag.link.clock import EPOCH_NS, HIGHEST_NS, LATE_NS, SILENT_NS, Counter, Run
+from mavdiag.telemetry import IntArray
+from mavdiag.units import NS_PER_MS, NS_PER_S
+
+__all__ = ["Delay", "OutOfLine", "Rival", "Timeline", "out_of_line", "place", "rebooted"]
+
+# Choices, not measurements; SILENT_NS is one, too.
+GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
+UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
+AGREEING = 3  # frames in a row that must agree on the new clock to within LATE_NS, each later than the one before
+STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
+REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
+SETTLE_NS = 2 * NS_PER_S  # how long the delay of a clock is watched before a second clock is laid over the first
+
+
+class Rival(NamedTuple):
+    """Another clock than the vehicle's, that frames show while that one is silent.
+
+    clock_ns: what the latest frame shows [ns].
+    host_ns: when it was received [ns].
+    frames: how many in a row agree on it.
+    """
+
+    clock_ns: int
+    host_ns: int
+    frames: int
+
+
+class OutOfLine(Enum):
+    """What a stamp out of line is taken for."""
+
+    REBOOT = auto()  # the vehicle started anew
+    RIVAL = auto()  # maybe so: the next frames must agree; this one is left out
+    STRAY = auto()  # a frame to leave out
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How far the receiver's clock is ahead of one of the vehicle's.
+
+    first_host_ns: since when it is watched [ns].
+    least_ns: least lead so far [ns].
+    """
+
+    first_host_ns: int
+    least_ns: int
+
+    @property
+    def settled_ns(self) -> int:
+        """Receiver's time from which on the delay is known and stays as it is."""
+        return self.first_host_ns + SETTLE_NS
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """Where one vehicle's time stands.
+
+    on_epoch: whether the reference clock is unix time; None before the first stamp.
+    base_ns: what to add to it [ns].
+    delays: of the clock since boot and of unix time.
+    t_ns: latest time known [ns], None before the first stamp.
+    host_ns: when the last stamp was received [ns].
+    seen_ns: when the last stamp in line was, of the clock since boot and of unix time [ns].
+    high_ns: highest stamp, of the clock since boot and of unix time [ns].
+    rival: another clock that may take over; None if there is none.
+    reboots: how often the vehicle started anew.
+    """
+
+    on_epoch: bool | None = None
+    base_ns: int = 0
+    delays: tuple[Delay | None, Delay | None] = (None, None)
+    t_ns: int | None = None
+    host_ns: int = 0
+    seen_ns: tuple[int, int] = (0, 0)
+    high_ns: tuple[int, int] = (0, 0)
+    rival: Rival | None = None
+    reboots: int = 0
+
+    def since_boot_ns(self, host_ns: int) -> int | None:
+        """The vehicle's time since boot at the receiver's time, to a few milliseconds; None if it is not known."""
+        boot = self.delays[0]
+        return None if boot is None else host_ns - boot.least_ns
+
+
+def rebooted(timeline: Timeline) -> Timeline:
+    """The vehicle starts anew: its clocks are new, and its time goes on with the receiver's, by a second at least."""
+    return Timeline(t_ns=timeline.t_ns, host_ns=timeline.host_ns, reboots=timeline.reboots + 1)
+
+
+def out_of_line(timeline: Timeline, counter: Counter, raw: int, host_ns: int) -> tuple[Timeline, OutOfLine]:
+    """What a stamp out of line, received at `host_ns`, is; raw: its count."""
+    clock_ns = raw * counter.tick_ns
+    silent_ns = host_ns - timeline.seen_ns[clock_ns >= EPOCH_NS]
+    young = clock_ns <= silent_ns + UPTIME_SLACK_NS
+    if silent_ns < (SILENT_NS if young else GONE_NS):
+        return timeline, OutOfLine.STRAY
+    before = timeline.rival
+    if before is None:
+        return replace(timeline, rival=Rival(clock_ns, host_ns, 1)), OutOfLine.RIVAL
+    advance_ns = clock_ns - before.clock_ns
+    if abs(advance_ns - (host_ns - before.host_ns)) > LATE_NS:
+        return replace(timeline, rival=None), OutOfLine.STRAY
+    if advance_ns < STEP_NS:
+        return timeline, OutOfLine.RIVAL
+    if before.frames + 1 == AGREEING:
+        return rebooted(timeline), OutOfLine.REBOOT
+    return replace(timeline, rival=Rival(clock_ns, host_ns, before.frames + 1)), OutOfLine.RIVAL
+
+
+def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntArray]]:
+    """Give the samples of several messages their vehicle time.
+
+    runs: none empty, and of a fresh timeline the first one to arrive first. Returns the vehicle times of each run [ns];
+    where the other clock is not laid over the first yet (two seconds), the leading samples have none and are left out.
+    """
+    if timeline.on_epoch is None:
+        timeline = _begun(timeline, runs[0])
+    boot, epoch = timeline.delays
+    received_ns, known_ns = timeline.host_ns, timeline.t_ns
+    seen_ns, high_ns = list(timeline.seen_ns), list(timeline.high_ns)
+    boot = _watched(boot, runs, received_ns, on_epoch=False)
+    epoch = _watched(epoch, runs, received_ns, on_epoch=True)
+    lag_ns = epoch.least_ns - boot.least_ns if boot and epoch else 0
+    times = []
+    for run in runs:
+        t_ns, offset_ns = run.clock_ns, timeline.base_ns
+        if run.on_epoch != timeline.on_epoch:
+            offset_ns += lag_ns if run.on_epoch else -lag_ns
+            t_ns = t_ns[_unsettled(boot, epoch, run) :]
+        if offset_ns:
+            offset_ns = min(max(offset_ns, -HIGHEST_NS), HIGHEST_NS)
+            t_ns = t_ns + offset_ns
+        if len(t_ns) and (known_ns is None or run.latest_ns + offset_ns > known_ns):
+            known_ns = run.latest_ns + offset_ns
+        received_ns = max(received_ns, run.reading.host_ns)
+        if not run.ambiguous and run.latest_ns >= high_ns[run.on_epoch] - GONE_NS:  # else a clock of its own
+            seen_ns[run.on_epoch] = max(seen_ns[run.on_epoch], run.reading.host_ns)
+            high_ns[run.on_epoch] = max(high_ns[run.on_epoch], run.latest_ns)
+        times.append(t_ns)
+    seen, high = (seen_ns[0], seen_ns[1]), (high_ns[0], high_ns[1])
+    known = replace(timeline, delays=(boot, epoch), t_ns=known_ns, host_ns=received_ns, seen_ns=seen, high_ns=high)
+    rival = timeline.rival
+    if rival is not None and seen[rival.clock_ns >= EPOCH_NS] != timeline.seen_ns[rival.clock_ns >= EPOCH_NS]:
+        known = replace(known, rival=None)
+    return known, times
+
+
+def _begun(timeline: Timeline, first: Run) -> Timeline:
+    if timeline.t_ns is None:
+        return replace(timeline, on_epoch=first.on_epoch)
+    resume_ns = timeline.t_ns + max(int(first.host_ns[0]) - timeline.host_ns, REBOOT_GAP_NS)
+    return replace(timeline, on_epoch=first.on_epoch, base_ns=resume_ns - int(first.clock_ns[0]))
+
+
+def _watched(delay: Delay | None, runs: Sequence[Run], received_ns: int, *, on_epoch: bool) -> Delay | None:
+    """The least delay of one clock, with these runs; once settled it stays."""
+    if delay is not None and received_ns >= delay.settled_ns:
+        return delay
+    own = [run for run in runs if run.on_epoch == on_epoch]
+    if not own:
+        return delay
+    first_ns = min(int(run.host_ns[0]) for run in own) if delay is None else delay.first_host_ns
+    least_ns = HIGHEST_NS if delay is None else delay.least_ns
+    for run in own:
+        early = run.host_ns < first_ns + SETTLE_NS
+        if early[0]:
+            least_ns = min(least_ns, int((run.host_ns - run.clock_ns)[early].min()))
+    return Delay(first_ns, least_ns)
+
+
+def _unsettled(boot: Delay | None, epoch: Delay | None, run: Run) -> int:
+    """How many of the run's samples came before both clocks were known."""
+    if boot is None or epoch is None:
+        return len(run.clock_ns)
+    return int(np.searchsorted(run.host_ns, max(boot.settled_ns, epoch.settled_ns)))
