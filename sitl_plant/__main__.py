@@ -95,13 +95,13 @@ def run(
     if duration is not None and not duration > 0.0:
         raise UsageError(f"duration must be positive, not {duration:g}")
     with ExitStack() as stack:
-        links = [Link(stack.enter_context(open_endpoint(address)), plan.flavour, rate) for address in out]
+        links = [Link(stack.enter_context(open_endpoint(address)), plan.dialect, rate) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
         stop = stack.enter_context(_stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
         watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace == 1.0 else None))
-        report = fly(plant, plan.flavour, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
+        report = fly(plant, plan.dialect, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
 
@@ -187,11 +187,11 @@ def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
     config = plan.config
     if as_json:
         line = json.dumps(
-            {"event": "flying", "addresses": addresses, "profile": plan.flavour.profile.name, "rate_hz": plan.rate_hz}
+            {"event": "flying", "addresses": addresses, "profile": plan.dialect.profile.name, "rate_hz": plan.rate_hz}
         )
     else:
         fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
-        link = f"{plan.flavour.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
+        link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
         line = f"drone {config.drone} flies a {config.trajectory}{fault}; {link}"
     typer.echo(line)
 

@@ -7,7 +7,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from mavdiag.errors import UsageError
-from sitl_plant.autopilot.dialect import FLAVOURS, Flavour, flavour
+from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.trajectory import Shape
 from sitl_plant.plant import PlantConfig
@@ -46,7 +46,7 @@ Rate: TypeAlias = Annotated[
 Seed: TypeAlias = Annotated[int, typer.Option(help="Equal seeds give equal flights, bit for bit.")]
 Wind: TypeAlias = Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")]
 PayloadKg: TypeAlias = Annotated[float, typer.Option("--payload", metavar="KG", help="Point mass below the body.")]
-Profile: TypeAlias = Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(FLAVOURS)}.")]
+Profile: TypeAlias = Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")]
 TruthFile: TypeAlias = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
 ]
@@ -57,7 +57,7 @@ class FlightPlan:
     """What to fly and how to tell of it. rate_hz: the link rate, the profile's own if none was asked for."""
 
     config: PlantConfig
-    flavour: Flavour
+    dialect: Dialect
     rate_hz: float
 
 
@@ -75,8 +75,8 @@ def flight_plan(
     profile: str,
 ) -> FlightPlan:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    spoken = flavour(profile)
-    rates = spoken.rates_hz(rate_hz)
+    dialect = dialect_named(profile)
+    rates = dialect.rates_hz(rate_hz)
     if fault is None and onset_s > 0.0:
         raise UsageError("--onset needs a fault: add --fault F2/SV2")
     if onset_s < 0.0:
@@ -92,7 +92,7 @@ def flight_plan(
         payload=Payload(payload_kg),
         seed=seed,
     )
-    return FlightPlan(config, spoken, rates[spoken.profile.imu])
+    return FlightPlan(config, dialect, rates[dialect.profile.imu])
 
 
 def parse_speed(text: str) -> float | None:

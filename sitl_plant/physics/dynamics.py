@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.jit import jit
+from sitl_plant.physics.jit import inline, jit
 
 __all__ = [
     "GRAVITY",
@@ -36,6 +36,7 @@ __all__ = [
     "rk4_step",
     "rotate_to_body",
     "rotate_to_world",
+    "support",
 ]
 
 GRAVITY = 9.81  # m/s^2, as the hover speed of T 3.2.2 and K_F assume
@@ -129,9 +130,15 @@ def grip(x: FloatArray, ground: Ground) -> None:
             ground.stuck[i, 0], ground.stuck[i, 1] = north + f_x / ground.stiffness, east + f_y / ground.stiffness
 
 
+@inline
+def support(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
+    """Add what the ground does to the slope in dx[row], if the vehicle is near enough to touch it."""
+    if x[2] > ground.reach:
+        _stand(x, body, ground, dx, row)
+
+
 @jit
-def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> tuple[float, float, float]:
-    """Add the ground's push to the acceleration in dx[row]; returns its moment in body axes [N m]."""
+def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
     m_x = m_y = m_z = 0.0
     for i in range(len(ground.gear)):
         f_x, f_y, f_z, _, _, _ = _push(x, ground, i)
@@ -143,7 +150,8 @@ def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) 
         m_x += b * b_z - c * b_y
         m_y += c * b_x - a * b_z
         m_z += a * b_y - b * b_x
-    return m_x, m_y, m_z
+    for axis in range(3):
+        dx[row, 10 + axis] += body.inverse[axis, 0] * m_x + body.inverse[axis, 1] * m_y + body.inverse[axis, 2] * m_z
 
 
 @jit
@@ -152,15 +160,14 @@ def derivative(
     wrench: FloatArray,
     stage: int,
     body: Body,
-    ground: Ground,
     wind: FloatArray,
     dx: FloatArray,
     row: int,
 ) -> None:
-    """Write dx/dt under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
+    """Write dx/dt in the air under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
 
-    m dv/dt     = R (force + drag) + m g + ground
-    I domega/dt = moment + hub + ground - omega × (I omega + h e_z) - dh/dt e_z
+    m dv/dt     = R (force + drag) + m g
+    I domega/dt = moment + hub - omega × (I omega + h e_z) - dh/dt e_z
     hub         = k e_z × v_air                    the discs tilt away from the oncoming air: nose up when flying ahead
     """
     q_w, q_x, q_y, q_z, p, q, r = x[6], x[7], x[8], x[9], x[10], x[11], x[12]
@@ -186,9 +193,6 @@ def derivative(
     m_x = wrench[stage, 3] - body.hub_moment * v - (q * h_z - r * h_y)
     m_y = wrench[stage, 4] + body.hub_moment * u - (r * h_x - p * h_z)
     m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
-    if x[2] > ground.reach:
-        g_x, g_y, g_z = _stand(x, body, ground, dx, row)
-        m_x, m_y, m_z = m_x + g_x, m_y + g_y, m_z + g_z
     for axis in range(3):
         dx[row, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
 
@@ -202,16 +206,20 @@ def rk4_step(
     wrench: (3, 8) at start, middle and end. work: (5, 13) scratch for the four slopes and the point.
     """
     y = work[4]
-    derivative(x, wrench, 0, body, ground, wind, work, 0)
+    derivative(x, wrench, 0, body, wind, work, 0)
+    support(x, body, ground, work, 0)
     for i in range(RIGID):
         y[i] = x[i] + 0.5 * dt * work[0, i]
-    derivative(y, wrench, 1, body, ground, wind, work, 1)
+    derivative(y, wrench, 1, body, wind, work, 1)
+    support(y, body, ground, work, 1)
     for i in range(RIGID):
         y[i] = x[i] + 0.5 * dt * work[1, i]
-    derivative(y, wrench, 1, body, ground, wind, work, 2)
+    derivative(y, wrench, 1, body, wind, work, 2)
+    support(y, body, ground, work, 2)
     for i in range(RIGID):
         y[i] = x[i] + dt * work[2, i]
-    derivative(y, wrench, 2, body, ground, wind, work, 3)
+    derivative(y, wrench, 2, body, wind, work, 3)
+    support(y, body, ground, work, 3)
     for i in range(RIGID):
         x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
     norm = np.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])

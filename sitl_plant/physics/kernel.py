@@ -13,7 +13,7 @@ import numpy as np
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.attitude import Estimator, advance_estimate
 from sitl_plant.physics.controller import Controller, ControlState, control
-from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step
+from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step, support
 from sitl_plant.physics.jit import cached, inline, jit, source_digest
 from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, observe
 from sitl_plant.physics.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
@@ -94,7 +94,8 @@ def _sense(
     state: State, model: Model, condition: SensorCondition, noise: Noise, row: int, step: int, scratch: Scratch
 ) -> None:
     """Read the IMU, and receive what the cameras saw."""
-    derivative(state.rigid, state.wrench, STAGES - 1, model.body, model.ground, state.wind, scratch.work, 0)
+    derivative(state.rigid, state.wrench, STAGES - 1, model.body, state.wind, scratch.work, 0)
+    support(state.rigid, model.body, model.ground, scratch.work, 0)
     feel(state.rigid, scratch.work, model.imu.position, scratch.truth)
     advance_imu(state.imu, model.imu, condition, scratch.truth, noise.imu, row, model.dt)
     deliver_pose(state.mocap, model.mocap, step)
