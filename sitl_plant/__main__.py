@@ -1,10 +1,9 @@
-"""The `sitl-plant` command (edge): fly an emulated QDrone 2 over MAVLink, or record its flight.
+"""The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or record its flight.
 
-Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, told in one line on stderr.
+Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
 """
 
 import json
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -23,6 +22,7 @@ from sitl_plant.options import (
     Drone,
     Fault,
     FlightPlan,
+    NoseMode,
     Onset,
     PayloadKg,
     Phenomenology,
@@ -30,13 +30,15 @@ from sitl_plant.options import (
     Rate,
     Rotor,
     Seed,
+    Takeoff,
     Trajectory,
     TruthFile,
+    VehicleName,
     Wind,
     flight_plan,
     parse_speed,
 )
-from sitl_plant.physics.trajectory import Shape
+from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
@@ -44,7 +46,7 @@ from sitl_plant.truth import Truth
 
 __all__ = ["app", "main", "record", "run"]
 
-app = commandline.application("Fly an emulated QDrone 2 with propeller faults and tell of it over MAVLink.")
+app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.")
 app.command()(campaign)
 app.command()(stand)
 
@@ -73,8 +75,11 @@ def run(
             help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
+    vehicle: VehicleName = "qdrone2",
     drone: Drone = 1,
     trajectory: Trajectory = Shape.SQUARE,
+    nose: NoseMode = Nose.FIXED,
+    takeoff: Takeoff = False,
     fault: Fault = None,
     rotor: Rotor = 1,
     onset: Onset = 0.0,
@@ -87,18 +92,20 @@ def run(
     payload: PayloadKg = 0.0,
     profile: Profile = "qdrone2",
     truth: TruthFile = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Tell start and end as JSON lines on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
-    plan = flight_plan(drone, trajectory, fault, rotor, onset, phenomenology, rate, seed, wind, payload, profile)
+    plan = flight_plan(
+        vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed, wind, payload,
+        profile,
+    )  # fmt: skip
     pace = parse_speed(speed)
-    if duration is not None and not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
     with ExitStack() as stack:
-        links = [Link(stack.enter_context(open_endpoint(address)), plan.dialect, rate) for address in out]
+        ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
-        stop = stack.enter_context(_stop_signals())
+        links = [Link(end, plan.dialect, rate, plant.rotors) for end in ends]
+        stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
         watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace == 1.0 else None))
         report = fly(plant, plan.dialect, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
@@ -108,8 +115,11 @@ def run(
 @app.command()
 def record(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
+    vehicle: VehicleName = "qdrone2",
     drone: Drone = 1,
     trajectory: Trajectory = Shape.SQUARE,
+    nose: NoseMode = Nose.FIXED,
+    takeoff: Takeoff = False,
     fault: Fault = None,
     rotor: Rotor = 1,
     onset: Onset = 0.0,
@@ -124,34 +134,18 @@ def record(
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
-    if not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
-        own_seed = seed + number
         plan = flight_plan(
-            drone, trajectory, fault, rotor, onset, phenomenology, rate, own_seed, wind, payload, profile
-        )
+            vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed + number,
+            wind, payload, profile,
+        )  # fmt: skip
         with _truth_file(truth) as lines:
             watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
             messages = record_flight(path, plan, duration, watch)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
-
-
-@contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM end the flight at the next block instead of the process at once."""
-    caught: list[int] = []
-    before = {
-        number: signal.signal(number, lambda n, _: caught.append(n)) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield lambda: bool(caught)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -183,7 +177,7 @@ def _write_truth(file: TextIO | None, truth: Truth) -> Callable[[PlantSamples], 
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
-    """Tell where the vehicle is heard: with port 0 nobody else knows."""
+    """Print the addresses of the vehicle: with port 0 nobody else knows them."""
     config = plan.config
     if as_json:
         line = json.dumps(
@@ -192,7 +186,7 @@ def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
     else:
         fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
         link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
-        line = f"drone {config.drone} flies a {config.trajectory}{fault}; {link}"
+        line = f"{config.vehicle.name} {config.drone} flies a {config.trajectory}{fault}; {link}"
     typer.echo(line)
 
 
@@ -202,7 +196,7 @@ def _conclude(report: FlightReport, as_json: bool) -> None:
         return
     typer.echo(
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
-        f"{report.messages} messages sent, {report.dropped} dropped, {report.heard} heard; "
+        f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "
         f"late by {report.late_p50_ms:.1f} ms (half), {report.late_p99_ms:.1f} (99 %), {report.late_max_ms:.1f} (all)"
     )
 

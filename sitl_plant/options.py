@@ -1,4 +1,4 @@
-"""The options that every command of `sitl-plant` shares, and how they become a flight."""
+"""The options that the commands of `sitl-plant` share, and how they become a flight."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +9,15 @@ import typer
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.trajectory import Shape
+from sitl_plant.physics.trajectory import Nose, Shape, landing_time
 from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
 __all__ = [
     "Drone",
     "Fault",
     "FlightPlan",
+    "NoseMode",
     "Onset",
     "PayloadKg",
     "Phenomenology",
@@ -23,8 +25,10 @@ __all__ = [
     "Rate",
     "Rotor",
     "Seed",
+    "Takeoff",
     "Trajectory",
     "TruthFile",
+    "VehicleName",
     "Wind",
     "flight_plan",
     "parse_speed",
@@ -32,9 +36,16 @@ __all__ = [
 
 Drone: TypeAlias = Annotated[int, typer.Option(help="Drone of the fleet: 1 (aged), 2 or 3 (new).")]
 Trajectory: TypeAlias = Annotated[Shape, typer.Option(help="Path to fly.")]
+NoseMode: TypeAlias = Annotated[Nose, typer.Option(help="Where the nose points: one way, along the path, or around.")]
+Takeoff: TypeAlias = Annotated[
+    bool, typer.Option("--takeoff", help="Start disarmed on the ground; land before --duration is over.")
+]
+VehicleName: TypeAlias = Annotated[
+    str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"Vehicle: {', '.join(shipped_vehicles())}, or a file.")
+]
 Fault: TypeAlias = Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
 Rotor: TypeAlias = Annotated[
-    int, typer.Option(help="Damaged rotor: 1 rear right, 2 front right, 3 rear left, 4 front left.")
+    int, typer.Option(help="Damaged rotor, numbered as in the vehicle's file; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left.")
 ]
 Onset: TypeAlias = Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")]
 Phenomenology: TypeAlias = Annotated[
@@ -54,7 +65,10 @@ TruthFile: TypeAlias = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What to fly and how to tell of it. rate_hz: the link rate, the profile's own if none was asked for."""
+    """What to fly and how to send it.
+
+    rate_hz: of set-point and IMU; the profile's own if none was asked for.
+    """
 
     config: PlantConfig
     dialect: Dialect
@@ -62,13 +76,17 @@ class FlightPlan:
 
 
 def flight_plan(
+    vehicle: str,
     drone: int,
     trajectory: Shape,
+    nose: Nose,
+    takeoff: bool,
     fault: str | None,
     rotor: int,
     onset_s: float,
     phenomenology: float,
     rate_hz: float | None,
+    duration_s: float | None,
     seed: int,
     wind_m_s: float,
     payload_kg: float,
@@ -81,9 +99,15 @@ def flight_plan(
         raise UsageError("--onset needs a fault: add --fault F2/SV2")
     if onset_s < 0.0:
         raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
+    if duration_s is not None and not duration_s > 0.0:
+        raise UsageError(f"duration must be positive, not {duration_s:g}")
     config = PlantConfig(
+        vehicle=vehicle_from(vehicle),
         drone=drone,
         trajectory=trajectory,
+        nose=nose,
+        start="ground" if takeoff else "hover",
+        land_s=duration_s - landing_time(PlantConfig.altitude_m) if takeoff and duration_s is not None else None,
         fault=fault,
         rotor=rotor,
         onset_s=onset_s,

@@ -35,6 +35,7 @@ __all__ = [
     "load_vehicle",
     "qdrone2",
     "shipped_vehicles",
+    "vehicle_from",
     "vehicle_named",
 ]
 
@@ -269,6 +270,11 @@ def vehicle_named(name: str) -> Vehicle:
     if name not in shipped_vehicles():
         raise UsageError(f"no vehicle {name!r}: give a FILE.toml or one of {', '.join(shipped_vehicles())}")
     return _parse((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), name)
+
+
+def vehicle_from(text: str) -> Vehicle:
+    """The vehicle of a FILE.toml, or the shipped one of that name. Raises InputError or UsageError if there is none."""
+    return load_vehicle(Path(text)) if text.endswith(".toml") else vehicle_named(text)
 
 
 def qdrone2() -> Vehicle:

@@ -18,6 +18,7 @@ from sitl_plant.physics.dynamics import (
     derivative,
     grip,
     rk4_step,
+    support,
 )
 
 
