@@ -41,11 +41,15 @@ Takeoff: TypeAlias = Annotated[
     bool, typer.Option("--takeoff", help="Start disarmed on the ground; land before --duration is over.")
 ]
 VehicleName: TypeAlias = Annotated[
-    str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"Vehicle: {', '.join(shipped_vehicles())}, or a file.")
+    str,
+    typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"Vehicle: {', '.join(shipped_vehicles())}, or a file."),
 ]
 Fault: TypeAlias = Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
 Rotor: TypeAlias = Annotated[
-    int, typer.Option(help="Damaged rotor, numbered as in the vehicle's file; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left.")
+    int,
+    typer.Option(
+        help="Damaged rotor, numbered as in the vehicle's file; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
+    ),
 ]
 Onset: TypeAlias = Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")]
 Phenomenology: TypeAlias = Annotated[

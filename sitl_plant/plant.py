@@ -91,7 +91,9 @@ class PlantConfig:
         if self.start == "ground" and not self.altitude_m > 0.0:
             raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
         if self.land_s is not None and not (self.start == "ground" and self.land_s >= self.path().start):
-            raise UsageError(f"a flight from the ground that lands must last longer: {self.path().start:g} s until it may land")
+            raise UsageError(
+                f"a flight from the ground that lands must last longer: {self.path().start:g} s until it may land"
+            )
 
     def path(self) -> Path:
         """What the cascade follows."""
