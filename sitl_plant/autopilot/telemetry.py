@@ -1,18 +1,17 @@
 """A flight as a receiver reads it, without the bytes in between: for studies of many flights.
 
-The records are those that `sitl_plant.autopilot.stream` sends, and the receiver's own converters read them. Lost messages are
-missing.
+The records are those that the emulator sends, and the receiver's own conversions read them. Lost messages are missing.
 """
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.link.conversion import sources
-from mavdiag.link.samples import joined
-from mavdiag.telemetry import Series, Telemetry
+from mavdiag.link.samples import filled, joined, merged
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.imu_filters import ImuFilters
@@ -57,12 +56,15 @@ class TelemetryStream:
             {m: rate for m, rate in rates.items() if m in self._sources}, self._dialect.ceiling_hz
         )
         self._filters = ImuFilters(self._dialect, seed)
+        self._held: dict[Signal, FloatArray] = {}
         self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._sources}
 
     def step(self, samples: PlantSamples) -> Telemetry:
         """The next block (n >= 1)."""
-        filtered, series = self._filters.step(samples), []
-        for msgid, due in self._schedule.due(samples.t_ns):
+        filtered = self._filters.step(samples)
+        found: dict[Signal, list[tuple[Series, IntArray]]] = {}
+        held = set()
+        for order, (msgid, due) in enumerate(self._schedule.due(samples.t_ns)):
             source = self._sources[msgid]
             rows, record = records(msgid, filtered, due, self._dialect)
             seen = record.view(source.dtype)
@@ -74,9 +76,19 @@ class TelemetryStream:
             else:
                 t_ns = seen[source.time].astype(np.int64) * source.counter.tick_ns
             for part in source.convert(self._dialect.profile, seen):
-                meant = slice(None) if part.meant is None else part.meant
-                series.append(Series(part.signal, t_ns[meant], samples.t_ns[rows][meant], part.values[meant]))
-        return Telemetry(tuple(series))
+                kept = slice(None) if part.meant is None else part.meant
+                series = Series(part.signal, t_ns[kept], samples.t_ns[rows[kept]], part.values[kept])
+                found.setdefault(part.signal, []).append((series, rows[kept] * len(self._sources) + order))
+                held |= {part.signal} if part.held else set()
+        return Telemetry(tuple(self._whole(signal, parts, signal in held) for signal, parts in found.items()))
+
+    def _whole(self, signal: Signal, parts: list[tuple[Series, IntArray]], held: bool) -> Series:
+        """One series from all messages that carry a signal; what a message leaves out keeps its last value."""
+        series = parts[0][0] if len(parts) == 1 else merged(signal, parts)
+        if held and len(series):
+            series = replace(series, values=filled(series.values, self._held.get(signal)))
+            self._held[signal] = series.values[-1]
+        return series
 
 
 def until_ground(samples: PlantSamples) -> int:
@@ -86,7 +98,7 @@ def until_ground(samples: PlantSamples) -> int:
 
 
 def flight_telemetry(config: PlantConfig, duration_s: float, link: LinkSpec = LinkSpec()) -> tuple[Telemetry, float]:
-    """A whole flight over one link, and its length [s]: the duration, or less if a vehicle without ground falls to z = 0."""
+    """A whole flight over one link, and its length [s]: less than the duration if a vehicle falls to z = 0."""
     plant = Plant(config)
     stream, pieces = TelemetryStream(link, config.seed, plant.rotors), []
     left, flown = round(duration_s * 1e9 / STEP_NS), 0
