@@ -51,7 +51,7 @@ def run(app: typer.Typer, name: str) -> NoReturn:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Within this block SIGINT and SIGTERM do not end the process; the value says whether one of them came."""
+    """Let SIGINT and SIGTERM ask for an end instead of ending the process at once; yields whether one came."""
     caught: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}

@@ -9,7 +9,7 @@ import typer
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.trajectory import Nose, Shape, landing_time
+from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
@@ -42,13 +42,13 @@ Takeoff: TypeAlias = Annotated[
 ]
 VehicleName: TypeAlias = Annotated[
     str,
-    typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"Vehicle: {', '.join(shipped_vehicles())}, or a file."),
+    typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"One of {', '.join(shipped_vehicles())}, or a file."),
 ]
 Fault: TypeAlias = Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
 Rotor: TypeAlias = Annotated[
     int,
     typer.Option(
-        help="Damaged rotor, numbered as in the vehicle's file; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
+        help="Damaged rotor, as the vehicle's file counts; qdrone2: 1, 2 right rear, front; 3, 4 left rear, front."
     ),
 ]
 Onset: TypeAlias = Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")]
@@ -111,7 +111,7 @@ def flight_plan(
         trajectory=trajectory,
         nose=nose,
         start="ground" if takeoff else "hover",
-        land_s=duration_s - landing_time(PlantConfig.altitude_m) if takeoff and duration_s is not None else None,
+        landed_s=duration_s if takeoff else None,
         fault=fault,
         rotor=rotor,
         onset_s=onset_s,

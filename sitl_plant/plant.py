@@ -16,11 +16,13 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.airframe import NO_PAYLOAD, Airframe, Payload, drone
+from sitl_plant.physics.attitude import ESTIMATE
+from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import parse_fault
 from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model, Noise, Rows, fly
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
-from sitl_plant.physics.trajectory import Nose, Path, Shape, path
+from sitl_plant.physics.trajectory import Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
@@ -46,7 +48,7 @@ class PlantConfig:
     vehicle: the type of which drones 1 to 3 are specimens.
     airframe: another specimen instead.
     start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
-    land_s: flight time at which a flight from the ground begins to descend; None for never.
+    landed_s: flight time at which a flight from the ground is over, disarmed; None for never.
     """
 
     drone: int = 1
@@ -68,7 +70,7 @@ class PlantConfig:
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
     airframe: Airframe | None = None
     start: Literal["hover", "ground"] = "hover"
-    land_s: float | None = None
+    landed_s: float | None = None
 
     def __post_init__(self) -> None:
         if self.trajectory not in list(Shape):
@@ -90,16 +92,17 @@ class PlantConfig:
     def _check_ground(self) -> None:
         if self.start == "ground" and not self.altitude_m > 0.0:
             raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
-        if self.land_s is not None and not (self.start == "ground" and self.land_s >= self.path().start):
-            raise UsageError(
-                f"a flight from the ground that lands must last longer: {self.path().start:g} s until it may land"
-            )
+        flight = self.path()
+        if self.start == "ground" and flight.land < flight.start:
+            shortest = flight.start + landing_time(self.altitude_m)
+            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
 
     def path(self) -> Path:
         """What the cascade follows."""
         form = self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m
-        land_s = math.inf if self.land_s is None else self.land_s
-        return path(Shape(self.trajectory), *form, Nose(self.nose), self.start == "ground", land_s)
+        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m)
+        ground = self.start == "ground"
+        return path(Shape(self.trajectory), *form, Nose(self.nose), ground, land_s if ground else math.inf)
 
     def all_injections(self) -> tuple[Injection, ...]:
         """The fault by code, if any, and the other injections."""
@@ -189,7 +192,7 @@ class Plant:
         """Run `steps` of 1 ms with the motor commands of any autopilot, and return what the sensors measured.
 
         A row holds what was measured when its command took effect: an autopilot outside answers one step later.
-        commands: duty 0..1, (r,) held for all steps or (steps, r). Raises UsageError if they are of another shape or size.
+        commands: duty 0..1, (r,) held for all steps or (steps, r). Raises UsageError for another shape or size.
         """
         held = np.asarray(commands, dtype=np.float64)
         if held.shape not in ((self.rotors,), (steps, self.rotors)):
@@ -271,18 +274,9 @@ def _model(config: PlantConfig, airframe: Airframe) -> Model:
 
 
 def _empty_rows(steps: int, rotors: int) -> Rows:
-    return Rows(
-        setpoint=np.empty((steps, 3)),
-        rate_setpoint=np.empty((steps, 3)),
-        thrust=np.empty(steps),
-        imu=np.empty((steps, 6)),
-        attitude=np.empty((steps, 9)),
-        rigid=np.empty((steps, 13)),
-        rotor_speed=np.empty((steps, rotors)),
-        duty=np.empty((steps, rotors)),
-        battery_v=np.empty(steps),
-        motors=np.empty(steps),
-    )
+    wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
+    wide |= {"rotor_speed": rotors, "duty": rotors}
+    return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
 
 
 def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:

@@ -282,14 +282,20 @@ def qdrone2() -> Vehicle:
     return vehicle_named("qdrone2")
 
 
+def _table(text: str, name: str) -> dict[str, Any]:
+    """The file with what it takes over from its base."""
+    table = tomllib.loads(text)
+    base = table.pop("base", None)
+    if base is None:
+        return table
+    if base not in shipped_vehicles():
+        raise InputError(f"{name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
+    return _merged(_table((_FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base), table)
+
+
 def _parse(text: str, name: str) -> Vehicle:
     try:
-        table = tomllib.loads(text)
-        if (base := table.pop("base", None)) is not None:
-            if base not in shipped_vehicles():
-                raise InputError(f"{name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
-            table = _merged(tomllib.loads((_FOLDER / f"{base}.toml").read_text(encoding="utf-8")), table)
-        return TypeAdapter(Vehicle).validate_python(table)
+        return TypeAdapter(Vehicle).validate_python(_table(text, name))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name} is not TOML: {error}") from error
     except ValidationError as error:

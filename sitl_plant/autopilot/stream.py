@@ -79,7 +79,7 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
     dtype = _dtype(msgid, tuple((name, shape[1] if len(shape) == 2 else 1) for name, shape in shapes.items()))
     record = np.zeros(next(shape[0] for shape in shapes.values() if shape), dtype)
     for name, column in columns.items():
-        record[name] = column if np.ndim(column) < 2 or record[name].ndim == 2 else column[:, 0]  # a single column
+        record[name] = np.reshape(column, record[name].shape) if np.ndim(column) else column
     return np.repeat(rows, len(record) // len(rows)), record
 
 

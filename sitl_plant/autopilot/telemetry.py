@@ -76,9 +76,9 @@ class TelemetryStream:
             else:
                 t_ns = seen[source.time].astype(np.int64) * source.counter.tick_ns
             for part in source.convert(self._dialect.profile, seen):
-                kept = slice(None) if part.meant is None else part.meant
-                series = Series(part.signal, t_ns[kept], samples.t_ns[rows[kept]], part.values[kept])
-                found.setdefault(part.signal, []).append((series, rows[kept] * len(self._sources) + order))
+                at = np.arange(len(rows)) if part.meant is None else np.flatnonzero(part.meant)
+                series = Series(part.signal, t_ns[at], samples.t_ns[rows[at]], part.values[at])
+                found.setdefault(part.signal, []).append((series, rows[at] * len(self._sources) + order))
                 held |= {part.signal} if part.held else set()
         return Telemetry(tuple(self._whole(signal, parts, signal in held) for signal, parts in found.items()))
 

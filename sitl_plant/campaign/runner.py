@@ -41,8 +41,10 @@ Line: TypeAlias = LearnResult | FlightResult
 Made = TypeVar("Made", LearnResult, FlightResult)
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 # What cannot change a result: bytecode, and the edges.
-UNRELATED = ("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo")
-UNRELATED += tuple(f"sitl_plant/campaign/{name}.py" for name in ("command", "runner", "summary", "tables"))
+UNRELATED = (
+    *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
+    *(f"sitl_plant/campaign/{name}.py" for name in ("command", "runner", "summary", "tables")),
+)
 
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 

@@ -21,7 +21,6 @@ from sitl_plant.campaign.causes import HEALTHY, injections_of
 from sitl_plant.campaign.plan import MANOEUVRES, Conditions, FlightTask, LearnTask, parse_link, task_sequence
 from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.physics.injections import Injection
-from sitl_plant.physics.trajectory import landing_time
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle
 
@@ -125,7 +124,7 @@ def _config(
         heading_rad=manoeuvre.heading_rad,
         nose=manoeuvre.nose,
         start="ground" if manoeuvre.takeoff else "hover",
-        land_s=duration_s - landing_time(PlantConfig.altitude_m) if manoeuvre.takeoff else None,
+        landed_s=duration_s if manoeuvre.takeoff else None,
         wind_m_s=conditions.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(conditions.payload_g * 1e-3, (float(beside[0]), float(beside[1]), PAYLOAD_BELOW_M)),

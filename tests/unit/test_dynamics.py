@@ -176,7 +176,7 @@ def test_an_undamped_bounce_keeps_its_energy_and_a_damped_one_loses_it() -> None
         for _ in range(400):
             run(x, BOX, REST, 0.001, ground=plane)
             heights.append(-x[2])
-        return max(heights[150:])
+        return float(max(heights[150:]))
 
     assert apex(0.0) == pytest.approx(0.05, rel=0.01)
     assert apex(5.0) < 0.035  # restitution exp(-pi zeta) = 0.81, squared
