@@ -96,8 +96,8 @@ def run(
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
     plan = flight_plan(
-        vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed, wind, payload,
-        profile,
+        vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed,
+        wind, payload, profile,
     )  # fmt: skip
     pace = parse_speed(speed)
     with ExitStack() as stack:
@@ -139,8 +139,8 @@ def record(
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
         plan = flight_plan(
-            vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed + number,
-            wind, payload, profile,
+            vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration,
+            seed + number, wind, payload, profile,
         )  # fmt: skip
         with _truth_file(truth) as lines:
             watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))

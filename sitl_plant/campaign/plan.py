@@ -12,7 +12,7 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,9 @@ __all__ = [
 ]
 
 Level = TypeVar("Level")
+
+# Factors whose levels are numbers, and their ranges.
+RANGES = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,38 +298,30 @@ def with_conditions(design: Design, filters: Sequence[str]) -> Design:
 
     Raises UsageError for an unknown factor or level.
     """
+    changed: dict[str, Any] = {}
     for text in filters:
-        factor, _, levels = text.partition("=")
+        factor, _, levels = (part.strip() for part in text.partition("="))
         wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
         if not wanted:
             raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
-        match factor.strip():
+        match factor:
             case "cause":
-                design = replace(design, cause=causes_named(wanted))
+                changed[factor] = causes_named(wanted)
             case "manoeuvre":
-                for one in wanted:
-                    if one not in MANOEUVRES:
-                        raise UsageError(f"no manoeuvre {one!r}: give one of {', '.join(MANOEUVRES)}")
-                design = replace(design, manoeuvre=wanted)
+                if unknown := set(wanted) - MANOEUVRES.keys():
+                    raise UsageError(f"no manoeuvre {min(unknown)!r}: give one of {', '.join(MANOEUVRES)}")
+                changed[factor] = wanted
             case "link":
+                changed[factor] = wanted
                 for one in wanted:
                     parse_link(one)
-                design = replace(design, link=wanted)
             case "rotor":
-                design = replace(design, rotor=_rotors(wanted, len(design.vehicle.rotors)))
-            case "phenomenology":
-                design = replace(design, phenomenology=_numbers("phenomenology", wanted, 0.0, 1.0))
-            case "wind":
-                design = replace(design, wind=_numbers("wind", wanted, 0.0, 10.0))
-            case "payload":
-                design = replace(design, payload=_numbers("payload", wanted, 0.0, 1000.0))
-            case "loss":
-                design = replace(design, loss=_numbers("loss", wanted, 0.0, 0.9))
+                changed[factor] = _rotors(wanted, len(design.vehicle.rotors))
+            case number if number in RANGES:
+                changed[factor] = _numbers(factor, wanted, *RANGES[number])
             case other:
-                raise UsageError(
-                    f"no factor {other!r}: give cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss"
-                )
-    return design
+                raise UsageError(f"no factor {other!r}: give cause, rotor, manoeuvre, link, {', '.join(RANGES)}")
+    return replace(design, **changed)
 
 
 def _rotors(texts: Sequence[str], rotors: int) -> tuple[int, ...]:

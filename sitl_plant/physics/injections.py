@@ -125,7 +125,7 @@ def texture(thrust_factor: float, drag_factor: float) -> RotorDamage:
 
 
 def speed_corruption(factor: float) -> RotorDamage:
-    """A motor that turns at `factor` times the speed it was told."""
+    """A motor that turns at `factor` times its commanded speed."""
     return RotorDamage(speed_factor=factor)
 
 

@@ -152,38 +152,21 @@ def _full_thrust(vehicle: Vehicle) -> float:
 def _controller(vehicle: Vehicle) -> Controller:
     control = vehicle.control
     inertia = np.array(vehicle.body.inertia_kg_m2)
-    horizontal = [control.position.p, control.position.v, control.position.i]
+    loops = (control.position, control.position, control.altitude, control.yaw)
+    tilt, lift = control.integral_limit_rad, control.thrust_limit_n[1]
+    damped = np.array([[control.rate_p, control.rate_d], [control.rate_p, control.rate_d], [control.yaw_rate_p, 0.0]])
     return Controller(
-        pose=np.array(
-            [
-                horizontal,
-                horizontal,
-                [control.altitude.p, control.altitude.v, control.altitude.i],
-                [control.yaw.p, control.yaw.v, control.yaw.i],
-            ]
-        ),
+        pose=np.array([[loop.p, loop.v, loop.i] for loop in loops]),
         attitude_p=control.attitude_p,
         attitude_d=control.attitude_d,
-        rate_gain=np.column_stack(
-            [
-                inertia * [control.rate_p, control.rate_p, control.yaw_rate_p],
-                inertia * [control.rate_d, control.rate_d, 0],
-            ]
-        ),
+        rate_gain=inertia[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=_full_thrust(vehicle),
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=control.tilt_limit_rad,
         rate_limit=control.rate_limit_rad_s,
         yaw_rate_limit=control.yaw_rate_limit_rad_s,
-        integral_limit=np.array(
-            [
-                control.integral_limit_rad,
-                control.integral_limit_rad,
-                control.thrust_limit_n[1],
-                control.yaw_rate_limit_rad_s,
-            ]
-        ),
+        integral_limit=np.array([tilt, tilt, lift, control.yaw_rate_limit_rad_s]),
         torque_limit=np.array(control.torque_limit_n_m),
         thrust_limit=np.array(control.thrust_limit_n),
     )
