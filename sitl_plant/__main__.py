@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
 
@@ -18,33 +18,15 @@ from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
-from sitl_plant.options import (
-    Drone,
-    Fault,
-    FlightPlan,
-    NoseMode,
-    Onset,
-    PayloadKg,
-    Phenomenology,
-    Profile,
-    Rate,
-    Rotor,
-    Seed,
-    Takeoff,
-    Trajectory,
-    TruthFile,
-    VehicleName,
-    Wind,
-    flight_plan,
-    parse_speed,
-)
-from sitl_plant.physics.trajectory import Nose, Shape
+from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
 from sitl_plant.truth import Truth
 
 __all__ = ["app", "main", "record", "run"]
+
+RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.")
 app.command()(campaign)
@@ -67,7 +49,9 @@ def _root(
 
 
 @app.command()
+@with_flight
 def run(
+    plan: FlightPlan,
     out: Annotated[
         list[str],
         typer.Option(
@@ -75,76 +59,41 @@ def run(
             help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
-    vehicle: VehicleName = "qdrone2",
-    drone: Drone = 1,
-    trajectory: Trajectory = Shape.SQUARE,
-    nose: NoseMode = Nose.FIXED,
-    takeoff: Takeoff = False,
-    fault: Fault = None,
-    rotor: Rotor = 1,
-    onset: Onset = 0.0,
-    phenomenology: Phenomenology = 1.0,
-    rate: Rate = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Flight time.  [default: until stopped]")] = None,
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
-    seed: Seed = 0,
-    wind: Wind = 0.0,
-    payload: PayloadKg = 0.0,
-    profile: Profile = "qdrone2",
     truth: TruthFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
-    plan = flight_plan(
-        vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration, seed,
-        wind, payload, profile,
-    )  # fmt: skip
     pace = parse_speed(speed)
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
-        links = [Link(end, plan.dialect, rate, plant.rotors) for end in ends]
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace == 1.0 else None))
-        report = fly(plant, plan.dialect, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
+        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None)
+        report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
 
 @app.command()
+@with_flight
 def record(
+    plan: FlightPlan,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
-    vehicle: VehicleName = "qdrone2",
-    drone: Drone = 1,
-    trajectory: Trajectory = Shape.SQUARE,
-    nose: NoseMode = Nose.FIXED,
-    takeoff: Takeoff = False,
-    fault: Fault = None,
-    rotor: Rotor = 1,
-    onset: Onset = 0.0,
-    phenomenology: Phenomenology = 1.0,
-    rate: Rate = None,
-    duration: Annotated[float, typer.Option(metavar="S", help="Flight time.")] = 60.0,
     flights: Annotated[int, typer.Option(help="Record so many flights, to FILE-000.tlog and on, seed by seed.")] = 1,
-    seed: Seed = 0,
-    wind: Wind = 0.0,
-    payload: PayloadKg = 0.0,
-    profile: Profile = "qdrone2",
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
+    duration = RECORD_S if plan.duration_s is None else plan.duration_s
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
-        plan = flight_plan(
-            vehicle, drone, trajectory, nose, takeoff, fault, rotor, onset, phenomenology, rate, duration,
-            seed + number, wind, payload, profile,
-        )  # fmt: skip
+        own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         with _truth_file(truth) as lines:
-            watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
-            messages = record_flight(path, plan, duration, watch)
+            messages = record_flight(path, own, duration, _write_truth(lines, own, None))
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
@@ -161,10 +110,11 @@ def _truth_file(path: Path | None) -> Iterator[TextIO | None]:
         yield file
 
 
-def _write_truth(file: TextIO | None, truth: Truth) -> Callable[[PlantSamples], None]:
+def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Callable[[PlantSamples], None]:
     """What is to be done with each block: nothing, or write its lines so that a reader sees them at once."""
     if file is None:
         return lambda samples: None
+    truth = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
     file.write(truth.head() + "\n")
 
     def write(samples: PlantSamples) -> None:

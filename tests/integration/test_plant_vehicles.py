@@ -15,7 +15,6 @@ from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.options import FlightPlan, flight_plan
-from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.recording import recorded
 from sitl_plant.vehicle import Vehicle, load_vehicle, vehicle_from
@@ -94,9 +93,7 @@ def test_l1_the_yaw_set_point_wraps_on_the_wire_and_the_nose_turns() -> None:
 
 
 def test_a_take_off_is_told_as_it_is() -> None:
-    plan = flight_plan(
-        "qdrone2", 1, Shape.SQUARE, Nose.FIXED, True, None, 1, 0.0, 1.0, 100.0, 24.0, 0, 0.0, 0.0, "ardupilot"
-    )  # fmt: skip
+    plan = flight_plan(takeoff=True, duration=24.0, profile="ardupilot")
     frames = frames_of(plan.config, "ardupilot", 100.0, 24.0)
     heard = telemetry_of(frames, "ardupilot")
     armed, thrust, height = (heard.need(one) for one in (Signal.ARMED, Signal.THRUST_SETPOINT, Signal.HEIGHT))
