@@ -9,7 +9,7 @@ import pytest
 
 from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.errors import InputError, UsageError
-from mavdiag.monitors.exceedance import Run
+from mavdiag.monitors.run_length import Run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
