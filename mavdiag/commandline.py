@@ -4,7 +4,10 @@
 """
 
 import os
+import signal
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -13,7 +16,7 @@ from typer.core import TyperGroup
 from mavdiag import __version__
 from mavdiag.errors import MavdiagError
 
-__all__ = ["ERROR", "application", "run", "version_option"]
+__all__ = ["ERROR", "application", "run", "stop_signals", "version_option"]
 
 ERROR = 2
 INTERRUPTED = 130
@@ -72,6 +75,19 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def stop_signals() -> Iterator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM ask for an end instead of ending the process at once; yields whether one came."""
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _line(message: str) -> str:

@@ -81,7 +81,7 @@ def judge(flight: Source, baseline: Baseline | str | Path, *, vehicle: int | Non
 
     Raises InputError or BaselineError if a file cannot be read. A log that cannot be judged is a verdict, with reason.
     """
-    log = flight if isinstance(flight, Log) else read_log(flight, vehicle=vehicle)
+    log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
     return judging.judge(log, _loaded(baseline))
 
 

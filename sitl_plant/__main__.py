@@ -1,14 +1,13 @@
-"""The `sitl-plant` command (edge): fly an emulated QDrone 2 over MAVLink, or record its flight.
+"""The `sitl-plant` command (edge): fly an emulated multirotor over MAVLink, or record its flight.
 
-Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, told in one line on stderr.
+Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an error, with one line on stderr.
 """
 
 import json
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
 
@@ -19,24 +18,7 @@ from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
-from sitl_plant.options import (
-    Drone,
-    Fault,
-    FlightPlan,
-    Onset,
-    PayloadKg,
-    Phenomenology,
-    Profile,
-    Rate,
-    Rotor,
-    Seed,
-    Trajectory,
-    TruthFile,
-    Wind,
-    flight_plan,
-    parse_speed,
-)
-from sitl_plant.physics.trajectory import Shape
+from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
@@ -44,7 +26,9 @@ from sitl_plant.truth import Truth
 
 __all__ = ["app", "main", "record", "run"]
 
-app = commandline.application("Fly an emulated QDrone 2 with propeller faults and tell of it over MAVLink.")
+RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
+
+app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.")
 app.command()(campaign)
 app.command()(stand)
 
@@ -65,7 +49,9 @@ def _root(
 
 
 @app.command()
+@with_flight
 def run(
+    plan: FlightPlan,
     out: Annotated[
         list[str],
         typer.Option(
@@ -73,85 +59,42 @@ def run(
             help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
-    drone: Drone = 1,
-    trajectory: Trajectory = Shape.SQUARE,
-    fault: Fault = None,
-    rotor: Rotor = 1,
-    onset: Onset = 0.0,
-    phenomenology: Phenomenology = 1.0,
-    rate: Rate = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Flight time.  [default: until stopped]")] = None,
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
-    seed: Seed = 0,
-    wind: Wind = 0.0,
-    payload: PayloadKg = 0.0,
-    profile: Profile = "qdrone2",
     truth: TruthFile = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Tell start and end as JSON lines on stdout.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
-    plan = flight_plan(drone, trajectory, fault, rotor, onset, phenomenology, rate, seed, wind, payload, profile)
     pace = parse_speed(speed)
-    if duration is not None and not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
     with ExitStack() as stack:
-        links = [Link(stack.enter_context(open_endpoint(address)), plan.flavour, rate) for address in out]
+        ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
-        stop = stack.enter_context(_stop_signals())
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
+        stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, time.time_ns() if pace == 1.0 else None))
-        report = fly(plant, plan.flavour, links, duration_s=duration, speed=pace, stop=stop, watch=watch)
+        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None)
+        report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
 
 @app.command()
+@with_flight
 def record(
+    plan: FlightPlan,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
-    drone: Drone = 1,
-    trajectory: Trajectory = Shape.SQUARE,
-    fault: Fault = None,
-    rotor: Rotor = 1,
-    onset: Onset = 0.0,
-    phenomenology: Phenomenology = 1.0,
-    rate: Rate = None,
-    duration: Annotated[float, typer.Option(metavar="S", help="Flight time.")] = 60.0,
     flights: Annotated[int, typer.Option(help="Record so many flights, to FILE-000.tlog and on, seed by seed.")] = 1,
-    seed: Seed = 0,
-    wind: Wind = 0.0,
-    payload: PayloadKg = 0.0,
-    profile: Profile = "qdrone2",
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
-    if not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
+    duration = RECORD_S if plan.duration_s is None else plan.duration_s
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
-        own_seed = seed + number
-        plan = flight_plan(
-            drone, trajectory, fault, rotor, onset, phenomenology, rate, own_seed, wind, payload, profile
-        )
+        own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
         with _truth_file(truth) as lines:
-            watch = _write_truth(lines, Truth(plan.config, profile, plan.rate_hz, None))
-            messages = record_flight(path, plan, duration, watch)
+            messages = record_flight(path, own, duration, _write_truth(lines, own, None))
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
-
-
-@contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM end the flight at the next block instead of the process at once."""
-    caught: list[int] = []
-    before = {
-        number: signal.signal(number, lambda n, _: caught.append(n)) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield lambda: bool(caught)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
@@ -167,10 +110,11 @@ def _truth_file(path: Path | None) -> Iterator[TextIO | None]:
         yield file
 
 
-def _write_truth(file: TextIO | None, truth: Truth) -> Callable[[PlantSamples], None]:
+def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Callable[[PlantSamples], None]:
     """What is to be done with each block: nothing, or write its lines so that a reader sees them at once."""
     if file is None:
         return lambda samples: None
+    truth = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
     file.write(truth.head() + "\n")
 
     def write(samples: PlantSamples) -> None:
@@ -183,16 +127,16 @@ def _write_truth(file: TextIO | None, truth: Truth) -> Callable[[PlantSamples], 
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
-    """Tell where the vehicle is heard: with port 0 nobody else knows."""
+    """Print the addresses of the vehicle: with port 0 nobody else knows them."""
     config = plan.config
     if as_json:
         line = json.dumps(
-            {"event": "flying", "addresses": addresses, "profile": plan.flavour.profile.name, "rate_hz": plan.rate_hz}
+            {"event": "flying", "addresses": addresses, "profile": plan.dialect.profile.name, "rate_hz": plan.rate_hz}
         )
     else:
         fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
-        link = f"{plan.flavour.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
-        line = f"drone {config.drone} flies a {config.trajectory}{fault}; {link}"
+        link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
+        line = f"{config.vehicle.name} {config.drone} flies a {config.trajectory}{fault}; {link}"
     typer.echo(line)
 
 
@@ -202,7 +146,7 @@ def _conclude(report: FlightReport, as_json: bool) -> None:
         return
     typer.echo(
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
-        f"{report.messages} messages sent, {report.dropped} dropped, {report.heard} heard; "
+        f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "
         f"late by {report.late_p50_ms:.1f} ms (half), {report.late_p99_ms:.1f} (99 %), {report.late_max_ms:.1f} (all)"
     )
 

@@ -1,4 +1,4 @@
-"""The run loop (edge): fly in real time, send each message when its time has come, hear and answer in between.
+"""The run loop (edge): fly in real time, send each message when its time has come, receive and answer in between.
 
 The plant is computed a short block ahead; within a block messages go out in ticks, never before their time. So a
 message is late by at most one tick and by what the machine adds, and the report says how much that was.
@@ -15,8 +15,8 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
 from sitl_plant.autopilot.commands import Autopilot, Forward, Reply
-from sitl_plant.autopilot.dialect import Flavour
-from sitl_plant.autopilot.imu_filters import Sensed, Sensing
+from sitl_plant.autopilot.dialect import Dialect
+from sitl_plant.autopilot.imu_filters import FilteredSamples, ImuFilters
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import Message, Streamer
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
@@ -26,7 +26,7 @@ __all__ = ["SYSID", "FlightReport", "Link", "fly"]
 SYSID = 1  # the emulated vehicle's system id
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
 SLIP_S = 0.5  # later than this, the flight's clock is set back: the machine slept or is too slow
-VOICES_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
+SENDERS_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
 
 _LATENESS_BIN_S = 1e-4
 _LATENESS_BINS = 5000  # to 0.5 s
@@ -34,14 +34,19 @@ _LATENESS_BINS = 5000  # to 0.5 s
 
 @dataclass(frozen=True, slots=True)
 class FlightReport:
-    """How a flight went on the wire. late_*: how long after its time a tick went out; slips: see `SLIP_S`."""
+    """How a flight went on the wire.
+
+    received: messages.
+    late_p50_ms, late_p99_ms, late_max_ms: how long after its time a tick went out.
+    slips: how often the clock was set back, see `SLIP_S`.
+    """
 
     flown_s: float
     wall_s: float
     cpu_s: float
     messages: int
     dropped: int
-    heard: int
+    received: int
     late_p50_ms: float
     late_p99_ms: float
     late_max_ms: float
@@ -51,43 +56,43 @@ class FlightReport:
 class Link:
     """One link of the emulated vehicle: an endpoint, its schedule and sequence numbers, and what waits to be sent."""
 
-    def __init__(self, endpoint: Endpoint, flavour: Flavour, rate_hz: float | None) -> None:
+    def __init__(self, endpoint: Endpoint, dialect: Dialect, rate_hz: float | None, rotors: int = 4) -> None:
         self.endpoint = endpoint
-        self.schedule = Schedule(flavour.rates_hz(rate_hz), flavour.ceiling_hz)
+        self.schedule = Schedule(dialect.rates_hz(rate_hz, rotors), dialect.ceiling_hz)
         self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
-        self._streamer = Streamer(flavour, self.schedule)
+        self._streamer = Streamer(dialect, self.schedule)
         self._decoder = Decoder()
-        self._voices: dict[tuple[int, int], Encoder] = {}
+        self._senders: dict[tuple[int, int], Encoder] = {}
         self._waiting: deque[Message] = deque()
 
-    def hear(self) -> list[Frame]:
+    def receive(self) -> list[Frame]:
         """What came in since the last time."""
         return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decoder.feed(data, host_ns)]
 
-    def queue(self, sensed: Sensed) -> None:
+    def queue(self, filtered: FilteredSamples) -> None:
         """Make the messages of a block; they wait for their time."""
-        self._waiting.extend(self._streamer.step(sensed))
+        self._waiting.extend(self._streamer.step(filtered))
 
     def send_due(self, t_ns: int) -> int:
         """Send what is due at flight time `t_ns`; returns how many messages that were."""
-        waiting, send, encode, sent = self._waiting, self.endpoint.send, self._encoder.encode_wire, 0
+        waiting, send, encode, sent = self._waiting, self.endpoint.send, self._encoder.encode_payload, 0
         while waiting and waiting[0].t_ns <= t_ns:
-            _, msgid, fields = waiting.popleft()
-            send(encode(msgid, fields))
+            _, msgid, payload = waiting.popleft()
+            send(encode(msgid, payload))
             sent += 1
         return sent
 
     def act(self, action: Reply | Forward) -> None:
-        """Say an answer, or pass a frame on in its sender's name."""
+        """Send an answer, or pass a frame on in its sender's name."""
         if isinstance(action, Reply):
             self.endpoint.send(self._encoder.encode(action.msgid, *action.fields))
             return
         frame = action.frame
         source = (frame.sysid, frame.compid)
-        if source not in self._voices and len(self._voices) < VOICES_MAX and 0 not in source:
-            self._voices[source] = Encoder(*source)
-        if source in self._voices:
-            self.endpoint.send(self._voices[source].encode_wire(frame.msgid, frame.fields))
+        if source not in self._senders and len(self._senders) < SENDERS_MAX and 0 not in source:
+            self._senders[source] = Encoder(*source)
+        if source in self._senders:
+            self.endpoint.send(self._senders[source].encode_payload(frame.msgid, frame.payload))
 
 
 class _Clock:
@@ -125,7 +130,7 @@ class _Flight:
     def __init__(self, links: Sequence[Link], autopilot: Autopilot, clock: _Clock) -> None:
         self._links, self._autopilot, self._clock = links, autopilot, clock
         self._endpoints = [link.endpoint for link in links]
-        self.messages = self.heard = 0
+        self.messages = self.received = 0
 
     def send_until(self, from_ns: int, until_ns: int, tick_ns: int) -> None:
         """Send what waits, tick by tick, and serve the links in between."""
@@ -147,15 +152,15 @@ class _Flight:
             time.sleep(left_s)
 
     def _serve(self, index: int, now_ns: int) -> None:
-        for frame in self._links[index].hear():
-            self.heard += 1
+        for frame in self._links[index].receive():
+            self.received += 1
             for action in self._autopilot.step(index, frame, now_ns):
                 self._links[action.link].act(action)
 
 
 def fly(
     plant: Plant,
-    flavour: Flavour,
+    dialect: Dialect,
     links: Sequence[Link],
     *,
     duration_s: float | None,
@@ -168,8 +173,8 @@ def fly(
     speed: flight seconds a second, None for as fast as it goes. watch: is shown every block's truth.
     """
     started_s, started_cpu_s = time.monotonic(), time.process_time()
-    sensing = Sensing(flavour, plant.config.seed)
-    autopilot = Autopilot(SYSID, [link.schedule for link in links], flavour.parameters)
+    filters = ImuFilters(dialect, plant.config.seed)
+    autopilot = Autopilot(SYSID, [link.schedule for link in links], dialect.parameters_of(plant.rotors))
     clock = _Clock(plant.t_ns, speed)
     flight = _Flight(links, autopilot, clock)
     steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))
@@ -177,10 +182,10 @@ def fly(
     end_ns = round(duration_s * 1e9) if duration_s is not None else 1 << 62
     while plant.t_ns < end_ns and not stop():
         from_ns = plant.t_ns
-        sensed = sensing.step(plant.advance(min(steps, -((from_ns - end_ns) // STEP_NS))))
-        watch(sensed.samples)
+        filtered = filters.step(plant.advance(min(steps, -((from_ns - end_ns) // STEP_NS))))
+        watch(filtered.samples)
         for link in links:
-            link.queue(sensed)
+            link.queue(filtered)
         flight.send_until(from_ns, plant.t_ns, tick_ns)
     return FlightReport(
         flown_s=plant.t_ns * 1e-9,
@@ -188,7 +193,7 @@ def fly(
         cpu_s=time.process_time() - started_cpu_s,
         messages=flight.messages,
         dropped=sum(link.endpoint.traffic.dropped for link in links),
-        heard=flight.heard,
+        received=flight.received,
         late_p50_ms=1e3 * clock.late_s(0.50),
         late_p99_ms=1e3 * clock.late_s(0.99),
         late_max_ms=1e3 * clock.late_max_s,

@@ -1,98 +1,110 @@
-"""The options that every command of `sitl-plant` shares, and how they become a flight."""
+"""The options that the commands of `sitl-plant` share, and how they become a flight."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from mavdiag.errors import UsageError
-from sitl_plant.autopilot.dialect import FLAVOURS, Flavour, flavour
+from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.trajectory import Shape
+from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
-__all__ = [
-    "Drone",
-    "Fault",
-    "FlightPlan",
-    "Onset",
-    "PayloadKg",
-    "Phenomenology",
-    "Profile",
-    "Rate",
-    "Rotor",
-    "Seed",
-    "Trajectory",
-    "TruthFile",
-    "Wind",
-    "flight_plan",
-    "parse_speed",
-]
+__all__ = ["FlightPlan", "TruthFile", "VehicleName", "flight_plan", "parse_speed", "with_flight"]
 
-Drone: TypeAlias = Annotated[int, typer.Option(help="Drone of the fleet: 1 (aged), 2 or 3 (new).")]
-Trajectory: TypeAlias = Annotated[Shape, typer.Option(help="Path to fly.")]
-Fault: TypeAlias = Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
-Rotor: TypeAlias = Annotated[
-    int, typer.Option(help="Damaged rotor: 1 rear right, 2 front right, 3 rear left, 4 front left.")
+VehicleName: TypeAlias = Annotated[
+    str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"One of {', '.join(shipped_vehicles())}, or a file.")
 ]
-Onset: TypeAlias = Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")]
-Phenomenology: TypeAlias = Annotated[
-    float, typer.Option(help="Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1.")
-]
-Rate: TypeAlias = Annotated[
-    float | None, typer.Option(metavar="HZ", help="Rate of setpoint and IMU messages.  [default: the profile's]")
-]
-Seed: TypeAlias = Annotated[int, typer.Option(help="Equal seeds give equal flights, bit for bit.")]
-Wind: TypeAlias = Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")]
-PayloadKg: TypeAlias = Annotated[float, typer.Option("--payload", metavar="KG", help="Point mass below the body.")]
-Profile: TypeAlias = Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(FLAVOURS)}.")]
 TruthFile: TypeAlias = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
 ]
+_ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
 
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What to fly and how to tell of it. rate_hz: the link rate, the profile's own if none was asked for."""
+    """What to fly and how to send it.
+
+    rate_hz: of set-point and IMU; the profile's own if none was asked for.
+    duration_s: of the flight; None if it was left open.
+    """
 
     config: PlantConfig
-    flavour: Flavour
+    dialect: Dialect
     rate_hz: float
+    duration_s: float | None = None
 
 
 def flight_plan(
-    drone: int,
-    trajectory: Shape,
-    fault: str | None,
-    rotor: int,
-    onset_s: float,
-    phenomenology: float,
-    rate_hz: float | None,
-    seed: int,
-    wind_m_s: float,
-    payload_kg: float,
-    profile: str,
+    vehicle: VehicleName = "qdrone2",
+    drone: Annotated[int, typer.Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")] = 1,
+    trajectory: Annotated[Shape, typer.Option(help="Path to fly.")] = Shape.SQUARE,
+    nose: Annotated[Nose, typer.Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
+    takeoff: Annotated[bool, typer.Option("--takeoff", help="Start disarmed on the ground; end there.")] = False,
+    fault: Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")] = None,
+    rotor: Annotated[int, typer.Option(help=_ROTOR)] = 1,
+    onset: Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")] = 0.0,
+    phenomenology: Annotated[
+        float, typer.Option(help="Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1.")
+    ] = 1.0,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Rate of setpoint and IMU messages.  [default: the profile's]")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Flight time.  [default: run until stopped, record 60 s]")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Equal seeds give equal flights, bit for bit.")] = 0,
+    wind: Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")] = 0.0,
+    payload: Annotated[float, typer.Option(metavar="KG", help="Point mass below the body.")] = 0.0,
+    profile: Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
 ) -> FlightPlan:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    spoken = flavour(profile)
-    rates = spoken.rates_hz(rate_hz)
-    if fault is None and onset_s > 0.0:
+    dialect = dialect_named(profile)
+    rates = dialect.rates_hz(rate)
+    if fault is None and onset > 0.0:
         raise UsageError("--onset needs a fault: add --fault F2/SV2")
-    if onset_s < 0.0:
-        raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
+    if onset < 0.0:
+        raise UsageError(f"--onset must be zero or more, not {onset:g}")
+    if duration is not None and not duration > 0.0:
+        raise UsageError(f"duration must be positive, not {duration:g}")
     config = PlantConfig(
+        vehicle=vehicle_from(vehicle),
         drone=drone,
         trajectory=trajectory,
+        nose=nose,
+        start="ground" if takeoff else "hover",
+        landed_s=duration,
         fault=fault,
         rotor=rotor,
-        onset_s=onset_s,
+        onset_s=onset,
         phenomenology=phenomenology,
-        wind_m_s=wind_m_s,
-        payload=Payload(payload_kg),
+        wind_m_s=wind,
+        payload=Payload(payload),
         seed=seed,
     )
-    return FlightPlan(config, spoken, rates[spoken.profile.imu])
+    return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)
+
+
+def with_flight(command: Callable[..., None]) -> Callable[..., None]:
+    """A command line with the options of `flight_plan` and the command's own. The command gets the plan first."""
+    shared = signature(flight_plan).parameters
+    own = list(signature(command).parameters.values())[1:]
+
+    @wraps(command)
+    def run(**options: Any) -> None:
+        plan = flight_plan(**{name: options.pop(name) for name in shared})
+        command(plan, **options)
+
+    options = Signature([*own, *shared.values()])
+    vars(run).update(__signature__=options)
+    run.__annotations__ = {name: option.annotation for name, option in options.parameters.items()}
+    return run
 
 
 def parse_speed(text: str) -> float | None:

@@ -1,25 +1,29 @@
 """The plant: configure a flight, advance it, read what the vehicle and its sensors did.
 
     plant = Plant(PlantConfig(drone=1, fault="F2/SV2", rotor=3, onset_s=10.0, seed=7))
-    samples = plant.advance(1000)          # one second
+    samples = plant.advance(1000)          # one second, flown by the thesis's cascade
+    samples = plant.drive(duty, 4)         # four steps with these motor commands, from whatever autopilot
 
-Equal configurations give equal bits, however the flight is cut into calls of `advance`.
+Equal configurations give equal bits, however the flight is cut into calls of `advance` and `drive`.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.airframe import NO_PAYLOAD, Airframe, Payload, drone
+from sitl_plant.physics.attitude import ESTIMATE
+from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import parse_fault
 from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model, Noise, Rows, fly
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
-from sitl_plant.physics.trajectory import Shape, path
-from sitl_plant.vehicle import qdrone2
+from sitl_plant.physics.trajectory import Nose, Path, Shape, landing_time, path
+from sitl_plant.vehicle import Vehicle, qdrone2
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
 
@@ -29,11 +33,22 @@ SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, in
 
 @dataclass(frozen=True, slots=True)
 class PlantConfig:
-    """One flight. Rotors are numbered as in T Eq 2.2-2.4: 1 rear right, 2 front right, 3 rear left, 4 front left.
+    """One flight. Raises UsageError if it cannot be.
 
-    drone: 1 (aged), 2, 3 (new). airframe: another specimen instead. fault: a code such as "F2/SV2", on `rotor` from
-    `onset_s` of flight time (0: from the start); phenomenology: see `sitl_plant.physics.faults`. injections: anything more.
-    wind_m_s: mean speed, blowing towards `wind_towards_rad` (0 north, pi/2 east). Raises UsageError if it cannot be.
+    drone: 1 (aged), 2, 3 (new).
+    nose: "fixed" along the heading, "path" along the path, "spin" turns steadily.
+    fault: a code such as "F2/SV2".
+    rotor: the damaged one, numbered as in the vehicle's file; T Eq 2.2-2.4 has 1 rear right, 2 front right,
+        3 rear left, 4 front left.
+    onset_s: flight time at which the fault begins; 0 for a fault from the start.
+    phenomenology: scale of the fitted part of the fault, see `sitl_plant.physics.faults`.
+    injections: other causes.
+    wind_m_s: mean speed.
+    wind_towards_rad: where the wind blows to; 0 is north, pi/2 east.
+    vehicle: the type of which drones 1 to 3 are specimens.
+    airframe: another specimen instead.
+    start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
+    landed_s: flight time at which a flight from the ground is over, disarmed; None for never.
     """
 
     drone: int = 1
@@ -41,6 +56,7 @@ class PlantConfig:
     speed_m_s: float = 0.5
     size_m: float = 1.0
     heading_rad: float = 0.0
+    nose: str = "fixed"
     altitude_m: float = 1.0
     fault: str | None = None
     rotor: int = 1
@@ -51,11 +67,17 @@ class PlantConfig:
     wind_towards_rad: float = math.pi / 4
     payload: Payload = NO_PAYLOAD
     seed: int = 0
+    vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
     airframe: Airframe | None = None
+    start: Literal["hover", "ground"] = "hover"
+    landed_s: float | None = None
 
     def __post_init__(self) -> None:
         if self.trajectory not in list(Shape):
             raise UsageError(f"no trajectory {self.trajectory!r}: give one of {', '.join(Shape)}")
+        if self.nose not in list(Nose):
+            raise UsageError(f"no nose {self.nose!r}: give one of {', '.join(Nose)}")
+        self._check_ground()
         for name in ("speed_m_s", "size_m"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -67,6 +89,21 @@ class PlantConfig:
             raise UsageError(f"seed must be zero or more, not {self.seed}")
         self.all_injections()  # refuses a fault that does not exist
 
+    def _check_ground(self) -> None:
+        if self.start == "ground" and not self.altitude_m > 0.0:
+            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
+        flight = self.path()
+        if self.start == "ground" and flight.land < flight.start:
+            shortest = flight.start + landing_time(self.altitude_m)
+            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
+
+    def path(self) -> Path:
+        """What the cascade follows."""
+        form = self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m
+        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m)
+        ground = self.start == "ground"
+        return path(Shape(self.trajectory), *form, Nose(self.nose), ground, land_s if ground else math.inf)
+
     def all_injections(self) -> tuple[Injection, ...]:
         """The fault by code, if any, and the other injections."""
         if self.fault is None:
@@ -77,14 +114,25 @@ class PlantConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantSamples:
-    """n steps of a flight at 1 kHz; body FRD, world NED, SI units.
+    """n steps of a flight at 1 kHz with r rotors; body FRD, world NED, SI units.
 
-    Measured and commanded: t_ns (n,) since the start. setpoint (n, 3) commanded roll, pitch, yaw [rad]. rate_setpoint
-    (n, 3) [rad/s]. thrust_setpoint (n,) 0..1 of the thrust at full duty. gyro (n, 3) [rad/s]. accel (n, 3) specific
-    force, (0, 0, -9.81) at rest. attitude (n, 9) T's estimate (Eq 2.33). duty (n, r) 0..1. battery_v (n,).
+    The set-points are those of the cascade, NaN where `Plant.drive` was given the commands.
 
-    Truth: quaternion (n, 4) body to world, w first. position, velocity (n, 3) of the centre of gravity.
-    omega (n, 3) [rad/s]. rotor_speed (n, r) [rad/s].
+    t_ns: (n,) since the start.
+    setpoint: (n, 3) commanded roll, pitch, yaw [rad].
+    rate_setpoint: (n, 3) commanded body rates [rad/s].
+    thrust_setpoint: (n,) 0..1 of the thrust at full duty.
+    gyro: (n, 3) measured [rad/s].
+    accel: (n, 3) measured specific force, (0, 0, -9.81) at rest.
+    attitude: (n, 9) T's estimate (Eq 2.33).
+    duty: (n, r) 0..1, commanded.
+    battery_v: (n,) measured.
+    motors: (n,) 0 disarmed, 1 armed and idle, 2 flying.
+    quaternion: (n, 4) truth, body to world, w first.
+    position: (n, 3) truth, of the centre of gravity.
+    velocity: (n, 3) truth, of the centre of gravity.
+    omega: (n, 3) truth, body rates [rad/s].
+    rotor_speed: (n, r) truth [rad/s].
     """
 
     t_ns: IntArray
@@ -96,6 +144,7 @@ class PlantSamples:
     attitude: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    motors: IntArray
     quaternion: FloatArray
     position: FloatArray
     velocity: FloatArray
@@ -105,14 +154,21 @@ class PlantSamples:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def rows(self, first: int, end: int) -> "PlantSamples":
+        """The samples from `first` to before `end`."""
+        return PlantSamples(*(getattr(self, column.name)[first:end] for column in fields(self)))
+
 
 class Plant:
-    """A vehicle in flight, hovering in trim at the first point of its path when it starts. There is no ground."""
+    """A vehicle at the first point of its path: hovering in trim, or standing on the ground, as its configuration says.
+
+    Before t = 0 it stays there for 10 s that are not shown.
+    """
 
     def __init__(self, config: PlantConfig) -> None:
         self.config = config
-        self.airframe = config.airframe or drone(qdrone2(), config.drone)
-        rotors = len(self.airframe.vehicle.rotors)
+        self.airframe = config.airframe or drone(config.vehicle, config.drone)
+        self.rotors = rotors = len(self.airframe.vehicle.rotors)
         self._streams = _Streams(config.seed)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._injections = _placed(config.all_injections(), rotors, self._streams.angle)
@@ -129,24 +185,40 @@ class Plant:
         return self._step * STEP_NS
 
     def advance(self, steps: int) -> PlantSamples:
-        """Fly `steps` of 1 ms and return what happened. Raises UsageError if it is negative."""
+        """Fly `steps` of 1 ms by the cascade and return what happened. Raises UsageError if it is negative."""
+        return self._run(steps, np.empty((0, self.rotors)))
+
+    def drive(self, commands: FloatArray, steps: int) -> PlantSamples:
+        """Run `steps` of 1 ms with the motor commands of any autopilot, and return what the sensors measured.
+
+        A row holds what was measured when its command took effect: an autopilot outside answers one step later.
+        commands: duty 0..1, (r,) held for all steps or (steps, r). Raises UsageError for another shape or size.
+        """
+        held = np.asarray(commands, dtype=np.float64)
+        if held.shape not in ((self.rotors,), (steps, self.rotors)):
+            raise UsageError(f"{self.rotors} motor commands are needed for {steps} steps, not an array of {held.shape}")
+        if not np.all((held >= 0.0) & (held <= 1.0)):
+            raise UsageError("motor commands must be 0 to 1")
+        return self._run(steps, np.ascontiguousarray(np.broadcast_to(held, (max(steps, 0), self.rotors))))
+
+    def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows = _empty_rows(steps, len(self.airframe.vehicle.rotors))
+        rows = _empty_rows(steps, self.rotors)
         done = 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
-            self._fly(count, part)
+            self._fly(count, commands[done : done + count], part)
             done += count
         return _samples(rows, self._step - steps, self._model)
 
-    def _fly(self, count: int, rows: Rows) -> None:
+    def _fly(self, count: int, commands: FloatArray, rows: Rows) -> None:
         """Fly `count` steps, over which the condition stays the same."""
         noise = self._streams.draw(self._step, count, self._model)
-        fly(self._step, count, self._model, self._rotors, self._sensors, self._state, noise, rows)
+        fly(self._step, count, self._model, self._rotors, self._sensors, self._state, noise, commands, rows)
         self._step += count
 
     def _renew_condition(self) -> None:
@@ -196,24 +268,15 @@ class _Streams:
 
 
 def _model(config: PlantConfig, airframe: Airframe) -> Model:
-    shape = path(Shape(config.trajectory), config.size_m, config.speed_m_s, config.heading_rad, config.altitude_m)
     towards = config.wind_towards_rad
     wind = config.wind_m_s * np.array([math.cos(towards), math.sin(towards), 0.0])
-    return make_model(airframe, config.payload, shape, wind)
+    return make_model(airframe, config.payload, config.path(), wind)
 
 
 def _empty_rows(steps: int, rotors: int) -> Rows:
-    return Rows(
-        setpoint=np.empty((steps, 3)),
-        rate_setpoint=np.empty((steps, 3)),
-        thrust=np.empty(steps),
-        imu=np.empty((steps, 6)),
-        attitude=np.empty((steps, 9)),
-        rigid=np.empty((steps, 13)),
-        rotor_speed=np.empty((steps, rotors)),
-        duty=np.empty((steps, rotors)),
-        battery_v=np.empty(steps),
-    )
+    wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
+    wide |= {"rotor_speed": rotors, "duty": rotors}
+    return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
 
 
 def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
@@ -228,6 +291,7 @@ def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
         attitude=rows.attitude,
         duty=rows.duty,
         battery_v=rows.battery_v,
+        motors=rows.motors.astype(np.int64),
         quaternion=rows.rigid[:, 6:10],
         position=rows.rigid[:, :3],
         velocity=rows.rigid[:, 3:6],

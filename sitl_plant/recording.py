@@ -7,7 +7,7 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Component
 from mavdiag.logs.tlog import tlog_record
-from sitl_plant.autopilot.imu_filters import Sensing
+from sitl_plant.autopilot.imu_filters import ImuFilters
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import Streamer
 from sitl_plant.emulator import SYSID
@@ -22,16 +22,16 @@ BLOCK_STEPS = 1000
 
 def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> Iterator[tuple[int, bytes]]:
     """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
-    plant, sensing = Plant(plan.config), Sensing(plan.flavour, plan.config.seed)
-    schedule = Schedule(plan.flavour.rates_hz(plan.rate_hz), plan.flavour.ceiling_hz)
-    streamer, encode = Streamer(plan.flavour, schedule), Encoder(SYSID, Component.AUTOPILOT1).encode_wire
+    plant, filters = Plant(plan.config), ImuFilters(plan.dialect, plan.config.seed)
+    schedule = Schedule(plan.dialect.rates_hz(plan.rate_hz, plant.rotors), plan.dialect.ceiling_hz)
+    streamer, encode = Streamer(plan.dialect, schedule), Encoder(SYSID, Component.AUTOPILOT1).encode_payload
     left = max(1, round(duration_s * 1e9 / STEP_NS))
     while left > 0:
         samples = plant.advance(min(BLOCK_STEPS, left))
         left -= len(samples)
         watch(samples)
-        for t_ns, msgid, fields in streamer.step(sensing.step(samples)):
-            yield t_ns, encode(msgid, fields)
+        for t_ns, msgid, payload in streamer.step(filters.step(samples)):
+            yield t_ns, encode(msgid, payload)
 
 
 def record_flight(path: Path, plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> int:

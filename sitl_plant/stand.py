@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
-from mavdiag.rows.spectrum import band_power, welch
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import G_MM_PER_KG_M, RPM
 from sitl_plant.physics.faults import FAULTS
 from sitl_plant.vehicle import qdrone2
 
@@ -41,8 +41,6 @@ __all__ = [
     "stand_test",
 ]
 
-G_MM = 1e-6  # kg m
-RPM = 2.0 * math.pi / 60.0  # rad/s
 SLOWEST_RPM, FASTEST_RPM = 1000.0, 12_000.0  # of the QDrone 2's motors (our choice)
 PEAK_HALF_WIDTH_HZ = 1.0  # wider than the speed wanders (our choice)
 WANDER_CORNER_HZ = 0.2  # of the speed, first order (estimate)
@@ -137,7 +135,7 @@ def stand_run(stand: Stand, propeller: Propeller, speed_rpm: float, rng: np.rand
     slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / (1.0 + 1j * frequency / WANDER_CORNER_HZ), n)
     speed = speed_rpm * RPM * (1.0 + stand.wander_rms * slow / slow.std())
     theta = rng.uniform(0.0, 2.0 * math.pi) + np.cumsum(speed) * dt
-    force = propeller.total_g_mm * G_MM * speed**2
+    force = propeller.total_g_mm / G_MM_PER_KG_M * speed**2
     blades = stand.second_m_s2 * np.cos(2.0 * theta + rng.uniform(0.0, 2.0 * math.pi))
     accel = np.empty((n, 3))
     for axis, turning in enumerate((np.sin(theta), np.cos(theta), np.cos(theta))):
@@ -158,13 +156,14 @@ def peak_of(accel: FloatArray, rate_hz: float, speed_rpm: float) -> Peak:
 
     The power under the line does not depend on where it falls between two bins. accel: (n, 3), n >= 2 s of samples.
     """
-    spectra = [welch(accel[:, axis], 1.0 / rate_hz, len(accel)) for axis in range(3)]
-    turning_hz = speed_rpm / 60.0
-    band = (turning_hz - PEAK_HALF_WIDTH_HZ, turning_hz + PEAK_HALF_WIDTH_HZ)
-    frequency_hz, radial = spectra[1].frequency_hz, spectra[1].density
-    inside = np.flatnonzero((frequency_hz >= band[0]) & (frequency_hz < band[1]))
-    x, y, z = (math.sqrt(2.0 * band_power(spectrum, band)) for spectrum in spectra)
-    return Peak(float(frequency_hz[inside[np.argmax(radial[inside])]]), (x, y, z))
+    from scipy.signal import welch  # takes a second to load
+
+    frequency_hz, density = welch(accel, rate_hz, nperseg=len(accel), axis=0)
+    inside = np.flatnonzero(np.abs(frequency_hz - speed_rpm / 60.0) < PEAK_HALF_WIDTH_HZ)
+    if not len(inside):
+        raise UsageError("no spectral line near the rotation frequency; record 2 s or more")
+    x, y, z = np.sqrt(2.0 * frequency_hz[1] * density[inside].sum(axis=0)).tolist()
+    return Peak(float(frequency_hz[inside[np.argmax(density[inside, 1])]]), (x, y, z))
 
 
 def fit_scale(known_g_mm: Sequence[float], peaks_m_s2: Sequence[float]) -> Scale:

@@ -15,7 +15,7 @@ STATE_EVERY_NS = 1_000_000_000
 
 
 class Truth:
-    """The fold from samples to lines. started_unix_ns: wall clock at flight time 0; None if it was not real time."""
+    """From samples to lines. started_unix_ns: wall clock at flight time 0; None if the flight was not in real time."""
 
     def __init__(self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None) -> None:
         self._config, self._profile, self._rate_hz = config, profile, rate_hz
@@ -28,8 +28,11 @@ class Truth:
         return json.dumps(
             {
                 "record": "flight",
+                "vehicle": config.vehicle.name,
                 "drone": config.drone,
                 "trajectory": config.trajectory,
+                "nose": config.nose,
+                "start": config.start,
                 "fault": config.fault,
                 "rotor": config.rotor if config.fault else None,
                 "onset_s": config.onset_s if config.fault else None,

@@ -1,20 +1,21 @@
 """Vehicles are data: a TOML file with every number and its source becomes these frozen values.
 
 Body frame FRD, origin at the geometric centre. Rotor count and geometry come from the file, so a hexacopter or an
-octocopter is another file. What the file says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
+octocopter is another file. A file may name another vehicle as its `base` and state only what differs. What the file
+says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
 """
 
 import tomllib
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.telemetry import FloatArray
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Body",
     "Control",
     "Imu",
+    "LandingGear",
     "MotionCapture",
     "Piv",
     "Propulsion",
@@ -32,6 +34,9 @@ __all__ = [
     "allocation",
     "load_vehicle",
     "qdrone2",
+    "shipped_vehicles",
+    "vehicle_from",
+    "vehicle_named",
 ]
 
 Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -41,6 +46,7 @@ Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 Vector: TypeAlias = tuple[Finite, Finite, Finite]
 PositiveVector: TypeAlias = tuple[Positive, Positive, Positive]
 
+_FOLDER = resources.files("sitl_plant")
 STRICT: Literal["forbid"] = "forbid"  # a misspelt key in the file is an error, not a default
 
 
@@ -105,6 +111,22 @@ class Imu:
     accel_noise_density: NotNegative
     filter_hz: Positive
     gyro_bias_rms: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class LandingGear:
+    """Where the vehicle stands, and how it gives way.
+
+    points_m: body FRD.
+    natural_hz: of the whole vehicle, bouncing on its gear.
+    damping_ratio: of that bounce; 1 is critical.
+    friction: coefficient on the ground.
+    """
+
+    points_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
+    natural_hz: Positive
+    damping_ratio: NotNegative
+    friction: NotNegative
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
@@ -183,6 +205,7 @@ class Vehicle:
     body: Body
     rotors: Annotated[tuple[Rotor, ...], Field(min_length=4, max_length=12)]
     propulsion: Propulsion
+    landing_gear: LandingGear
     battery: Battery
     imu: Imu
     mocap: MotionCapture
@@ -235,19 +258,56 @@ def load_vehicle(path: Path) -> Vehicle:
     return _parse(text, path.name)
 
 
+def shipped_vehicles() -> tuple[str, ...]:
+    """The names of the vehicles in this package; the first is the thesis's."""
+    names = sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml"))
+    return ("qdrone2", *(name for name in names if name != "qdrone2"))
+
+
 @cache
+def vehicle_named(name: str) -> Vehicle:
+    """A vehicle of this package. Raises UsageError, listing the names, if there is none."""
+    if name not in shipped_vehicles():
+        raise UsageError(f"no vehicle {name!r}: give a FILE.toml or one of {', '.join(shipped_vehicles())}")
+    return _parse((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), name)
+
+
+def vehicle_from(text: str) -> Vehicle:
+    """The vehicle of a FILE.toml, or the shipped one of that name. Raises InputError or UsageError if there is none."""
+    return load_vehicle(Path(text)) if text.endswith(".toml") else vehicle_named(text)
+
+
 def qdrone2() -> Vehicle:
-    """The vehicle of the thesis, from `qdrone2.toml` in this package."""
-    file = resources.files("sitl_plant") / "qdrone2.toml"
-    return _parse(file.read_text(encoding="utf-8"), file.name)
+    """The vehicle of the thesis."""
+    return vehicle_named("qdrone2")
+
+
+def _table(text: str, name: str) -> dict[str, Any]:
+    """The file with what it takes over from its base."""
+    table = tomllib.loads(text)
+    base = table.pop("base", None)
+    if base is None:
+        return table
+    if base not in shipped_vehicles():
+        raise InputError(f"{name}: base: give one of {', '.join(shipped_vehicles())}, not {base!r}")
+    return _merged(_table((_FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base), table)
 
 
 def _parse(text: str, name: str) -> Vehicle:
     try:
-        return TypeAdapter(Vehicle).validate_python(tomllib.loads(text))
+        return TypeAdapter(Vehicle).validate_python(_table(text, name))
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name} is not TOML: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "vehicle"
         raise InputError(f"{name}: {where}: {first['msg']}") from error
+
+
+def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """The base with a vehicle's own values in place of its; sections are merged, lists are replaced."""
+    merged = {**base, **own}
+    for name in base.keys() & own.keys():
+        if isinstance(base[name], dict) and isinstance(own[name], dict):
+            merged[name] = _merged(base[name], own[name])
+    return merged

@@ -9,7 +9,7 @@ Wire format: https://mavlink.io/en/guide/serialization.html
 
 import re
 import struct
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -269,17 +269,9 @@ class Encoder:
         layout = _layout(msgid)
         return self._frame(msgid, layout, layout.pack(fields))
 
-    def encode_wire(self, msgid: int, fields: Sequence[FieldValue]) -> bytes:
-        """One frame from all the fields of `Frame.fields`, in their order and already of the right type: the fast way.
-
-        Raises UsageError if they do not fit.
-        """
-        layout = _layout(msgid)
-        try:
-            payload = layout.packer.pack(*fields)
-        except (struct.error, OverflowError) as error:
-            raise UsageError(f"{layout.name}: {error}") from error
-        return self._frame(msgid, layout, payload)
+    def encode_payload(self, msgid: int, payload: bytes) -> bytes:
+        """One frame from a whole payload, as `Frame.payload` has it. Raises UsageError for an unknown message."""
+        return self._frame(msgid, _layout(msgid), payload)
 
     def statustext(self, severity: Severity, text: str) -> bytes:
         """A STATUSTEXT frame; text beyond 50 bytes is cut, at a whole character."""

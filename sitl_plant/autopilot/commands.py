@@ -1,8 +1,8 @@
 """What the emulated autopilot does with the frames it receives: answer what is meant for it, pass on the rest.
 
 Sans-I/O: frames in, replies and forwards out. Routing follows ArduPilot's rules (developer documentation, "MAVLink
-Routing in ArduPilot"): a broadcast goes to every other link that has been heard; a message with an address goes to the
-link where that component was heard; nothing goes back where it came from, and nothing that claims to come from the
+Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an address goes to the
+link over which that component sends; nothing goes back where it came from, and nothing that claims to come from the
 autopilot itself is believed. The emulated autopilot flies its own path: it takes no command but those about messages.
 """
 
@@ -22,7 +22,7 @@ __all__ = ["Autopilot", "Forward", "Parameter", "Reply"]
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 MAVLINK2 = 1 << 13  # MAV_PROTOCOL_CAPABILITY_MAVLINK2
 PARAM_FLOAT = 1 << 1  # MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-MESSAGE_INTERVAL = 244  # the message that tells an interval; 0 there means that the message is not carried
+MESSAGE_INTERVAL = 244  # its interval 0 means that the message is not carried
 REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_VERSION_TYPE_OFFICIAL
 
@@ -84,7 +84,7 @@ class Autopilot:
         return actions
 
     def _links_towards(self, target: tuple[int, int]) -> list[int]:
-        """The links where a component that the address means was heard; 0 means any."""
+        """The links over which the components of an address send; 0 means any."""
         if target == self._identity:
             return []
         return sorted(

@@ -1,4 +1,4 @@
-"""How the emulated autopilots differ on the wire, beyond what their link profile says: one row each.
+"""How the emulated autopilots differ on the wire, beyond their link profile: one row each.
 
 Units, filter and stamps are those of `mavdiag.link.profiles`, so that what is sent is what is understood. Facts about
 ArduPilot Copter and PX4 were read in their sources and checked against their simulators (2026). Where the emulator
@@ -12,16 +12,22 @@ from mavdiag.errors import UsageError
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile, Stamp, profile_named
 
-__all__ = ["FLAVOURS", "Flavour", "flavour"]
+__all__ = ["DIALECTS", "ESC_GROUP", "Dialect", "dialect_named"]
+
+ESC_GROUP = 4  # rotors in one message of their speeds
+FRAME_CLASSES = {4: 1.0, 6: 2.0, 8: 3.0}  # ArduPilot: quad, hexa, octa
 
 
 @dataclass(frozen=True, slots=True)
-class Flavour:
-    """One way to speak.
+class Dialect:
+    """What one kind of autopilot sends.
 
-    custom_mode: flight mode as HEARTBEAT tells it. others: rates [Hz] of the messages besides setpoint and IMU.
-    ceiling_hz: the highest rate that is granted. send_delay_s: if messages are stamped when sent, how long after the
-    sample that is, at most. parameters: what PARAM_REQUEST_LIST tells.
+    profile: units, filter and stamps.
+    custom_mode: flight mode in HEARTBEAT.
+    others: rates of the messages besides set-point and IMU [Hz].
+    ceiling_hz: the highest rate that is granted.
+    send_delay_s: longest time from the sample to its stamp, if messages are stamped when they are sent.
+    parameters: the answer to PARAM_REQUEST_LIST.
     """
 
     profile: Profile
@@ -33,15 +39,30 @@ class Flavour:
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
-            raise UsageError(f"flavour {self.profile.name}: a sending delay belongs to stamps of the sending time")
+            raise UsageError(f"dialect {self.profile.name}: a sending delay belongs to stamps of the sending time")
 
-    def rates_hz(self, rate_hz: float | None) -> dict[int, float]:
-        """The rate of every message, setpoint and IMU at `rate_hz` (None: the profile's). UsageError if denied."""
+    def rates_hz(self, rate_hz: float | None, rotors: int = 4) -> dict[int, float]:
+        """The rate of every message [Hz]. Raises UsageError for a rate that is not granted.
+
+        rate_hz: of set-point and IMU; None for the profile's.
+        rotors: of the vehicle; ESC_TELEMETRY is a message of its own for each four of them.
+        """
         rate = self.profile.rate_hz if rate_hz is None else rate_hz
         if not 1.0 <= rate <= self.ceiling_hz:
             name = self.profile.name
             raise UsageError(f"rate must be 1 to {self.ceiling_hz:g} Hz with the profile {name}, not {rate:g}")
-        return {**self.others, self.profile.setpoint: rate, self.profile.imu: rate}
+        rates = {**self.others, self.profile.setpoint: rate, self.profile.imu: rate}
+        if self.profile.rotor_speed is MessageId.ESC_TELEMETRY_1_TO_4:
+            more = range(1, -(-rotors // ESC_GROUP))
+            rates |= {self.profile.rotor_speed + k: self.others[self.profile.rotor_speed] for k in more}
+        return rates
+
+    def parameters_of(self, rotors: int) -> tuple[tuple[str, float], ...]:
+        """The parameters of a vehicle with so many rotors."""
+        return tuple(
+            (name, FRAME_CLASSES.get(rotors, 0.0) if name == "FRAME_CLASS" else value)
+            for name, value in self.parameters
+        )
 
 
 _STATE: dict[int, float] = {
@@ -65,10 +86,10 @@ _COPTER = (("SYSID_THISMAV", 1.0), ("FRAME_CLASS", 1.0))
 _QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
 
 _ALL = (
-    Flavour(_QDRONE2, 0, _messages(_QDRONE2, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
-    Flavour(_SPEC, 0, _messages(_SPEC, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
+    Dialect(_QDRONE2, 0, _messages(_QDRONE2, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
+    Dialect(_SPEC, 0, _messages(_SPEC, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
     # ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
-    Flavour(
+    Dialect(
         _ARDUPILOT,
         custom_mode=4,  # Copter: guided
         others=_messages(_ARDUPILOT),
@@ -77,7 +98,7 @@ _ALL = (
         parameters=(*_COPTER, ("INS_GYRO_FILTER", 20.0), ("INS_ACCEL_FILTER", 20.0), ("SCHED_LOOP_RATE", 400.0)),
     ),
     # PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
-    Flavour(
+    Dialect(
         _PX4,
         custom_mode=6 << 16,  # main mode offboard
         others=_messages(_PX4),
@@ -86,10 +107,10 @@ _ALL = (
     ),
 )
 
-FLAVOURS: Mapping[str, Flavour] = {row.profile.name: row for row in _ALL}
-"""The flavours by the name of the link profile that they speak."""
+DIALECTS: Mapping[str, Dialect] = {row.profile.name: row for row in _ALL}
+"""The dialects by the name of their link profile."""
 
 
-def flavour(name: str) -> Flavour:
-    """The flavour of a link profile. Raises UsageError for an unknown one."""
-    return FLAVOURS[profile_named(name).name]
+def dialect_named(name: str) -> Dialect:
+    """The dialect of a link profile. Raises UsageError for an unknown one."""
+    return DIALECTS[profile_named(name).name]

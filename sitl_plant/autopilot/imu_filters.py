@@ -1,4 +1,4 @@
-"""What the emulated autopilot makes of its samples before it sends them: filtered IMU, vibration level, time stamps."""
+"""What the emulated autopilot computes from its samples before it sends them: filtered IMU, vibration level, stamps."""
 
 from dataclasses import dataclass
 
@@ -6,24 +6,29 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.autopilot.dialect import Flavour
+from mavdiag.units import G
+from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.physics.sensors import butterworth
 from sitl_plant.plant import STEP_NS, PlantSamples
 
-__all__ = ["Sensed", "Sensing"]
+__all__ = ["FilteredSamples", "ImuFilters"]
 
 # ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
-VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * 9.80665 - 0.5
+VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * G - 0.5
 
 STEP_S = STEP_NS * 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sensed:
-    """n steps as the autopilot tells them.
+class FilteredSamples:
+    """n steps as the autopilot sends them.
 
-    stamp_ns: (n,) what messages carry as their time. gyro, accel: (n, 3) after the autopilot's filter [rad/s, m/s^2].
-    vibration: (n, 3) level [m/s^2]. clippings: (n,) samples so far at the end of the accelerometer's range.
+    samples: what the plant gave.
+    stamp_ns: (n,) time that the messages carry.
+    gyro: (n, 3) after the autopilot's filter [rad/s].
+    accel: (n, 3) after the autopilot's filter [m/s^2].
+    vibration: (n, 3) level [m/s^2].
+    clippings: (n,) samples so far at the end of the accelerometer's range.
     """
 
     samples: PlantSamples
@@ -59,21 +64,21 @@ def _second_order(corner_hz: float) -> _Filter:
     return _Filter(np.array([b0, b1, b2]), np.array([1.0, a1, a2]))
 
 
-class Sensing:
-    """The fold from samples to what is sent. Equal seeds give equal stamps; how time is cut does not matter.
+class ImuFilters:
+    """From samples to what is sent, block by block. Equal seeds give equal stamps; how time is cut does not matter.
 
     vibration = sqrt( low-pass_2Hz( (accel - low-pass_5Hz(accel))^2 ) )
     (ArduPilot, AP_InertialSensor::calc_vibration_and_clipping)
     """
 
-    def __init__(self, flavour: Flavour, seed: int) -> None:
-        self._imu_filter = _second_order(corner_hz) if (corner_hz := flavour.profile.imu_corner_hz) else None
+    def __init__(self, dialect: Dialect, seed: int) -> None:
+        self._imu_filter = _second_order(corner_hz) if (corner_hz := dialect.profile.imu_corner_hz) else None
         self._floor, self._level = _first_order(VIBE_FLOOR_HZ), _first_order(VIBE_HZ)
         self._clippings = 0
-        self._delay_ns = round(flavour.send_delay_s * 1e9)
+        self._delay_ns = round(dialect.send_delay_s * 1e9)
         self._delays = np.random.default_rng(seed)
 
-    def step(self, samples: PlantSamples) -> Sensed:
+    def step(self, samples: PlantSamples) -> FilteredSamples:
         """The next block (n >= 1)."""
         gyro, accel = samples.gyro, samples.accel
         vibration = np.sqrt(np.maximum(0.0, self._level.step((accel - self._floor.step(accel)) ** 2)))
@@ -83,4 +88,4 @@ class Sensing:
             both = self._imu_filter.step(np.hstack([gyro, accel]))
             gyro, accel = both[:, :3], both[:, 3:]
         delay_ns = self._delay_ns * self._delays.random(len(samples))
-        return Sensed(samples, samples.t_ns + delay_ns.astype(np.int64), gyro, accel, vibration, clipped)
+        return FilteredSamples(samples, samples.t_ns + delay_ns.astype(np.int64), gyro, accel, vibration, clipped)

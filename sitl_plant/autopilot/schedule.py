@@ -65,7 +65,7 @@ class Schedule:
         return MavResult.ACCEPTED
 
     def interval_us(self, msgid: int) -> int:
-        """What MESSAGE_INTERVAL tells: the interval, `NEVER` if silent, 0 if the message is not carried."""
+        """The content of MESSAGE_INTERVAL: the interval, `NEVER` if silent, 0 if the message is not carried."""
         beat = self._beats.get(msgid)
         if beat is None:
             return 0

@@ -1,75 +1,91 @@
 """From what the autopilot knows to MAVLink messages: each one of the schedule, made from the sample it is due at.
 
-A block of samples becomes columns in the units of each message, whole arrays at a time. A message gets its sequence
-number only when it is sent, because an answer may overtake it.
+A block of samples becomes one record array for each message, whole columns at a time: its bytes are the payloads on the
+wire, and the converters of `mavdiag.link` read the same records. A message gets its sequence number only when it is
+sent, because an answer may overtake it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from itertools import repeat
 from operator import itemgetter
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavdiag.link.codec import FieldValue, wire_fields
+from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.autopilot.dialect import Flavour
-from sitl_plant.autopilot.imu_filters import Sensed
+from mavdiag.units import NS_PER_MS, NS_PER_US, RPM
+from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect
+from sitl_plant.autopilot.imu_filters import FilteredSamples
 from sitl_plant.autopilot.schedule import Schedule
 
-__all__ = ["Message", "Streamer"]
+__all__ = ["Message", "Streamer", "records"]
 
-Column: TypeAlias = FloatArray | IntArray | int | float  # (n,), or (n, k) for k fields side by side, or a constant
+Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
+Record: TypeAlias = NDArray[Any]
 
-ACTIVE = 4  # MAV_STATE_ACTIVE
-IN_AIR = 2  # MAV_LANDED_STATE_IN_AIR
-RPM = 2.0 * np.pi / 60.0  # rad/s
+STANDBY, ACTIVE = 3, 4  # MAV_STATE
+ON_GROUND, IN_AIR = 1, 2  # MAV_LANDED_STATE
+FLYING = 2  # `PlantSamples.motors`
 HIGHRES_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometer and gyro
 # MAV_SYS_STATUS_SENSOR: gyro, accelerometer, motor outputs, geofence, AHRS, battery, pre-arm check, propulsion
 HEALTH = 0x1 | 0x2 | 0x8000 | 0x100000 | 0x200000 | 0x2000000 | 0x10000000 | 0x40000000
 FULL_V, EMPTY_V = 16.8, 14.0  # of a 4S battery: what "100 %" and "0 %" mean (estimate)
+TYPES = {4: MavType.QUADROTOR, 6: MavType.HEXAROTOR, 8: MavType.OCTOROTOR}
+SERVOS = 8  # outputs of SERVO_OUTPUT_RAW beside each other; the other eight are extensions
 
 
 class Message(NamedTuple):
-    """A message to be sent at flight time t_ns. fields: as `Encoder.encode_wire` takes them."""
+    """A message to be sent.
+
+    t_ns: flight time.
+    payload: with all its zeros, as `Encoder.encode_payload` takes it.
+    """
 
     t_ns: int
     msgid: int
-    fields: tuple[FieldValue, ...]
+    payload: bytes
 
 
 class Streamer:
     """The sending half of the emulated autopilot, for one link."""
 
-    def __init__(self, flavour: Flavour, schedule: Schedule) -> None:
-        self._flavour, self._schedule = flavour, schedule
+    def __init__(self, dialect: Dialect, schedule: Schedule) -> None:
+        self._dialect, self._schedule = dialect, schedule
 
-    def step(self, sensed: Sensed) -> list[Message]:
+    def step(self, filtered: FilteredSamples) -> list[Message]:
         """The messages of a block in order of time."""
         messages: list[Message] = []
-        for msgid, rows in self._schedule.due(sensed.samples.t_ns):
-            columns = _BUILDERS[msgid](sensed, rows, self._flavour)
-            fields = _wire_rows(msgid, len(rows), columns)
-            messages += map(Message, sensed.samples.t_ns[rows].tolist(), repeat(msgid), fields)
+        for msgid, due in self._schedule.due(filtered.samples.t_ns):
+            rows, record = records(msgid, filtered, due, self._dialect)
+            payloads, size = record.tobytes(), record.dtype.itemsize
+            cuts = (payloads[at : at + size] for at in range(0, len(payloads), size))
+            messages += map(Message, filtered.samples.t_ns[rows].tolist(), repeat(msgid), cuts)
         messages.sort(key=itemgetter(0))  # stable: messages of one instant keep the schedule's order
         return messages
 
 
-def _wire_rows(msgid: int, n: int, columns: Columns) -> list[tuple[FieldValue, ...]]:
-    """n messages as tuples in the order of the wire; fields without a column are zero."""
-    places: list[list[FieldValue]] = []
-    for name, size in wire_fields(msgid):
-        column = columns.get(name, 0)
-        if not isinstance(column, np.ndarray):
-            places += [[column] * n] * size
-        elif column.ndim == 1:
-            places.append(column.tolist())
-        else:
-            places += column.T.tolist()
-            places += [[0] * n] * (size - column.shape[1])
-    return list(zip(*places, strict=True))
+def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> tuple[IntArray, Record]:
+    """The payloads of one message that is due at some rows of a block, and the row of each payload.
+
+    There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero.
+    """
+    columns = _BUILDERS[msgid](filtered, rows, dialect)
+    shapes = {name: np.shape(column) for name, column in columns.items()}
+    dtype = _dtype(msgid, tuple((name, shape[1] if len(shape) == 2 else 1) for name, shape in shapes.items()))
+    record = np.zeros(next(shape[0] for shape in shapes.values() if shape), dtype)
+    for name, column in columns.items():
+        record[name] = np.reshape(column, record[name].shape) if np.ndim(column) else column
+    return np.repeat(rows, len(record) // len(rows)), record
+
+
+@cache
+def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void]:
+    return record_dtype(msgid, *columns)
 
 
 def _integers(values: FloatArray, bits: int) -> IntArray:
@@ -78,12 +94,12 @@ def _integers(values: FloatArray, bits: int) -> IntArray:
     return np.clip(np.rint(values), -top - 1, top).astype(np.int64)
 
 
-def _boot_ms(sensed: Sensed, rows: IntArray) -> IntArray:
-    return sensed.stamp_ns[rows] // 1_000_000 % (1 << 32)
+def _boot_ms(filtered: FilteredSamples, rows: IntArray) -> IntArray:
+    return filtered.stamp_ns[rows] // NS_PER_MS % (1 << 32)
 
 
-def _boot_us(sensed: Sensed, rows: IntArray) -> IntArray:
-    return sensed.stamp_ns[rows] // 1_000
+def _boot_us(filtered: FilteredSamples, rows: IntArray) -> IntArray:
+    return filtered.stamp_ns[rows] // NS_PER_US
 
 
 def _quaternion(angles: FloatArray) -> FloatArray:
@@ -99,24 +115,29 @@ def _quaternion(angles: FloatArray) -> FloatArray:
     )
 
 
-def _spread(name: str, parts: Sequence[str], values: FloatArray | IntArray) -> dict[str, Column]:
-    """The columns of a vector as fields of their own: `_spread("{}acc", "xyz", ...)` gives xacc, yacc, zacc."""
-    return {name.format(part): values[:, i] for i, part in enumerate(parts)}
+def _groups(values: FloatArray | IntArray) -> Any:
+    """(n, r) as (n g, 4): the rotors four by four, zeros where there is none."""
+    n, rotors = values.shape
+    groups = -(-rotors // ESC_GROUP)
+    padded = np.zeros((n, groups * ESC_GROUP), dtype=values.dtype)
+    padded[:, :rotors] = values
+    return padded.reshape(n * groups, ESC_GROUP)
 
 
-def _heartbeat(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _heartbeat(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    motors = filtered.samples.motors[rows]
     return {
-        "type": MavType.QUADROTOR,
-        "autopilot": flavour.profile.autopilot,
-        "base_mode": ModeFlag.CUSTOM_MODE_ENABLED | ModeFlag.SAFETY_ARMED,
-        "custom_mode": flavour.custom_mode,
-        "system_status": ACTIVE,
+        "type": TYPES.get(filtered.samples.duty.shape[1], MavType.GENERIC),
+        "autopilot": dialect.profile.autopilot,
+        "base_mode": ModeFlag.CUSTOM_MODE_ENABLED + ModeFlag.SAFETY_ARMED * (motors > 0),
+        "custom_mode": dialect.custom_mode,
+        "system_status": np.where(motors > 0, ACTIVE, STANDBY),
         "mavlink_version": 3,
     }
 
 
-def _sys_status(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    volts = sensed.samples.battery_v[rows]
+def _sys_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    volts = filtered.samples.battery_v[rows]
     return {
         "onboard_control_sensors_present": HEALTH,
         "onboard_control_sensors_enabled": HEALTH,
@@ -127,105 +148,106 @@ def _sys_status(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
     }
 
 
-def _extended_state(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    return {"landed_state": IN_AIR}
+def _extended_state(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    return {"landed_state": np.where(filtered.samples.motors[rows] == FLYING, IN_AIR, ON_GROUND)}
 
 
-def _attitude_target(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    samples = sensed.samples
+def _attitude_target(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    samples = filtered.samples
     return {
-        "time_boot_ms": _boot_ms(sensed, rows),
+        "time_boot_ms": _boot_ms(filtered, rows),
         "q": _quaternion(samples.setpoint[rows]),
-        **_spread("body_{}_rate", ("roll", "pitch", "yaw"), samples.rate_setpoint[rows]),
+        "body_roll_rate": samples.rate_setpoint[rows],
         "thrust": samples.thrust_setpoint[rows],
     }
 
 
-def _raw_imu(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _raw_imu(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
-        "time_usec": _boot_us(sensed, rows),
-        **_spread("{}acc", "xyz", _integers(sensed.accel[rows] / flavour.profile.accel_unit, 16)),
-        **_spread("{}gyro", "xyz", _integers(sensed.gyro[rows] / flavour.profile.gyro_unit, 16)),
+        "time_usec": _boot_us(filtered, rows),
+        "xacc": _integers(filtered.accel[rows] / dialect.profile.accel_unit, 16),
+        "xgyro": _integers(filtered.gyro[rows] / dialect.profile.gyro_unit, 16),
     }
 
 
-def _highres_imu(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _highres_imu(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
-        "time_usec": _boot_us(sensed, rows),
-        **_spread("{}acc", "xyz", sensed.accel[rows]),
-        **_spread("{}gyro", "xyz", sensed.gyro[rows]),
+        "time_usec": _boot_us(filtered, rows),
+        "xacc": filtered.accel[rows],
+        "xgyro": filtered.gyro[rows],
         "fields_updated": HIGHRES_FIELDS,
     }
 
 
-def _attitude(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _attitude(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
-        "time_boot_ms": _boot_ms(sensed, rows),
-        **_spread("{}", ("roll", "pitch", "yaw"), sensed.samples.attitude[rows]),
-        **_spread("{}speed", ("roll", "pitch", "yaw"), sensed.gyro[rows]),
+        "time_boot_ms": _boot_ms(filtered, rows),
+        "roll": filtered.samples.attitude[rows, :3],
+        "rollspeed": filtered.gyro[rows],
     }
 
 
-def _attitude_quaternion(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _attitude_quaternion(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
-        "time_boot_ms": _boot_ms(sensed, rows),
-        **_spread("q{}", "1234", _quaternion(sensed.samples.attitude[rows, :3])),
-        **_spread("{}speed", ("roll", "pitch", "yaw"), sensed.gyro[rows]),
+        "time_boot_ms": _boot_ms(filtered, rows),
+        "q1": _quaternion(filtered.samples.attitude[rows, :3]),
+        "rollspeed": filtered.gyro[rows],
     }
 
 
-def _local_position(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _local_position(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     """The true position: motion capture gives it to a fraction of a millimetre."""
     return {
-        "time_boot_ms": _boot_ms(sensed, rows),
-        **_spread("{}", "xyz", sensed.samples.position[rows]),
-        **_spread("v{}", "xyz", sensed.samples.velocity[rows]),
+        "time_boot_ms": _boot_ms(filtered, rows),
+        "x": filtered.samples.position[rows],
+        "vx": filtered.samples.velocity[rows],
     }
 
 
-def _servo_output(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    low, high = flavour.profile.actuator_span
-    names = tuple(str(i + 1) for i in range(flavour.profile.rotors))
+def _servo_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    low, high = dialect.profile.actuator_span
+    servos = _integers(low + (high - low) * filtered.samples.duty[rows], 17)
+    columns = {"time_usec": _boot_us(filtered, rows) % (1 << 32), "servo1_raw": servos[:, :SERVOS]}
+    return columns | ({"servo9_raw": servos[:, SERVOS:]} if servos.shape[1] > SERVOS else {})
+
+
+def _actuator_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    low, high = dialect.profile.actuator_span
+    duty = filtered.samples.duty[rows]
     return {
-        "time_usec": _boot_us(sensed, rows) % (1 << 32),
-        **_spread("servo{}_raw", names, _integers(low + (high - low) * sensed.samples.duty[rows], 17)),
+        "time_usec": _boot_us(filtered, rows),
+        "active": duty.shape[1],
+        "actuator": low + (high - low) * duty,
     }
 
 
-def _actuator_output(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    low, high = flavour.profile.actuator_span
+def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    rpm = _groups(_integers(filtered.samples.rotor_speed[rows] / RPM, 32))
+    groups = len(rpm) // len(rows)
     return {
-        "time_usec": _boot_us(sensed, rows),
-        "active": flavour.profile.rotors,
-        "actuator": low + (high - low) * sensed.samples.duty[rows],
+        "time_usec": np.repeat(_boot_us(filtered, rows), groups),
+        "index": np.tile(ESC_GROUP * np.arange(groups), len(rows)),
+        "rpm": rpm,
+        "voltage": _groups(np.repeat(filtered.samples.battery_v[rows, None], filtered.samples.duty.shape[1], axis=1)),
     }
 
 
-def _esc_status(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
+def _esc_telemetry(first: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+    """Four rotors from `first` on; the places of rotors that are not there stay zero."""
+    rpm = _integers(filtered.samples.rotor_speed[rows, first : first + ESC_GROUP] / RPM, 17)
+    volts = _integers(100.0 * filtered.samples.battery_v[rows], 17)
+    return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
+
+
+def _vibration(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
-        "time_usec": _boot_us(sensed, rows),
-        "rpm": _integers(sensed.samples.rotor_speed[rows] / RPM, 32),
-        "voltage": np.repeat(sensed.samples.battery_v[rows, np.newaxis], flavour.profile.rotors, axis=1),
+        "time_usec": _boot_us(filtered, rows),
+        "vibration_x": filtered.vibration[rows],
+        "clipping_0": filtered.clippings[rows],
     }
 
 
-def _esc_telemetry(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    volts = _integers(100.0 * sensed.samples.battery_v[rows], 17)
-    return {
-        "rpm": _integers(sensed.samples.rotor_speed[rows] / RPM, 17),
-        "voltage": np.repeat(volts[:, np.newaxis], flavour.profile.rotors, axis=1),
-    }
-
-
-def _vibration(sensed: Sensed, rows: IntArray, flavour: Flavour) -> Columns:
-    return {
-        "time_usec": _boot_us(sensed, rows),
-        **_spread("vibration_{}", "xyz", sensed.vibration[rows]),
-        "clipping_0": sensed.clippings[rows],
-    }
-
-
-_BUILDERS: Mapping[int, Callable[[Sensed, IntArray, Flavour], Columns]] = {
+_BUILDERS: Mapping[int, Callable[[FilteredSamples, IntArray, Dialect], Columns]] = {
     MessageId.HEARTBEAT: _heartbeat,
     MessageId.SYS_STATUS: _sys_status,
     MessageId.EXTENDED_SYS_STATE: _extended_state,
@@ -239,5 +261,5 @@ _BUILDERS: Mapping[int, Callable[[Sensed, IntArray, Flavour], Columns]] = {
     MessageId.VIBRATION: _vibration,
     MessageId.ESC_STATUS: _esc_status,
     MessageId.ACTUATOR_OUTPUT_STATUS: _actuator_output,
-    MessageId.ESC_TELEMETRY_1_TO_4: _esc_telemetry,
+    **{MessageId.ESC_TELEMETRY_1_TO_4 + k: partial(_esc_telemetry, ESC_GROUP * k) for k in range(3)},
 }

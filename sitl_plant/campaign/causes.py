@@ -6,7 +6,6 @@ Sizes besides those of the nine faults are estimates: large enough to matter in 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class Group(StrEnum):
 
     FAULT = "fault"  # one of T's nine: a propeller fault
     BLADE = "blade"  # other damage to a propeller: a propeller fault
-    MOTOR = "motor"  # a motor that does not do as told: another fault, though it feels like a propeller's
+    MOTOR = "motor"  # a motor at another speed than commanded: another fault, though it feels like a propeller's
     LOSS = "loss"  # a propeller gone: a gross loss of thrust
     SENSOR = "sensor"  # a gyro or accelerometer: another fault, or nothing; never a propeller fault
 
@@ -48,44 +47,32 @@ class Cause:
     fitted: bool = False
 
 
-def _fault(fault: Fault, rng: np.random.Generator, phenomenology: float) -> RotorDamage:
-    return fault.damage(phenomenology)
+def _fault(fault: Fault) -> Cause:
+    return Cause(Group.FAULT, lambda rng, phenomenology: fault.damage(phenomenology), fitted=True)
 
 
-def _damage(damage: RotorDamage, rng: np.random.Generator, phenomenology: float) -> RotorDamage:
-    return damage
-
-
-def _sensor(
-    sensor: str,
-    scale: float,
-    offset: float,
-    drift_per_s: float,
-    noise_rms: float,
-    rng: np.random.Generator,
-    phenomenology: float,
-) -> SensorFault:
-    """On an axis drawn at random; offset and drift with a random sign."""
-    axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
-    return SensorFault(sensor, axis, scale, sign * offset, sign * drift_per_s, noise_rms)
-
-
-def _blade(group: Group, damage: RotorDamage) -> Cause:
-    return Cause(group, partial(_damage, damage))
+def _rotor(group: Group, damage: RotorDamage) -> Cause:
+    return Cause(group, lambda rng, phenomenology: damage)
 
 
 def _imu(sensor: str, scale: float = 1.0, offset: float = 0.0, drift: float = 0.0, noise: float = 0.0) -> Cause:
-    return Cause(Group.SENSOR, partial(_sensor, sensor, scale, offset, drift, noise))
+    """On an axis drawn at random; offset and drift with a random sign."""
+
+    def make(rng: np.random.Generator, phenomenology: float) -> SensorFault:
+        axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+        return SensorFault(sensor, axis, scale, sign * offset, sign * drift, noise)
+
+    return Cause(Group.SENSOR, make)
 
 
 CAUSES: Mapping[str, Cause] = {
-    **{fault.code: Cause(Group.FAULT, partial(_fault, fault), fitted=True) for fault in FAULTS},
-    "chipping": _blade(Group.BLADE, chipping(0.05, 60.0, thrust_loss=0.03, drag_factor=1.03)),
-    "bending": _blade(Group.BLADE, bending(thrust_loss=0.04, drag_factor=1.05)),
-    "added-mass": _blade(Group.BLADE, added_mass(0.05, 50.0)),
-    "texture": _blade(Group.BLADE, texture(thrust_factor=0.97, drag_factor=1.06)),
-    "motor-speed": _blade(Group.MOTOR, speed_corruption(0.97)),
-    "ejection": _blade(Group.LOSS, ejection()),
+    **{fault.code: _fault(fault) for fault in FAULTS},
+    "chipping": _rotor(Group.BLADE, chipping(0.05, 60.0, thrust_loss=0.03, drag_factor=1.03)),
+    "bending": _rotor(Group.BLADE, bending(thrust_loss=0.04, drag_factor=1.05)),
+    "added-mass": _rotor(Group.BLADE, added_mass(0.05, 50.0)),
+    "texture": _rotor(Group.BLADE, texture(thrust_factor=0.97, drag_factor=1.06)),
+    "motor-speed": _rotor(Group.MOTOR, speed_corruption(0.97)),
+    "ejection": _rotor(Group.LOSS, ejection()),
     "gyro-bias": _imu("gyro", offset=0.05),
     "gyro-drift": _imu("gyro", drift=0.002),
     "gyro-scale": _imu("gyro", scale=1.1),

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
@@ -12,11 +12,13 @@ import typer
 
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
+from sitl_plant.options import VehicleName
+from sitl_plant.vehicle import vehicle_from
 
 if TYPE_CHECKING:
     from sitl_plant.campaign.runner import Results
     from sitl_plant.campaign.summary import Summary
-    from sitl_plant.campaign.worker import FlightLine
+    from sitl_plant.campaign.worker import FlightResult
 
 __all__ = ["Learn", "Preset", "campaign"]
 
@@ -53,6 +55,7 @@ def campaign(
             help="Levels of cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss; repeatable.",
         ),
     ] = [],  # noqa: B006  # typer copies its defaults
+    vehicle: VehicleName = "qdrone2",
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 2,
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
@@ -70,6 +73,7 @@ def campaign(
     base = PRESETS[preset]
     design = replace(
         base,
+        vehicle=vehicle_from(vehicle),
         seed=seed,
         learn=learn.value,
         flights=base.flights if flights is None else flights,
@@ -96,17 +100,13 @@ def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
 ) -> "Summary":
     # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
-    from sitl_plant.campaign.runner import Journal, dask_crew, local_crew, run_campaign
+    from sitl_plant.campaign.runner import Journal, dask_executor, local_executor, run_campaign
     from sitl_plant.campaign.summary import summarise
 
     plan = make_plan(design)
-    crew = dask_crew(scheduler) if scheduler is not None else local_crew(workers)
-    journal = Journal(output, fresh)
-    try:
-        with _progress() as tell, crew as hands:
-            results = run_campaign(plan, journal, hands, tell)
-    finally:
-        journal.close()
+    chosen = dask_executor(scheduler) if scheduler is not None else local_executor(workers)
+    with chosen as executor, closing(Journal(output, fresh)) as journal, _progress() as report:
+        results = run_campaign(plan, journal, executor, report)
     if results.reused or results.others:
         typer.echo(
             f"{output}: {results.reused} results reused; {results.others} lines of other campaigns, or of another "
@@ -128,12 +128,12 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     with Progress(*columns, console=Console(stderr=True)) as progress:
         bars = {}
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             if stage not in bars:
                 bars[stage] = progress.add_task(stage, total=total, completed=done)
             progress.update(bars[stage], completed=done)
 
-        yield tell
+        yield report
 
 
 def _write_parquet(path: Path, results: "Results") -> None:
@@ -151,7 +151,7 @@ def _write_parquet(path: Path, results: "Results") -> None:
         raise UsageError(f"cannot write {path} ({error}); choose another --parquet file") from error
 
 
-def _row(flight: "FlightLine") -> dict[str, object]:
+def _row(flight: "FlightResult") -> dict[str, object]:
     row: dict[str, object] = asdict(flight)
     del row["monitors"], row["conditions"], row["answer"], row["record"]
     row |= asdict(flight.conditions)

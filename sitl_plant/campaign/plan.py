@@ -12,17 +12,20 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, causes_named
+from sitl_plant.vehicle import Vehicle, qdrone2
 
 __all__ = [
     "MANOEUVRES",
     "PRESETS",
+    "USUAL",
     "Conditions",
     "Design",
     "FlightTask",
@@ -37,16 +40,26 @@ __all__ = [
 ]
 
 Level = TypeVar("Level")
-S_PER_H = 3600.0
+
+# Factors whose levels are numbers, and their ranges.
+RANGES = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
 
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """A named path. speed_m_s: along it; heading_rad: how far it is turned."""
+    """A named path.
+
+    speed_m_s: along it.
+    heading_rad: how far it is turned.
+    nose: where the nose points, see `sitl_plant.physics.trajectory.Nose`.
+    takeoff: it begins and ends on the ground.
+    """
 
     shape: str
     speed_m_s: float = 0.5
     heading_rad: float = 0.0
+    nose: str = "fixed"
+    takeoff: bool = False
 
 
 MANOEUVRES: Mapping[str, Manoeuvre] = {
@@ -56,7 +69,14 @@ MANOEUVRES: Mapping[str, Manoeuvre] = {
     "hover": Manoeuvre("hover"),
     "circle": Manoeuvre("circle"),
     "figure8": Manoeuvre("figure8"),
+    "square-nose": Manoeuvre("square", nose="path"),
+    "circle-nose": Manoeuvre("circle", nose="path"),
+    "figure8-nose": Manoeuvre("figure8", nose="path"),
+    "hover-spin": Manoeuvre("hover", nose="spin"),
+    "square-spin": Manoeuvre("square", nose="spin"),
+    "square-takeoff": Manoeuvre("square", takeoff=True),
 }
+USUAL = tuple(name for name, one in MANOEUVRES.items() if one.nose == "fixed" and not one.takeoff)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +92,7 @@ class Conditions:
 class LearnTask:
     """Learn a baseline for one airframe over one link from healthy flights, one for each of `flights`."""
 
+    vehicle: Vehicle = field(repr=False)
     airframe: int
     aged: bool
     link: str
@@ -81,7 +102,11 @@ class LearnTask:
 
 @dataclass(frozen=True, slots=True)
 class FlightTask:
-    """Fly once and judge. cause: a name of `campaign_causes.CAUSES` or "healthy"; rotor: where, if it has a place."""
+    """Fly once and judge.
+
+    cause: a name of `causes.CAUSES`, or "healthy".
+    rotor: where the cause is, if it has a place.
+    """
 
     index: int
     learnt: LearnTask = field(repr=False)
@@ -97,9 +122,13 @@ class FlightTask:
 class Design:
     """Levels of every factor, and how much to fly.
 
-    airframes: how many specimens; every second one is aged. learn_flights: healthy flights for each baseline.
+    airframes: how many specimens; every second one is aged.
     learn: "square" learns from T's square in calm air alone, "mixed" draws every other flight from the levels below.
-    flights: with a cause. hours: healthy, besides.
+    learn_flights: healthy flights for each baseline.
+    flights: with a cause.
+    hours: of healthy flight, besides.
+    vehicle: the type of all specimens.
+    rotor: levels; None for every rotor of the vehicle.
     """
 
     seed: int = 0
@@ -110,13 +139,14 @@ class Design:
     hours: float = 0.5
     duration_s: float = 40.0
     cause: tuple[str, ...] = tuple(CAUSES)
-    rotor: tuple[int, ...] = (1, 2, 3, 4)
+    rotor: tuple[int, ...] | None = None
     phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
-    manoeuvre: tuple[str, ...] = tuple(MANOEUVRES)
+    manoeuvre: tuple[str, ...] = USUAL
     wind: tuple[float, ...] = (0.0, 1.0)
     payload: tuple[float, ...] = (0.0, 100.0)
     link: tuple[str, ...] = ("qdrone2@1000",)
     loss: tuple[float, ...] = (0.0,)
+    vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("airframes", "learn_flights"):
@@ -169,10 +199,11 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
         for airframe in range(design.airframes)
         for link in dict.fromkeys(design.link)
     }
+    rotors = design.rotor or tuple(range(1, len(design.vehicle.rotors) + 1))
     causes = [HEALTHY] * count if part == "healthy" else column("cause", design.cause)
     columns = zip(
         causes,
-        _within(causes, design.rotor, design.seed, f"{part} rotor"),
+        _within(causes, rotors, design.seed, f"{part} rotor"),
         _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
         column("manoeuvre", design.manoeuvre),
         column("wind", design.wind),
@@ -213,7 +244,7 @@ def _learning(design: Design, airframe: int, link: str) -> LearnTask:
     )
     drawn = [Conditions(str(manoeuvre), float(wind), float(payload)) for manoeuvre, wind, payload in mixed]
     flights = tuple(drawn[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
-    return LearnTask(airframe, airframe % 2 == 1, link, flights, design.duration_s)
+    return LearnTask(design.vehicle, airframe, airframe % 2 == 1, link, flights, design.duration_s)
 
 
 def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> list[Level]:
@@ -267,43 +298,35 @@ def with_conditions(design: Design, filters: Sequence[str]) -> Design:
 
     Raises UsageError for an unknown factor or level.
     """
+    changed: dict[str, Any] = {}
     for text in filters:
-        factor, _, levels = text.partition("=")
+        factor, _, levels = (part.strip() for part in text.partition("="))
         wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
         if not wanted:
             raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
-        match factor.strip():
+        match factor:
             case "cause":
-                design = replace(design, cause=causes_named(wanted))
+                changed[factor] = causes_named(wanted)
             case "manoeuvre":
-                for one in wanted:
-                    if one not in MANOEUVRES:
-                        raise UsageError(f"no manoeuvre {one!r}: give one of {', '.join(MANOEUVRES)}")
-                design = replace(design, manoeuvre=wanted)
+                if unknown := set(wanted) - MANOEUVRES.keys():
+                    raise UsageError(f"no manoeuvre {min(unknown)!r}: give one of {', '.join(MANOEUVRES)}")
+                changed[factor] = wanted
             case "link":
+                changed[factor] = wanted
                 for one in wanted:
                     parse_link(one)
-                design = replace(design, link=wanted)
             case "rotor":
-                design = replace(design, rotor=_rotors(wanted))
-            case "phenomenology":
-                design = replace(design, phenomenology=_numbers("phenomenology", wanted, 0.0, 1.0))
-            case "wind":
-                design = replace(design, wind=_numbers("wind", wanted, 0.0, 10.0))
-            case "payload":
-                design = replace(design, payload=_numbers("payload", wanted, 0.0, 1000.0))
-            case "loss":
-                design = replace(design, loss=_numbers("loss", wanted, 0.0, 0.9))
+                changed[factor] = _rotors(wanted, len(design.vehicle.rotors))
+            case number if number in RANGES:
+                changed[factor] = _numbers(factor, wanted, *RANGES[number])
             case other:
-                raise UsageError(
-                    f"no factor {other!r}: give cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss"
-                )
-    return design
+                raise UsageError(f"no factor {other!r}: give cause, rotor, manoeuvre, link, {', '.join(RANGES)}")
+    return replace(design, **changed)
 
 
-def _rotors(texts: Sequence[str]) -> tuple[int, ...]:
-    if not set(texts) <= {"1", "2", "3", "4"}:
-        raise UsageError(f"rotor must be 1 to 4, not {', '.join(texts)}")
+def _rotors(texts: Sequence[str], rotors: int) -> tuple[int, ...]:
+    if not set(texts) <= {str(rotor) for rotor in range(1, rotors + 1)}:
+        raise UsageError(f"rotor must be 1 to {rotors}, not {', '.join(texts)}")
     return tuple(int(text) for text in texts)
 
 

@@ -24,28 +24,34 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from mavdiag.errors import LinkError, UsageError
 from sitl_plant.campaign.plan import FlightTask, LearnTask, Plan
-from sitl_plant.campaign.worker import FlightLine, LearnLine, fly_task, learn_task
+from sitl_plant.campaign.worker import FlightResult, LearnResult, fly_task, learn_task
 
-__all__ = ["Crew", "Journal", "Results", "dask_crew", "local_crew", "run_campaign", "source_key", "task_key"]
+__all__ = [
+    "Journal",
+    "Results",
+    "TaskExecutor",
+    "dask_executor",
+    "local_executor",
+    "run_campaign",
+    "source_key",
+    "task_key",
+]
 
-Line: TypeAlias = LearnLine | FlightLine
-Made = TypeVar("Made", LearnLine, FlightLine)
+Line: TypeAlias = LearnResult | FlightResult
+Made = TypeVar("Made", LearnResult, FlightResult)
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+# What cannot change a result: bytecode, and the edges.
 UNRELATED = (
-    "commands",
-    "__main__",
-    "_command",
-    "campaign.py",
-    "campaign_summary",
-    "campaign_tables",
-)  # cannot change a result
+    *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
+    *(f"sitl_plant/campaign/{name}.py" for name in ("command", "runner", "summary", "tables")),
+)
 
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
 @cache
 def source_key() -> str:
-    """A digest of the sources that results follow from: results of another version are never mixed in."""
+    """A digest of the sources and data that results follow from: results of another version are never mixed in."""
     digest = hashlib.sha256()
     for package in ("mavdiag", "sitl_plant"):
         for name, content in sorted(_sources(resources.files(package), package)):
@@ -57,11 +63,11 @@ def source_key() -> str:
 def _sources(folder: Traversable, path: str) -> Iterator[tuple[str, bytes]]:
     for entry in folder.iterdir():
         name = f"{path}/{entry.name}"
-        if any(part in name for part in UNRELATED):
+        if name.endswith(UNRELATED):
             continue
         if entry.is_dir():
             yield from _sources(entry, name)
-        elif entry.name.endswith((".py", ".toml")):
+        else:
             yield name, entry.read_bytes()
 
 
@@ -109,34 +115,39 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What a plan came to, in the order of the plan.
+    """The results of a plan, in its order.
 
-    reused: how many results were in the file already. others: lines of other campaigns, or of another version.
+    reused: how many results were in the file already.
+    others: lines of other campaigns, or of another version.
     """
 
     plan: Plan
-    learnt: tuple[LearnLine, ...]
-    flights: tuple[FlightLine, ...]
+    learnt: tuple[LearnResult, ...]
+    flights: tuple[FlightResult, ...]
     reused: int
     others: int
 
 
 @dataclass(frozen=True, slots=True)
-class Crew:
-    """Who does the work: an executor, and how many tasks to keep under way so that nobody waits."""
+class TaskExecutor:
+    """Where the tasks run.
 
-    executor: Executor
-    under_way: int
+    pool: processes, threads or a cluster.
+    in_flight: how many tasks to submit at a time, so that no worker waits.
+    """
+
+    pool: Executor
+    in_flight: int
 
 
 @contextmanager
-def local_crew(workers: int) -> Iterator[Crew]:
+def local_executor(workers: int) -> Iterator[TaskExecutor]:
     """Worker processes of this machine, each with one thread of arithmetic, so that results do not depend on it."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_ignore_interrupt)
     try:
-        yield Crew(pool, 2 * workers)
+        yield TaskExecutor(pool, 2 * workers)
     except BrokenExecutor as error:
         raise UsageError("a worker process died, perhaps for want of memory; run again with fewer --workers") from error
     finally:
@@ -154,7 +165,7 @@ def _ignore_interrupt() -> None:
 
 
 @contextmanager
-def dask_crew(address: str) -> Iterator[Crew]:
+def dask_executor(address: str) -> Iterator[TaskExecutor]:
     """The workers of a Dask scheduler. They need the same version of this package, with numba.
 
     Raises UsageError without Dask, LinkError if the scheduler cannot be reached.
@@ -171,18 +182,19 @@ def dask_crew(address: str) -> Iterator[Crew]:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-        yield Crew(client.get_executor(pure=False), 2 * threads)
+        yield TaskExecutor(client.get_executor(pure=False), 2 * threads)
 
 
 def run_campaign(
     plan: Plan,
     journal: Journal,
-    crew: Crew,
+    executor: TaskExecutor,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Results:
-    """Learn what is to be learnt, then fly. progress: is told the stage, and how many tasks of it are done.
+    """Learn what is to be learnt, then fly.
 
-    The results do not depend on the crew; only the order of the lines in the file does.
+    progress: called with the stage, how many of its tasks are done, and how many there are.
+    The results do not depend on the executor; only the order of the lines in the file does.
     """
     seed = plan.design.seed
     learning = {task_key(seed, task): task for task in plan.learning}
@@ -190,28 +202,28 @@ def run_campaign(
     reused = len((learning.keys() | flights.keys()) & journal.known.keys())
     others = len(journal.known) - reused + journal.unread
 
-    def learn_jobs() -> Iterator[Callable[[], LearnLine]]:
+    def learn_jobs() -> Iterator[Callable[[], LearnResult]]:
         for key, task in learning.items():
             if key not in journal.known:
                 yield partial(learn_task, key, seed, task)
 
-    def flight_jobs() -> Iterator[Callable[[], FlightLine]]:
+    def flight_jobs() -> Iterator[Callable[[], FlightResult]]:
         for key, task in flights.items():
             if key not in journal.known:
-                learnt = _known(journal, task_key(seed, task.learnt), LearnLine)
+                learnt = _known(journal, task_key(seed, task.learnt), LearnResult)
                 yield partial(fly_task, key, seed, task, learnt)
 
     for stage, keys, jobs in (("learning", learning, learn_jobs()), ("flying", flights, flight_jobs())):
         done = len(keys.keys() & journal.known.keys())
         progress(stage, done, len(keys))
-        for line in _as_completed(crew, jobs):
+        for line in _as_completed(executor, jobs):
             journal.add(line)
             done += 1
             progress(stage, done, len(keys))
     return Results(
         plan,
-        tuple(_known(journal, key, LearnLine) for key in learning),
-        tuple(_known(journal, key, FlightLine) for key in flights),
+        tuple(_known(journal, key, LearnResult) for key in learning),
+        tuple(_known(journal, key, FlightResult) for key in flights),
         reused,
         others,
     )
@@ -224,12 +236,12 @@ def _known(journal: Journal, key: str, kind: type[Made]) -> Made:
     return line
 
 
-def _as_completed(crew: Crew, jobs: Iterable[Callable[[], Line]]) -> Iterator[Line]:
+def _as_completed(executor: TaskExecutor, jobs: Iterable[Callable[[], Line]]) -> Iterator[Line]:
     """The results of jobs as they come, with only so many handed out at a time: memory does not grow with the plan."""
     waiting: set[Future[Line]] = set()
     for job in jobs:
-        waiting.add(crew.executor.submit(job))
-        if len(waiting) >= crew.under_way:
+        waiting.add(executor.pool.submit(job))
+        if len(waiting) >= executor.in_flight:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             yield from _lines(done)
     while waiting:

@@ -1,6 +1,6 @@
 """What a campaign found, with 95 % confidence intervals: Wilson's for shares, the exact Poisson one for rates.
 
-    share:  (p + z^2/2n ± z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n)                Wilson, JASA 22 (1927)
+    share:  Wilson, JASA 22 (1927)
     rate:   chi2(0.025, 2k) / 2T  to  chi2(0.975, 2k + 2) / 2T                      Garwood, Biometrika 28 (1936)
 
 Flights of one airframe share its baseline, so they are not independent; the intervals do not know that.
@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.units import S_PER_H
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group
 from sitl_plant.campaign.runner import Results
-from sitl_plant.campaign.worker import FlightLine
+from sitl_plant.campaign.worker import FlightResult
 
 __all__ = [
     "AlarmRow",
@@ -29,14 +30,12 @@ __all__ = [
     "wilson",
 ]
 
-Z = 1.959963984540054  # normal quantile of 0.975
 UNJUDGED = ("not_judgeable", "error")
-S_PER_H = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """hits of `of`, with the interval of the true share. `of` 0 tells nothing: 0 to 1."""
+    """hits of `of`, with the interval of the true share; 0 to 1 if `of` is 0."""
 
     hits: int
     of: int
@@ -104,8 +103,9 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All tables. healthy_hours: of healthy flights, and of the others up to their onset; alarms there are false.
+    """All tables.
 
+    healthy_hours: of healthy flights, and of the others up to their onset; alarms there are false.
     chance: share of healthy stretches, as long as those after an onset, in which an alarm would begin.
     """
 
@@ -130,10 +130,10 @@ def wilson(hits: int, of: int) -> Share:
     """
     if of == 0:
         return Share(0, 0, 0.0, 1.0)
-    p, z2 = hits / of, Z * Z
-    middle, width = p + z2 / (2 * of), Z * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
-    scale = 1 + z2 / of
-    return Share(hits, of, max(0.0, (middle - width) / scale), min(1.0, (middle + width) / scale))
+    from scipy.stats import binomtest  # scipy.stats takes a second to load
+
+    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    return Share(hits, of, float(interval.low), float(interval.high))
 
 
 def poisson(count: int, hours: float) -> Rate:
@@ -142,7 +142,6 @@ def poisson(count: int, hours: float) -> Rate:
     >>> round(poisson(0, 10.0).high, 3)        # ln(40) / 10
     0.369
     """
-    # Loaded here: scipy.stats takes a second.
     from scipy.stats import chi2
 
     if hours <= 0.0:
@@ -151,7 +150,7 @@ def poisson(count: int, hours: float) -> Rate:
     return Rate(count, hours, low, float(chi2.ppf(0.975, 2 * count + 2)) / (2 * hours))
 
 
-_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
+_FACTORS: Mapping[str, Callable[[FlightResult], str]] = {
     "all": lambda flight: "all",
     "manoeuvre": lambda flight: flight.conditions.manoeuvre,
     "wind m/s": lambda flight: f"{flight.conditions.wind_m_s:g}",
@@ -160,12 +159,12 @@ _FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
     "loss": lambda flight: f"{flight.loss:g}",
     "airframe": lambda flight: "aged" if flight.airframe % 2 else "new",
 }
-_ALARM_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
+_ALARM_FACTORS: Mapping[str, Callable[[FlightResult], str]] = {
     "all": lambda flight: "all",
     "flight": lambda flight: HEALTHY if flight.cause == HEALTHY else "before an onset",
     **{name: level for name, level in _FACTORS.items() if name != "all"},
 }
-_FAULT_FACTORS: Mapping[str, Callable[[FlightLine], str]] = {
+_FAULT_FACTORS: Mapping[str, Callable[[FlightResult], str]] = {
     "all": lambda flight: "all",
     "phenomenology": lambda flight: f"{flight.phenomenology:g}",
     "fault": lambda flight: flight.cause,
@@ -194,11 +193,11 @@ def summarise(results: Results) -> Summary:
 
 
 def _by_level(
-    factors: Mapping[str, Callable[[FlightLine], str]], flights: Sequence[FlightLine]
-) -> Iterable[tuple[str, str, list[FlightLine]]]:
+    factors: Mapping[str, Callable[[FlightResult], str]], flights: Sequence[FlightResult]
+) -> Iterable[tuple[str, str, list[FlightResult]]]:
     """Each factor that varies, level by level."""
     for factor, level_of in factors.items():
-        levels: dict[str, list[FlightLine]] = {}
+        levels: dict[str, list[FlightResult]] = {}
         for flight in flights:
             levels.setdefault(level_of(flight), []).append(flight)
         if factor == "all" or len(levels) > 1:
@@ -222,11 +221,11 @@ def _counts(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
     return tuple(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
-def _hours(flights: Sequence[FlightLine]) -> float:
+def _hours(flights: Sequence[FlightResult]) -> float:
     return sum(flight.healthy_s for flight in flights) / S_PER_H
 
 
-def _chance(judged: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> float:
+def _chance(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> float:
     """1 - exp(-rate T), T the mean flight after an onset: what "detected" would be if nothing were to detect."""
     hours = _hours(judged)
     after_h = [(flight.flown_s - flight.onset_s) / S_PER_H for flight in faulty if flight.onset_s is not None]
@@ -235,18 +234,18 @@ def _chance(judged: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> float
     return 1.0 - math.exp(-sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)))
 
 
-def _alarm_row(factor: str, level: str, flights: Sequence[FlightLine]) -> AlarmRow:
+def _alarm_row(factor: str, level: str, flights: Sequence[FlightResult]) -> AlarmRow:
     alarmed = sum(flight.episodes > 0 for flight in flights)
     rate = poisson(sum(flight.episodes for flight in flights), _hours(flights))
     return AlarmRow(factor, level, rate, wilson(alarmed, len(flights)))
 
 
-def _detection_row(factor: str, level: str, flights: Sequence[FlightLine]) -> DetectionRow:
+def _detection_row(factor: str, level: str, flights: Sequence[FlightResult]) -> DetectionRow:
     latencies = [flight.latency_s for flight in flights if flight.latency_s is not None]
 
-    def right(named: Callable[[FlightLine], object], true: Callable[[FlightLine], object]) -> Share:
-        telling = [flight for flight in flights if named(flight) is not None]
-        return wilson(sum(named(flight) == true(flight) for flight in telling), len(telling))
+    def right(named: Callable[[FlightResult], object], true: Callable[[FlightResult], object]) -> Share:
+        naming = [flight for flight in flights if named(flight) is not None]
+        return wilson(sum(named(flight) == true(flight) for flight in naming), len(naming))
 
     return DetectionRow(
         factor,
@@ -261,18 +260,18 @@ def _detection_row(factor: str, level: str, flights: Sequence[FlightLine]) -> De
     )
 
 
-def _monitor_rows(judged: Sequence[FlightLine], faulty: Sequence[FlightLine]) -> tuple[MonitorRow, ...]:
+def _monitor_rows(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> tuple[MonitorRow, ...]:
     names = sorted({monitor.name for flight in judged for monitor in flight.monitors})
     rows = []
     for name in names:
         every = [one for flight in judged for one in flight.monitors if one.name == name]
-        loud = [one for flight in faulty for one in flight.monitors if one.name == name]
+        damaged = [one for flight in faulty for one in flight.monitors if one.name == name]
         rate = poisson(sum(one.before for one in every), _hours(judged))
-        rows.append(MonitorRow(name, rate, wilson(sum(one.after > 0 for one in loud), len(loud))))
+        rows.append(MonitorRow(name, rate, wilson(sum(one.after > 0 for one in damaged), len(damaged))))
     return tuple(rows)
 
 
-def _answer_rows(flights: Sequence[FlightLine]) -> tuple[AnswerRow, ...]:
+def _answer_rows(flights: Sequence[FlightResult]) -> tuple[AnswerRow, ...]:
     rows = []
     for name in CAUSES:
         own = [flight for flight in flights if flight.cause == name]

@@ -15,15 +15,16 @@ from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs import Log
 from mavdiag.report import event_json
+from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.causes import HEALTHY, injections_of
 from sitl_plant.campaign.plan import MANOEUVRES, Conditions, FlightTask, LearnTask, parse_link, task_sequence
 from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.physics.injections import Injection
 from sitl_plant.plant import PlantConfig
-from sitl_plant.vehicle import qdrone2
+from sitl_plant.vehicle import Vehicle
 
-__all__ = ["Answer", "FlightLine", "LearnLine", "MonitorLine", "fly_task", "learn_task", "specimen"]
+__all__ = ["Answer", "FlightResult", "LearnResult", "MonitorResult", "fly_task", "learn_task", "specimen"]
 
 CREATED = "2026-01-01T00:00:00+00:00"  # fixed, so that equal campaigns learn equal baselines
 ONSET = (0.3, 0.5)  # share of the flight; healthy before
@@ -33,7 +34,7 @@ EPISODE_S = 10.0  # alarms this near to each other count as one (our choice)
 
 
 @dataclass(frozen=True, slots=True)
-class LearnLine:
+class LearnResult:
     """A baseline, as text, or why there is none."""
 
     key: str
@@ -46,7 +47,7 @@ class LearnLine:
 
 
 @dataclass(frozen=True, slots=True)
-class MonitorLine:
+class MonitorResult:
     """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s]."""
 
     name: str
@@ -57,8 +58,9 @@ class MonitorLine:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the diagnosis made of the cause. kind: as it says itself, else that of the alert, a propeller fault.
+    """What the diagnosis answered to the cause.
 
+    kind: the verdict if it is no judgement, else "propeller fault" or "nothing".
     rotor, fault_type, severity: of the most certain alarm after the onset that names one.
     """
 
@@ -69,10 +71,13 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightLine:
-    """One judged flight. onset_s: None if it was healthy; episodes: groups of alarms before the onset.
+class FlightResult:
+    """One judged flight.
 
-    healthy_s: judged flight before the onset. latency_s: from the onset to the first alarm after it.
+    healthy_s: judged flight before the onset.
+    onset_s: None if the flight was healthy.
+    episodes: groups of alarms before the onset.
+    latency_s: from the onset to the first alarm after it.
     """
 
     key: str
@@ -93,18 +98,22 @@ class FlightLine:
     episodes: int
     latency_s: float | None
     answer: Answer
-    monitors: tuple[MonitorLine, ...]
+    monitors: tuple[MonitorResult, ...]
     record: Literal["flight"] = "flight"
 
 
-def specimen(seed: int, number: int, aged: bool) -> Airframe:
+def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
     """Airframe `number` of the campaign: drawn afresh, none of drones 1 to 3."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xA1F, number]))
-    return draw_airframe(qdrone2(), aged, rng, f"airframe {number}")
+    return draw_airframe(vehicle, aged, rng, f"airframe {number}")
 
 
 def _config(
-    airframe: Airframe, conditions: Conditions, injections: tuple[Injection, ...], rng: np.random.Generator
+    airframe: Airframe,
+    conditions: Conditions,
+    duration_s: float,
+    injections: tuple[Injection, ...],
+    rng: np.random.Generator,
 ) -> PlantConfig:
     manoeuvre = MANOEUVRES[conditions.manoeuvre]
     beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2)
@@ -113,6 +122,9 @@ def _config(
         trajectory=manoeuvre.shape,
         speed_m_s=manoeuvre.speed_m_s,
         heading_rad=manoeuvre.heading_rad,
+        nose=manoeuvre.nose,
+        start="ground" if manoeuvre.takeoff else "hover",
+        landed_s=duration_s if manoeuvre.takeoff else None,
         wind_m_s=conditions.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
         payload=Payload(conditions.payload_g * 1e-3, (float(beside[0]), float(beside[1]), PAYLOAD_BELOW_M)),
@@ -121,29 +133,29 @@ def _config(
     )
 
 
-def learn_task(key: str, seed: int, task: LearnTask) -> LearnLine:
+def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
     """Fly an airframe's healthy flights and learn from them."""
-    airframe, link = specimen(seed, task.airframe, task.aged), parse_link(task.link)
+    airframe, link = specimen(seed, task.airframe, task.aged, task.vehicle), parse_link(task.link)
     flights = []
     for number, child in enumerate(task_sequence(seed, task).spawn(len(task.flights))):
-        config = _config(airframe, task.flights[number], (), np.random.default_rng(child))
+        config = _config(airframe, task.flights[number], task.duration_s, (), np.random.default_rng(child))
         telemetry, _ = flight_telemetry(config, task.duration_s, link)
         name = f"{airframe.name} healthy {number}"
         flights.append(Flight(name, telemetry_digest(telemetry), link.profile, telemetry))
     try:
         baseline = learn(flights, LearnOptions(airframe=airframe.name), created=CREATED)
     except MavdiagError as error:
-        return LearnLine(key, task.airframe, task.link, error=str(error))
-    return LearnLine(key, task.airframe, task.link, dump(baseline), judged_s=3600.0 * baseline.healthy_hours)
+        return LearnResult(key, task.airframe, task.link, error=str(error))
+    return LearnResult(key, task.airframe, task.link, dump(baseline), judged_s=S_PER_H * baseline.healthy_hours)
 
 
-def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnLine) -> FlightLine:
+def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> FlightResult:
     """Fly once and judge the flight by what was learnt of the airframe."""
-    airframe = specimen(seed, task.learnt.airframe, task.learnt.aged)
+    airframe = specimen(seed, task.learnt.airframe, task.learnt.aged, task.learnt.vehicle)
     rng = np.random.default_rng(task_sequence(seed, task))
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
-    config = _config(airframe, task.conditions, injections, rng)
+    config = _config(airframe, task.conditions, task.duration_s, injections, rng)
     spec = parse_link(task.learnt.link)
     telemetry, flown_s = flight_telemetry(config, task.duration_s, LinkSpec(spec.profile, spec.rate_hz, task.loss))
     log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, 0)
@@ -157,11 +169,11 @@ def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnLine) -> Flight
     return _line(key, task, verdict, onset_s, flown_s)
 
 
-def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float) -> FlightLine:
+def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float) -> FlightResult:
     border_s = flown_s if onset_s is None else onset_s
     before = [one for one in verdict.events if one.t_s < border_s]
     after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
-    return FlightLine(
+    return FlightResult(
         key=key,
         index=task.index,
         airframe=task.learnt.airframe,
@@ -181,7 +193,7 @@ def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None
         latency_s=_latency(after, border_s),
         answer=_answer(verdict, after),
         monitors=tuple(
-            MonitorLine(
+            MonitorResult(
                 one.name,
                 _episodes([event for event in before if event.event.monitor == one.name]),
                 _episodes(own := [event for event in after if event.event.monitor == one.name]),
@@ -209,19 +221,19 @@ def _latency(events: Sequence[JudgedEvent], onset_s: float) -> float | None:
 
 
 def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
-    """By the most certain alarm of each kind of statement; alarms are told in the words of the public report."""
+    """By the most certain alarm that names a rotor, a type or a severity; read from the public report."""
     if verdict.verdict in (Verdict.NOT_JUDGEABLE, Verdict.ERROR):
         return Answer(verdict.verdict.value)
     if not after:
         return Answer("nothing")
-    told = [dict(event_json(one.t_s, one.end_s, one.event)) for one in after]
-    told.sort(key=lambda row: -float(str(row["confidence"] or 0.0)))
-    rotor, severity, kind, fault_type = (
-        next((row[name] for row in told if row.get(name) is not None), None)
-        for name in ("rotor", "severity", "kind", "fault_type")
+    rows = [dict(event_json(one.t_s, one.end_s, one.event)) for one in after]
+    rows.sort(key=lambda row: -float(str(row["confidence"] or 0.0)))
+    rotor, severity, fault_type = (
+        next((row[name] for row in rows if row.get(name) is not None), None)
+        for name in ("rotor", "severity", "fault_type")
     )
     return Answer(
-        kind=str(kind or "propeller fault"),
+        kind="propeller fault",
         rotor=int(str(rotor)) if rotor is not None else None,
         fault_type=str(fault_type) if fault_type is not None else None,
         severity=int(str(severity)) if severity is not None else None,

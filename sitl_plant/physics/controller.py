@@ -21,14 +21,21 @@ import numpy as np
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.attitude import wrapped
 from sitl_plant.physics.jit import jit
+from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN
 
 __all__ = ["ControlState", "Controller", "control"]
 
+LANDED_M = 0.03  # a vehicle below this height stands on the ground when it is led to land (our choice)
+
 
 class Controller(NamedTuple):
-    """Gains and limits. pose: (4, 3) rows x, y, z, yaw, columns P, V, I. rate_gain: (3, 2) P and D, times inertia.
+    """Gains and limits.
 
-    mixer: (n, 4) inverse of the motor mapping matrix. full_thrust: K_F K_omega^2 [N] of one motor at full duty.
+    pose: (4, 3) rows x, y, z, yaw, columns P, V, I.
+    rate_gain: (3, 2) P and D, times inertia.
+    mixer: (n, 4) pseudo-inverse of the motor mapping matrix; with four rotors its inverse, T Eq 2.43.
+    full_thrust: K_F K_omega^2 [N] of one motor at full duty.
+    integral_limit: (4,) in units of the command.
     """
 
     pose: FloatArray
@@ -41,15 +48,20 @@ class Controller(NamedTuple):
     tilt_limit: float
     rate_limit: float
     yaw_rate_limit: float
-    integral_limit: FloatArray  # (4,) in units of the command
+    integral_limit: FloatArray
     torque_limit: FloatArray  # (3,)
     thrust_limit: FloatArray  # (2,)
 
 
 class ControlState(NamedTuple):
-    """integral: (4,) integrals of the pose error times I, in units of the command. Commands: setpoint (3,) roll, pitch,
+    """What the cascade remembers and commands.
 
-    yaw [rad]; rate (3,) [rad/s]; wrench (4,) thrust [N] and torques [N m]; duty (n,) 0..1.
+    integral: (4,) integrals of the pose error times I, in units of the command.
+    setpoint: (3,) commanded roll, pitch, yaw [rad].
+    rate: (3,) commanded body rates [rad/s].
+    wrench: (4,) commanded thrust [N] and torques [N m].
+    duty: (n,) commanded duty, 0..1.
+    motors: (1,) 0 disarmed, 1 armed and idle, 2 flying.
     """
 
     integral: FloatArray
@@ -57,6 +69,7 @@ class ControlState(NamedTuple):
     rate: FloatArray
     wrench: FloatArray
     duty: FloatArray
+    motors: FloatArray
 
 
 @jit
@@ -99,6 +112,18 @@ def _outer_loop(
 
 
 @jit
+def _stand(state: ControlState, gains: Controller, yaw: float) -> None:
+    """On the ground: all motors idle, or off. The integrals wait."""
+    duty = gains.minimum_duty if state.motors[0] == IDLE else 0.0
+    for axis in range(3):
+        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
+    state.setpoint[2] = yaw
+    state.wrench[0] = len(state.duty) * gains.full_thrust * duty * duty
+    for i in range(len(state.duty)):
+        state.duty[i] = duty
+
+
+@jit
 def control(
     state: ControlState,
     gains: Controller,
@@ -110,8 +135,17 @@ def control(
 ) -> None:
     """One pass of the cascade; the commands are left in `state`.
 
-    reference: (8,) from `trajectory`. pose: (4,), velocity: (3,) from motion capture. estimate: (9,) from `attitude`.
+    reference: (9,) from `trajectory`.
+    pose: (4,) from motion capture.
+    velocity: (3,) from motion capture.
+    estimate: (9,) from `attitude`.
     """
+    state.motors[0] = min(reference[8], FLYING)
+    if reference[8] >= LANDING and pose[2] > -LANDED_M:
+        state.motors[0] = DISARMED if reference[8] == SHUTDOWN else IDLE
+    if state.motors[0] != FLYING:
+        _stand(state, gains, reference[6])
+        return
     _outer_loop(state, gains, reference, pose, velocity, estimate[5], dt)
     for axis in range(2):
         rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]

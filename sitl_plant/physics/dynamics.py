@@ -8,6 +8,11 @@ Rotors enter as a *wrench row*, known at the three times that an RK4 step looks 
 
     [ force_B (3) | moment_B (3) | h | dh/dt ]       h = sum of J sign_i w_i: the rotors' angular momentum about body z
 
+The ground is a plane that pushes each point of the landing gear by a spring and a damper (our model, no source):
+
+    N = max(0, k d + c v_d)                       d: depth of the point below the plane; the ground never pulls
+    F = -(k s + c v),  |F| <= mu N                s: horizontal way from where the point stuck; beyond mu N it slides
+
 All functions are compiled and write into arrays that the caller owns.
 """
 
@@ -16,18 +21,22 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.jit import jit
+from sitl_plant.physics.jit import inline, jit
 
 __all__ = [
     "GRAVITY",
+    "NO_GROUND",
     "RIGID",
     "STAGES",
     "WRENCH",
     "Body",
+    "Ground",
     "derivative",
+    "grip",
     "rk4_step",
     "rotate_to_body",
     "rotate_to_world",
+    "support",
 ]
 
 GRAVITY = 9.81  # m/s^2, as the hover speed of T 3.2.2 and K_F assume
@@ -68,11 +77,94 @@ def rotate_to_world(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tu
     )
 
 
+class Ground(NamedTuple):
+    """Landing gear and the plane below it.
+
+    gear: (m, 3) points of the landing gear from the centre of gravity, body FRD [m].
+    stuck: (m, 2) where each point sticks, world north and east [m]; changed by `grip`.
+    level: z of the plane in the world [m].
+    reach: a vehicle with z above this may touch the ground [m]; infinite without a ground.
+    stiffness: of one point [N/m].
+    damping: of one point [N s/m].
+    friction: coefficient.
+    """
+
+    gear: FloatArray
+    stuck: FloatArray
+    level: float
+    reach: float
+    stiffness: float
+    damping: float
+    friction: float
+
+
+NO_GROUND = Ground(np.zeros((0, 3)), np.zeros((0, 2)), np.inf, np.inf, 0.0, 0.0, 0.0)
+
+
+@jit
+def _push(x: FloatArray, ground: Ground, i: int) -> tuple[float, float, float, float, float, float]:
+    """Force of the ground on gear point i, world NED [N]; then where the point is, and how hard it sticks."""
+    a, b, c = ground.gear[i]
+    r_x, r_y, r_z = rotate_to_world(x, a, b, c)
+    north, east, depth = x[0] + r_x, x[1] + r_y, x[2] + r_z - ground.level
+    p, q, r = x[10], x[11], x[12]
+    v_x, v_y, v_z = rotate_to_world(x, q * c - r * b, r * a - p * c, p * b - q * a)
+    normal = max(0.0, ground.stiffness * depth + ground.damping * (x[5] + v_z)) if depth > 0.0 else 0.0
+    f_x = -ground.stiffness * (north - ground.stuck[i, 0]) - ground.damping * (x[3] + v_x)
+    f_y = -ground.stiffness * (east - ground.stuck[i, 1]) - ground.damping * (x[4] + v_y)
+    asked = np.sqrt(f_x * f_x + f_y * f_y)
+    share = min(1.0, ground.friction * normal / asked) if asked > 0.0 else 1.0
+    return share * f_x, share * f_y, -normal, north, east, share
+
+
+@jit
+def grip(x: FloatArray, ground: Ground) -> None:
+    """After a step: let the points that slid or left the ground stick where they can hold."""
+    if x[2] <= ground.reach:
+        return
+    for i in range(len(ground.gear)):
+        f_x, f_y, f_z, north, east, share = _push(x, ground, i)
+        if f_z == 0.0:
+            ground.stuck[i, 0], ground.stuck[i, 1] = north, east
+        elif share < 1.0:
+            ground.stuck[i, 0], ground.stuck[i, 1] = north + f_x / ground.stiffness, east + f_y / ground.stiffness
+
+
+@inline
+def support(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
+    """Add what the ground does to the slope in dx[row], if the vehicle is near enough to touch it."""
+    if x[2] > ground.reach:
+        _stand(x, body, ground, dx, row)
+
+
+@jit
+def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
+    m_x = m_y = m_z = 0.0
+    for i in range(len(ground.gear)):
+        f_x, f_y, f_z, _, _, _ = _push(x, ground, i)
+        dx[row, 3] += f_x / body.mass
+        dx[row, 4] += f_y / body.mass
+        dx[row, 5] += f_z / body.mass
+        b_x, b_y, b_z = rotate_to_body(x, f_x, f_y, f_z)
+        a, b, c = ground.gear[i]
+        m_x += b * b_z - c * b_y
+        m_y += c * b_x - a * b_z
+        m_z += a * b_y - b * b_x
+    for axis in range(3):
+        dx[row, 10 + axis] += body.inverse[axis, 0] * m_x + body.inverse[axis, 1] * m_y + body.inverse[axis, 2] * m_z
+
+
 @jit
 def derivative(
-    x: FloatArray, wrench: FloatArray, stage: int, body: Body, wind: FloatArray, dx: FloatArray, row: int
+    x: FloatArray,
+    wrench: FloatArray,
+    stage: int,
+    body: Body,
+    wind: FloatArray,
+    dx: FloatArray,
+    row: int,
 ) -> None:
-    """Write dx/dt under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
+    """Write dx/dt in the air under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
 
     m dv/dt     = R (force + drag) + m g
     I domega/dt = moment + hub - omega × (I omega + h e_z) - dh/dt e_z
@@ -106,22 +198,28 @@ def derivative(
 
 
 @jit
-def rk4_step(x: FloatArray, wrench: FloatArray, body: Body, wind: FloatArray, work: FloatArray, dt: float) -> None:
+def rk4_step(
+    x: FloatArray, wrench: FloatArray, body: Body, ground: Ground, wind: FloatArray, work: FloatArray, dt: float
+) -> None:
     """Advance `x` in place by dt with the classical Runge-Kutta scheme, then restore |q| = 1.
 
     wrench: (3, 8) at start, middle and end. work: (5, 13) scratch for the four slopes and the point.
     """
     y = work[4]
     derivative(x, wrench, 0, body, wind, work, 0)
+    support(x, body, ground, work, 0)
     for i in range(RIGID):
         y[i] = x[i] + 0.5 * dt * work[0, i]
     derivative(y, wrench, 1, body, wind, work, 1)
+    support(y, body, ground, work, 1)
     for i in range(RIGID):
         y[i] = x[i] + 0.5 * dt * work[1, i]
     derivative(y, wrench, 1, body, wind, work, 2)
+    support(y, body, ground, work, 2)
     for i in range(RIGID):
         y[i] = x[i] + dt * work[2, i]
     derivative(y, wrench, 2, body, wind, work, 3)
+    support(y, body, ground, work, 3)
     for i in range(RIGID):
         x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
     norm = np.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])

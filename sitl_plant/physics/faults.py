@@ -1,11 +1,7 @@
-"""The nine propeller faults of T Tables 3.1-3.3, by code ("F2/SV2").
+"""What T's nine damaged propellers do in flight, by code ("F2/SV2"): a table beside that of T 3.2.2.
 
-Physics, from T or estimated from it: thrust loss, drag increase, unbalance and its radius. Unbalance is what T Table
-3.2 *prints*; three slips in T's tables are kept as printed and listed here:
-
-    F1/SV3   the distance column says 65/40 mm, the sum uses 65 and 50 mm
-    F2/SV3   the printed sum gives 2.970 g mm, the printed result is 2.640 g mm
-    F3       holes are 6 mm wide in the text and in SV1 of Table 3.1, 4 mm in SV2 and SV3
+Physics, from T or estimated from it: thrust loss and drag increase. The unbalance is what T Table 3.2 *prints*; what
+does not agree in T's tables is listed in `mavdiag.airframe.propellers`.
 
 Phenomenology, **fitted, not derived**: T's own flights show residuals far above what the physics alone gives, since the
 line at one per revolution hardly passes the 0.1 s smoothing window. A damaged propeller is therefore also given a slow
@@ -18,32 +14,29 @@ scales rms and lag; with 0 only the physics is left. Report results for 0, 0.5 a
 
 import re
 from dataclasses import dataclass
-from enum import StrEnum
 
+from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import UsageError
 from sitl_plant.physics.injections import RotorDamage
 
-__all__ = ["FAULTS", "Fault", "FaultType", "parse_fault"]
-
-
-class FaultType(StrEnum):
-    """What was done to the blade (T 3.2.2)."""
-
-    EDGE_CUT = "F1"
-    CRACK = "F2"
-    SURFACE_UNBALANCE = "F3"
+__all__ = ["FAULTS", "Fault", "parse_fault"]
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One row of the fault table. fluctuation_* and lag_s are fitted, see the module's text."""
+    """One damaged propeller and what it does.
 
-    type: FaultType
-    severity: int
+    propeller: what was done to it, weighed and printed.
+    thrust_loss: share of the thrust.
+    drag_factor: of the drag torque.
+    fluctuation_rms: share of the thrust; fitted.
+    fluctuation_corner_hz: fitted.
+    lag_s: of the thrust; fitted.
+    """
+
+    propeller: DamagedPropeller
     thrust_loss: float
     drag_factor: float
-    unbalance_g_mm: float
-    radius_mm: float
     fluctuation_rms: float
     fluctuation_corner_hz: float
     lag_s: float
@@ -51,7 +44,12 @@ class Fault:
     @property
     def code(self) -> str:
         """The code of T, "F1/SV1" to "F3/SV3"."""
-        return f"{self.type}/SV{self.severity}"
+        return self.propeller.code
+
+    @property
+    def unbalance_g_mm(self) -> float:
+        """As T prints it."""
+        return self.propeller.printed_g_mm
 
     def damage(self, phenomenology: float = 1.0) -> RotorDamage:
         """What the fault does to a rotor. phenomenology: 0 (physics only) to 1. Raises UsageError outside."""
@@ -67,36 +65,23 @@ class Fault:
         )
 
 
-def _row(
-    code: FaultType,
-    severity: int,
-    loss_percent: float,
-    drag: float,
-    unbalance: float,
-    radius: float,
-    rms_percent: float,
-    corner: float,
-    lag_ms: float,
-) -> Fault:
-    return Fault(code, severity, loss_percent / 100, drag, unbalance, radius, rms_percent / 100, corner, lag_ms / 1000)
-
-
-_F1, _F2, _F3 = FaultType.EDGE_CUT, FaultType.CRACK, FaultType.SURFACE_UNBALANCE
-
-#                 loss %  drag   U g mm  r mm | fitted: rms %, corner Hz, lag ms
+# thrust loss %, drag factor | fitted: rms %, corner Hz, lag ms
 _TABLE = (
-    _row(_F1, 1, 0.8, 1.010, 1.40, 40.0, 2.0, 6.0, 0.0),
-    _row(_F1, 2, 4.3, 1.040, 5.10, 60.0, 2.1, 6.0, 0.0),
-    _row(_F1, 3, 5.8, 1.060, 5.52, 57.0, 2.2, 6.0, 0.0),
-    _row(_F2, 1, 0.4, 1.010, 0.22, 55.0, 6.0, 1.0, 4.0),
-    _row(_F2, 2, 0.8, 1.020, 2.75, 55.0, 6.2, 1.0, 8.0),
-    _row(_F2, 3, 1.2, 1.030, 2.64, 55.0, 6.4, 1.0, 12.0),
-    _row(_F3, 1, 0.7, 1.010, 3.77, 65.0, 2.4, 1.0, 0.0),
-    _row(_F3, 2, 1.1, 1.015, 3.91, 57.0, 3.8, 1.0, 0.0),
-    _row(_F3, 3, 1.5, 1.020, 4.95, 50.0, 5.6, 1.0, 0.0),
+    (0.8, 1.010, 2.0, 6.0, 0.0),
+    (4.3, 1.040, 2.1, 6.0, 0.0),
+    (5.8, 1.060, 2.2, 6.0, 0.0),
+    (0.4, 1.010, 6.0, 1.0, 4.0),
+    (0.8, 1.020, 6.2, 1.0, 8.0),
+    (1.2, 1.030, 6.4, 1.0, 12.0),
+    (0.7, 1.010, 2.4, 1.0, 0.0),
+    (1.1, 1.015, 3.8, 1.0, 0.0),
+    (1.5, 1.020, 5.6, 1.0, 0.0),
 )
 
-FAULTS: tuple[Fault, ...] = _TABLE
+FAULTS: tuple[Fault, ...] = tuple(
+    Fault(propeller, loss / 100, drag, rms / 100, corner_hz, lag_ms / 1000)
+    for propeller, (loss, drag, rms, corner_hz, lag_ms) in zip(PROPELLERS, _TABLE, strict=True)
+)
 """The nine faults in T's order."""
 
 

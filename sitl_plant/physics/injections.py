@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.units import G_MM_PER_KG_M
 from sitl_plant.physics.airframe import Airframe
 from sitl_plant.physics.rotors import Condition
 from sitl_plant.physics.sensors import CHANNELS, SensorCondition
@@ -30,7 +31,7 @@ __all__ = [
     "texture",
 ]
 
-G_MM = 1e-6  # kg m
+G_MM = 1.0 / G_MM_PER_KG_M  # kg m
 NEVER = 2**62  # a step that no flight reaches
 
 
@@ -124,7 +125,7 @@ def texture(thrust_factor: float, drag_factor: float) -> RotorDamage:
 
 
 def speed_corruption(factor: float) -> RotorDamage:
-    """A motor that turns at `factor` times the speed it was told."""
+    """A motor that turns at `factor` times its commanded speed."""
     return RotorDamage(speed_factor=factor)
 
 

@@ -1,8 +1,8 @@
 """The compiled loop: one call flies the vehicle for many steps.
 
-Order within a step at time t_k: sensors read the state, the estimator and the controller act on it, everything is
-recorded, then noise, rotors and body advance to t_(k+1) with the new command. So a row of the output belongs to one
-instant.
+Order within a step at time t_k: sensors read the state, the estimator and the cascade act on it (or the given motor
+commands take the cascade's place), everything is recorded, then noise, rotors and body advance to t_(k+1) with the new
+command. So a row of the output belongs to one instant.
 """
 
 from collections.abc import Callable
@@ -13,13 +13,13 @@ import numpy as np
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.attitude import Estimator, advance_estimate
 from sitl_plant.physics.controller import Controller, ControlState, control
-from sitl_plant.physics.dynamics import RIGID, STAGES, Body, derivative, rk4_step
+from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step, support
 from sitl_plant.physics.jit import cached, inline, jit, source_digest
 from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, observe
 from sitl_plant.physics.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, feel
 from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
-from sitl_plant.physics.trajectory import Path, reference
+from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
 
 __all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly"]
 
@@ -29,6 +29,7 @@ class Model(NamedTuple):
 
     dt: float
     body: Body
+    ground: Ground
     rotors: Rotors
     battery: Battery
     air: Air
@@ -76,10 +77,11 @@ class Rows(NamedTuple):
     rotor_speed: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    motors: FloatArray
 
 
 class Scratch(NamedTuple):
-    """Arrays that one step needs and the next forgets. work: (5, 13), truth: (6,), path: (8,), command: (n,)."""
+    """Arrays that one step needs and the next forgets. work: (5, 13), truth: (6,), path: (9,), command: (n,)."""
 
     work: FloatArray
     truth: FloatArray
@@ -93,21 +95,38 @@ def _sense(
 ) -> None:
     """Read the IMU, and receive what the cameras saw."""
     derivative(state.rigid, state.wrench, STAGES - 1, model.body, state.wind, scratch.work, 0)
+    support(state.rigid, model.body, model.ground, scratch.work, 0)
     feel(state.rigid, scratch.work, model.imu.position, scratch.truth)
     advance_imu(state.imu, model.imu, condition, scratch.truth, noise.imu, row, model.dt)
     deliver_pose(state.mocap, model.mocap, step)
 
 
 @inline
-def _decide(state: State, model: Model, t: float, scratch: Scratch) -> None:
-    """Estimate the attitude and pass the cascade once."""
+def _decide(state: State, model: Model, commands: FloatArray, row: int, t: float, scratch: Scratch) -> None:
+    """Estimate the attitude; then take the given motor commands, or pass the cascade once if there are none."""
     advance_estimate(
         state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
     )
+    if len(commands) > 0:
+        _obey(state.control, commands, row)
+        return
     reference(model.path, t, scratch.path)
     control(
         state.control, model.controller, scratch.path, state.mocap.pose, state.mocap.velocity, state.estimate, model.dt
     )
+
+
+@jit
+def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
+    """Take the duties of one row of commands. Nobody commands an attitude."""
+    state.motors[0] = DISARMED
+    for i in range(len(state.duty)):
+        state.duty[i] = commands[row, i]
+        if commands[row, i] > 0.0:
+            state.motors[0] = FLYING
+    for axis in range(3):
+        state.setpoint[axis] = state.rate[axis] = np.nan
+    state.wrench[0] = np.nan
 
 
 @jit
@@ -128,6 +147,7 @@ def _record(state: State, row: int, rows: Rows) -> None:
     _copy(state.control.duty, rows.duty, row)
     rows.thrust[row] = state.control.wrench[0]
     rows.battery_v[row] = state.battery[0]
+    rows.motors[row] = state.control.motors[0]
 
 
 @inline
@@ -139,11 +159,12 @@ def _move(state: State, model: Model, condition: Condition, noise: Noise, row: i
         full = model.battery.speed_per_volt * state.battery[0]
         scratch.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
     advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
-    rk4_step(state.rigid, state.wrench, model.body, state.wind, scratch.work, model.dt)
+    rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, scratch.work, model.dt)
+    grip(state.rigid, model.ground)
     advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
-Fly: TypeAlias = Callable[[int, int, Model, Condition, SensorCondition, State, Noise, Rows], int]
+Fly: TypeAlias = Callable[[int, int, Model, Condition, SensorCondition, State, Noise, FloatArray, Rows], int]
 
 
 def _compiled_for(digest: int) -> Fly:
@@ -158,9 +179,12 @@ def _compiled_for(digest: int) -> Fly:
         sensors: SensorCondition,
         state: State,
         noise: Noise,
+        commands: FloatArray,
         rows: Rows,
     ) -> int:
-        scratch = Scratch(np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(8), np.empty(len(state.rotors.speed)))
+        scratch = Scratch(
+            np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(REFERENCE), np.empty(len(state.rotors.speed))
+        )
         frame = 0
         for row in range(count):
             step = first + row
@@ -168,7 +192,7 @@ def _compiled_for(digest: int) -> Fly:
                 observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
                 frame += 1
             _sense(state, model, sensors, noise, row, step, scratch)
-            _decide(state, model, step * model.dt, scratch)
+            _decide(state, model, commands, row, step * model.dt, scratch)
             _record(state, row, rows)
             _move(state, model, condition, noise, row, scratch)
         return digest
@@ -177,7 +201,8 @@ def _compiled_for(digest: int) -> Fly:
 
 
 fly: Fly = _compiled_for(source_digest())
-"""fly(first, count, model, condition, sensors, state, noise, rows): steps first .. first + count - 1, step 0 at t = 0.
+"""fly(first, count, model, condition, sensors, state, noise, commands, rows): `count` steps from `first`; 0 is t = 0.
 
+commands: (count, n) duties, or (0, n) to let the cascade fly.
 `state` is updated in place and `rows` filled from row 0. Returns the digest of the sources it was compiled from.
 """

@@ -5,31 +5,33 @@ import math
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import RPM
 from sitl_plant.physics.airframe import Airframe, Payload
 from sitl_plant.physics.attitude import ESTIMATE, Estimator, low_pass_transition
 from sitl_plant.physics.controller import Controller, ControlState
-from sitl_plant.physics.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body
+from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground
 from sitl_plant.physics.kernel import Model, State
 from sitl_plant.physics.mocap import Mocap, MocapState
 from sitl_plant.physics.rotors import Rotors, RotorState
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, butterworth
 from sitl_plant.physics.supply import Air, Battery
-from sitl_plant.physics.trajectory import Path, reference
+from sitl_plant.physics.trajectory import FLYING, REFERENCE, Path, reference
 from sitl_plant.vehicle import Vehicle, allocation
 
 __all__ = ["STEP_S", "body_with_payload", "initial_state", "make_model"]
 
 STEP_S = 0.001  # T 5.1: 1 kHz
-RPM = 2.0 * math.pi / 60.0  # rad/s
+TAKEOFF_SHARE = 0.7  # of the weight: where the thrust starts when the motors lift (our choice)
 
 
 def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray) -> Model:
-    """The constants of a flight. wind_N: (3,) mean wind, world NED [m/s]."""
+    """The constants of a flight. wind_N: (3,) mean wind, world NED [m/s]. A path from the ground brings the ground."""
     vehicle = airframe.vehicle
     body, centre_of_gravity = body_with_payload(airframe, payload)
     return Model(
         dt=STEP_S,
         body=body,
+        ground=_ground(vehicle, body, centre_of_gravity) if path.start > 0.0 else NO_GROUND,
         rotors=_rotors(airframe, centre_of_gravity),
         battery=_battery(airframe),
         air=Air(
@@ -67,6 +69,23 @@ def body_with_payload(airframe: Airframe, payload: Payload) -> tuple[Body, Float
 def _decay(corner_hz: float) -> float:
     """exp(-2 pi f dt): what a first-order filter or an Ornstein-Uhlenbeck process keeps over one step."""
     return math.exp(-2.0 * math.pi * corner_hz * STEP_S)
+
+
+def _ground(vehicle: Vehicle, body: Body, centre_of_gravity: FloatArray) -> Ground:
+    """The plane on which the vehicle stands with its geometric centre at z = 0, but for the sag of the gear."""
+    gear = vehicle.landing_gear
+    points = np.array(gear.points_m)
+    level = float(points[:, 2].max())
+    omega = 2.0 * math.pi * gear.natural_hz
+    return Ground(
+        gear=points - centre_of_gravity,
+        stuck=np.zeros((len(points), 2)),
+        level=level,
+        reach=level - float(np.linalg.norm(points - centre_of_gravity, axis=1).max()),
+        stiffness=body.mass * omega**2 / len(points),
+        damping=2.0 * gear.damping_ratio * body.mass * omega / len(points),
+        friction=gear.friction,
+    )
 
 
 def _rotors(airframe: Airframe, centre_of_gravity: FloatArray) -> Rotors:
@@ -133,55 +152,42 @@ def _full_thrust(vehicle: Vehicle) -> float:
 def _controller(vehicle: Vehicle) -> Controller:
     control = vehicle.control
     inertia = np.array(vehicle.body.inertia_kg_m2)
-    horizontal = [control.position.p, control.position.v, control.position.i]
+    loops = (control.position, control.position, control.altitude, control.yaw)
+    tilt, lift = control.integral_limit_rad, control.thrust_limit_n[1]
+    damped = np.array([[control.rate_p, control.rate_d], [control.rate_p, control.rate_d], [control.yaw_rate_p, 0.0]])
     return Controller(
-        pose=np.array(
-            [
-                horizontal,
-                horizontal,
-                [control.altitude.p, control.altitude.v, control.altitude.i],
-                [control.yaw.p, control.yaw.v, control.yaw.i],
-            ]
-        ),
+        pose=np.array([[loop.p, loop.v, loop.i] for loop in loops]),
         attitude_p=control.attitude_p,
         attitude_d=control.attitude_d,
-        rate_gain=np.column_stack(
-            [
-                inertia * [control.rate_p, control.rate_p, control.yaw_rate_p],
-                inertia * [control.rate_d, control.rate_d, 0],
-            ]
-        ),
+        rate_gain=inertia[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=_full_thrust(vehicle),
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=control.tilt_limit_rad,
         rate_limit=control.rate_limit_rad_s,
         yaw_rate_limit=control.yaw_rate_limit_rad_s,
-        integral_limit=np.array(
-            [
-                control.integral_limit_rad,
-                control.integral_limit_rad,
-                control.thrust_limit_n[1],
-                control.yaw_rate_limit_rad_s,
-            ]
-        ),
+        integral_limit=np.array([tilt, tilt, lift, control.yaw_rate_limit_rad_s]),
         torque_limit=np.array(control.torque_limit_n_m),
         thrust_limit=np.array(control.thrust_limit_n),
     )
 
 
 def initial_state(model: Model, azimuth: FloatArray) -> State:
-    """Hover at the first point of the path, level, nearly in trim. azimuth: (n,) of the rotors at the start [rad]."""
+    """At the first point of the path, level, nearly in trim: in hover, or on the ground with resting rotors.
+
+    azimuth: (n,) of the rotors at the start [rad].
+    """
     n = len(azimuth)
-    start = np.zeros(8)
+    start = np.zeros(REFERENCE)
     reference(model.path, -1.0, start)
     weight = model.body.mass * GRAVITY
-    speed = np.sqrt(weight / n / model.rotors.thrust_coefficient)
+    lift = weight if start[8] == FLYING else 0.0
+    speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
     rigid = np.zeros(RIGID)
     rigid[:3] = start[:3]
     rigid[6], rigid[9] = math.cos(start[6] / 2), math.sin(start[6] / 2)
     wrench = np.zeros((STAGES, WRENCH))
-    wrench[:, 2] = -weight
+    wrench[:, 2] = -lift
     reading = np.zeros(CHANNELS)
     reading[5] = -GRAVITY
     estimate = np.zeros(ESTIMATE)
@@ -192,7 +198,7 @@ def initial_state(model: Model, azimuth: FloatArray) -> State:
         wrench=wrench,
         wind=model.air.mean.copy(),
         battery=np.array([model.battery.open_circuit, 0.0]),
-        rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, weight / n)),
+        rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, lift / n)),
         imu=ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), reading),
         mocap=MocapState(
             queue=np.full((model.mocap.latency + 1, 4), np.nan),
@@ -205,10 +211,11 @@ def initial_state(model: Model, azimuth: FloatArray) -> State:
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
         control=ControlState(
-            integral=np.array([0.0, 0.0, -weight, 0.0]),
+            integral=np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0]),
             setpoint=np.zeros(3),
             rate=np.zeros(3),
-            wrench=np.array([weight, 0.0, 0.0, 0.0]),
+            wrench=np.array([lift, 0.0, 0.0, 0.0]),
             duty=np.zeros(n),
+            motors=np.array([start[8]]),
         ),
     )

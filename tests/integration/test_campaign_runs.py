@@ -1,11 +1,13 @@
 """A tiny campaign: the same numbers however many work on it, and going on where it stopped."""
 
 import json
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,15 @@ import pytest
 from mavdiag.errors import UsageError
 from sitl_plant.__main__ import main
 from sitl_plant.campaign.plan import Design, make_plan
-from sitl_plant.campaign.runner import Crew, Journal, Results, dask_crew, local_crew, run_campaign
+from sitl_plant.campaign.runner import (
+    Journal,
+    Results,
+    TaskExecutor,
+    dask_executor,
+    local_executor,
+    run_campaign,
+    source_key,
+)
 from sitl_plant.campaign.summary import summarise
 
 TINY = Design(
@@ -24,16 +34,16 @@ TINY = Design(
 
 
 @contextmanager
-def alone() -> Iterator[Crew]:
+def alone() -> Iterator[TaskExecutor]:
     """One thread of this process: no start of worker processes to wait for."""
     with ThreadPoolExecutor(1) as pool:
-        yield Crew(pool, 1)
+        yield TaskExecutor(pool, 1)
 
 
 def run(path: Path, design: Design = TINY, fresh: bool = False) -> Results:
     journal = Journal(path, fresh)
-    with alone() as crew:
-        results = run_campaign(make_plan(design), journal, crew)
+    with alone() as executor:
+        results = run_campaign(make_plan(design), journal, executor)
     journal.close()
     return results
 
@@ -68,8 +78,8 @@ def test_one_and_two_worker_processes_give_the_same_numbers(finished: tuple[Path
     stages: list[tuple[str, int, int]] = []
     for workers in (1, 2):
         journal = Journal(tmp_path / f"{workers}.jsonl")
-        with local_crew(workers) as crew:
-            found.append(run_campaign(make_plan(TINY), journal, crew, lambda *told: stages.append(told)))
+        with local_executor(workers) as executor:
+            found.append(run_campaign(make_plan(TINY), journal, executor, lambda *told: stages.append(told)))
         journal.close()
     assert stages[: len(stages) // 2] == stages[len(stages) // 2 :]
     assert (stages[0], stages[-1]) == (("learning", 0, 1), ("flying", 4, 4))
@@ -121,9 +131,32 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
         Journal(tmp_path)
 
 
+def test_b14_a_retrained_classifier_makes_another_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package in ("mavdiag", "sitl_plant"):
+        shutil.copytree(str(resources.files(package)), tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    before = source_key()
+    monkeypatch.setattr(resources, "files", lambda package: tmp_path / package)
+    assert source_key.__wrapped__() == before
+    (tmp_path / "mavdiag" / "commands" / "scan.py").write_text("")  # an edge
+    assert source_key.__wrapped__() == before
+    (tmp_path / "mavdiag" / "decision" / "fault_types.json").write_text("{}")
+    assert source_key.__wrapped__() != before
+
+
+def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
+    path = tmp_path / "results.jsonl"
+    path.write_text("a result\n")
+    code, _, _ = sitl_plant(["campaign", "-o", str(path), "--fresh", "--scheduler", "tcp://h:1"], monkeypatch, capsys)
+    assert code == 2
+    assert path.read_text() == "a result\n"
+
+
 def test_dask_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
-    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"), dask_crew("tcp://127.0.0.1:1"):
+    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
         pass
 
 

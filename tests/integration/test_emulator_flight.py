@@ -9,11 +9,11 @@ from memory_port import MemoryEndpoint, memory_pair
 
 from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import MavCmd, MessageId, Severity
-from sitl_plant.autopilot.dialect import FLAVOURS
+from sitl_plant.autopilot.dialect import DIALECTS
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
-FLAVOUR = FLAVOURS["qdrone2"]
+DIALECT = DIALECTS["qdrone2"]
 
 
 class Client:
@@ -46,7 +46,7 @@ def table() -> Iterator[tuple[list[Link], list[Client]]]:
         for near, far in pairs:
             stack.enter_context(near)
             stack.enter_context(far)
-        links = [Link(near, FLAVOUR, 200.0) for near, _ in pairs]
+        links = [Link(near, DIALECT, 200.0) for near, _ in pairs]
         yield links, [Client(pairs[0][1], 255, 190), Client(pairs[1][1], 1, 191)]
 
 
@@ -57,7 +57,7 @@ def flown(
     stop: Callable[[], bool] = lambda: False,
 ) -> FlightReport:
     plant = Plant(PlantConfig(seed=11))
-    return fly(plant, FLAVOUR, links, duration_s=duration_s, speed=None, stop=stop, watch=watch)
+    return fly(plant, DIALECT, links, duration_s=duration_s, speed=None, stop=stop, watch=watch)
 
 
 def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link], list[Client]]) -> None:
@@ -69,7 +69,7 @@ def test_both_links_hear_the_whole_flight_without_a_gap(table: tuple[list[Link],
         assert counts[MessageId.HEARTBEAT] == 2
         assert client.decoder.senders[1, 1].lost == 0
     assert report.messages == sum(len(client.frames) for client in clients)
-    assert (report.flown_s, report.dropped, report.heard) == (2.0, 0, 0)
+    assert (report.flown_s, report.dropped, report.received) == (2.0, 0, 0)
 
 
 def test_an_answer_comes_on_the_link_that_asked_and_in_its_numbering(table: tuple[list[Link], list[Client]]) -> None:
@@ -87,7 +87,7 @@ def test_an_answer_comes_on_the_link_that_asked_and_in_its_numbering(table: tupl
     untouched = Counter(frame.msgid for frame in companion.hear())
     assert untouched[MessageId.RAW_IMU] == 400
     assert untouched[MessageId.COMMAND_ACK] == 0
-    assert report.heard == 1
+    assert report.received == 1
 
 
 def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list[Client]]) -> None:

@@ -9,7 +9,7 @@ from sitl_plant.campaign.runner import Results
 from sitl_plant.campaign.summary import poisson as poisson_rate
 from sitl_plant.campaign.summary import summarise, wilson
 from sitl_plant.campaign.tables import print_summary
-from sitl_plant.campaign.worker import Answer, FlightLine, MonitorLine
+from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult
 
 PLAN = Plan(Design(airframes=2, seed=9), (), ())
 
@@ -46,10 +46,10 @@ def line(
     answer: Answer = Answer("nothing"),  # noqa: B008  # frozen
     verdict: str = "healthy",
     phenomenology: float = 1.0,
-) -> FlightLine:
+) -> FlightResult:
     onset_s = None if cause == "healthy" else 20.0
     after = 0 if latency_s is None else 1
-    return FlightLine(
+    return FlightResult(
         key=str(index),
         index=index,
         airframe=index % 2,
@@ -68,7 +68,7 @@ def line(
         episodes=episodes,
         latency_s=latency_s,
         answer=answer,
-        monitors=(MonitorLine("latency", episodes, after, latency_s), MonitorLine("other", 0, 0, None)),
+        monitors=(MonitorResult("latency", episodes, after, latency_s), MonitorResult("other", 0, 0, None)),
     )
 
 

@@ -74,7 +74,7 @@ def test_every_message_of_the_dialect_travels_both_ways(version: int, number: in
     if version == 2:
         encoder = Encoder(1, 1)
         assert encoder.encode(number, *arguments) == theirs  # type: ignore[arg-type]  # generic test values
-        assert Encoder(1, 1).encode_wire(number, frame.fields) == theirs
+        assert Encoder(1, 1).encode_payload(number, frame.payload) == theirs
 
 
 def crc_extra(name: str, fields: list[tuple[str, str, int]]) -> int:
@@ -166,7 +166,7 @@ def test_what_cannot_be_sent_is_refused(msgid: int, fields: tuple[float, ...], w
 
 def test_wire_values_that_do_not_fit_are_refused() -> None:
     with pytest.raises(UsageError, match="HEARTBEAT"):
-        Encoder(1, 1).encode_wire(MessageId.HEARTBEAT, (0, 999, 0, 0, 0, 0))
+        Encoder(1, 1).encode(MessageId.HEARTBEAT, 0, "text", 0, 0, 0, 0)
     with pytest.raises(UsageError, match="1 to 255"):
         Encoder(0, 1)
 

@@ -9,7 +9,7 @@ from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import NO_PAYLOAD, nominal_airframe
 from sitl_plant.physics.controller import Controller, ControlState, control
 from sitl_plant.physics.parameters import make_model
-from sitl_plant.physics.trajectory import Shape, path
+from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN, Shape, path
 from sitl_plant.vehicle import allocation, qdrone2
 
 WEIGHT = 1.504 * 9.81
@@ -21,7 +21,9 @@ def gains() -> Controller:
 
 
 def fresh() -> ControlState:
-    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(4))
+    return ControlState(
+        np.array([0.0, 0.0, -WEIGHT, 0.0]), np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(4), np.zeros(1)
+    )
 
 
 def ask(
@@ -32,8 +34,9 @@ def ask(
     target_yaw: float = 0.0,
     estimate: tuple[float, ...] = (0.0,) * 9,
     steps: int = 1,
+    motors: float = FLYING,
 ) -> FloatArray:
-    reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0])
+    reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0, motors])
     for _ in range(steps):
         control(state, gains(), reference, np.array([0.0, 0.0, 0.0, yaw]), np.zeros(3), np.array(estimate), 0.001)
     return state.duty
@@ -107,3 +110,27 @@ def test_limits_and_anti_windup_hold() -> None:
     assert state.wrench[0] <= limits.thrust_limit_n[1]
     assert np.all((duty >= qdrone2().propulsion.minimum_duty) & (duty <= 1.0))
     assert np.all(np.abs(state.integral[:2]) <= limits.integral_limit_rad)
+
+
+@pytest.mark.parametrize(
+    ("motors", "height", "armed", "duty"),
+    [
+        (DISARMED, 0.0, 0, 0.0),
+        (IDLE, 0.0, 1, 0.08),
+        (LANDING, 0.0, 1, 0.08),
+        (SHUTDOWN, 0.0, 0, 0.0),
+        (LANDING, 0.5, 2, None),
+    ],
+)
+def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
+    motors: float, height: float, armed: int, duty: float | None
+) -> None:
+    """A vehicle that is led to land keeps flying until it stands."""
+    state = fresh()
+    reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
+    control(state, gains(), reference, np.array([0.0, 0.0, -height, 0.0]), np.zeros(3), np.zeros(9), 0.001)
+    assert state.motors[0] == armed
+    if duty is not None:
+        np.testing.assert_array_equal(state.duty, duty)
+        np.testing.assert_array_equal(state.integral, fresh().integral)
+        assert state.wrench[0] == pytest.approx(forces(state.duty).sum())

@@ -7,7 +7,19 @@ import pytest
 from plant_cases import quaternion_rotation
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.dynamics import GRAVITY, RIGID, STAGES, WRENCH, Body, derivative, rk4_step
+from sitl_plant.physics.dynamics import (
+    GRAVITY,
+    NO_GROUND,
+    RIGID,
+    STAGES,
+    WRENCH,
+    Body,
+    Ground,
+    derivative,
+    grip,
+    rk4_step,
+    support,
+)
 
 
 def body(inertia: FloatArray, mass: float = 1.5, drag: float = 0.0, hub_moment: float = 0.0) -> Body:
@@ -21,10 +33,13 @@ def state(omega: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FloatArray:
     return x
 
 
-def run(x: FloatArray, b: Body, wrench: FloatArray, seconds: float, dt: float = 0.001) -> FloatArray:
+def run(
+    x: FloatArray, b: Body, wrench: FloatArray, seconds: float, dt: float = 0.001, ground: Ground = NO_GROUND
+) -> FloatArray:
     work = np.empty((5, RIGID))
     for _ in range(round(seconds / dt)):
-        rk4_step(x, wrench, b, np.zeros(3), work, dt)
+        rk4_step(x, wrench, b, ground, np.zeros(3), work, dt)
+        grip(x, ground)
     return x
 
 
@@ -87,10 +102,8 @@ def test_falling_body_reaches_terminal_speed() -> None:
 def test_drag_is_relative_to_the_wind() -> None:
     """A body that moves with the air feels only gravity."""
     x, dx = state(), np.empty((1, RIGID))
-    x[3:6] = 1.0, -2.0, 0.5
-    derivative(
-        x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), np.array([1.0, -2.0, 0.5]), dx, 0
-    )
+    x[3:6] = wind = np.array([1.0, -2.0, 0.5])
+    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), wind, dx, 0)
     np.testing.assert_allclose(dx[0, 3:6], [0.0, 0.0, GRAVITY], atol=1e-12)
     np.testing.assert_allclose(dx[0, 10:], 0.0, atol=1e-12)
 
@@ -114,3 +127,65 @@ def test_spinning_up_the_rotors_turns_the_body_the_other_way() -> None:
 def test_attitude_stays_a_rotation() -> None:
     x = run(state((5.0, 7.0, -3.0)), body(np.diag([0.0112, 0.0104, 0.0182])), np.zeros((STAGES, WRENCH)), 3.0)
     assert np.linalg.norm(x[6:10]) == pytest.approx(1.0, abs=1e-14)
+
+
+BOX = body(np.diag([0.0112, 0.0104, 0.0182]))
+REST = np.zeros((STAGES, WRENCH))
+
+
+def ground(friction: float = 0.5, damping: float = 50.0) -> Ground:
+    """Four feet, 0.1 m below the centre and 0.1 m beside it, on springs that give way by 1 mm under the weight."""
+    feet = np.array([[x, y, 0.1] for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
+    return Ground(feet, np.zeros((4, 2)), 0.1, -0.1, 1.5 * GRAVITY / 4 / 1e-3, damping, friction)
+
+
+def test_ground_carries_the_weight_at_the_depth_that_the_springs_ask_for() -> None:
+    x = run(state(), BOX, REST, 3.0, ground=ground())
+    np.testing.assert_allclose(x[:3], [0.0, 0.0, 1e-3], atol=1e-9)
+    np.testing.assert_allclose(x[[3, 4, 5, 10, 11, 12]], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("push", [(3.0, 0.0), (0.0, -6.0)])
+def test_friction_holds_below_its_limit_without_creeping(push: tuple[float, float]) -> None:
+    """mu m g = 7.4 N: after the feet have given way the vehicle stays where it is."""
+    wrench = REST.copy()
+    wrench[:, :2] = push
+    plane = ground()
+    x = run(state(), BOX, wrench, 1.0, ground=plane)
+    settled = x[:3].copy()
+    run(x, BOX, wrench, 10.0, ground=plane)
+    np.testing.assert_allclose(x[:3], settled, atol=1e-9)
+
+
+def test_a_sliding_vehicle_stops_where_friction_says() -> None:
+    """s = v^2 / (2 mu g), to the millimetres by which the feet give way."""
+    plane, x = ground(friction=0.4), state()
+    run(x, BOX, REST, 1.0, ground=plane)
+    x[3] = 1.0
+    run(x, BOX, REST, 2.0, ground=plane)
+    assert x[0] == pytest.approx(1.0 / (2 * 0.4 * GRAVITY), abs=0.004)
+    np.testing.assert_allclose(x[3:6], 0.0, atol=1e-6)
+
+
+def test_an_undamped_bounce_keeps_its_energy_and_a_damped_one_loses_it() -> None:
+    """From 5 cm up, upright, without friction; the ground neither gives nor takes but by its damper."""
+
+    def apex(damping: float) -> float:
+        plane, x, heights = ground(0.0, damping), state(), []
+        x[2] = -0.05
+        for _ in range(400):
+            run(x, BOX, REST, 0.001, ground=plane)
+            heights.append(-x[2])
+        return float(max(heights[150:]))
+
+    assert apex(0.0) == pytest.approx(0.05, rel=0.01)
+    assert apex(5.0) < 0.035  # restitution exp(-pi zeta) = 0.81, squared
+
+
+def test_the_ground_never_pulls() -> None:
+    x, dx = state(), np.empty((1, RIGID))
+    x[2], x[5] = 0.5e-3, -2.0  # still below the plane, leaving fast
+    derivative(x, REST, 0, BOX, np.zeros(3), dx, 0)
+    before = dx.copy()
+    support(x, BOX, ground(), dx, 0)
+    np.testing.assert_array_equal(dx, before)

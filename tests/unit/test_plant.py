@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 from dataclasses import fields, replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -205,6 +206,83 @@ def test_worn_rotor_settles_where_thrust_roll_pitch_and_yaw_balance() -> None:
     np.testing.assert_allclose(ratio, expected, rtol=0.001)
 
 
+@pytest.mark.parametrize("start", ["hover", "ground"])
+@pytest.mark.parametrize("cuts", [(6000,), (1, 3, 996, 0, 4993, 7)])
+def test_driving_with_the_duties_of_a_flight_flies_it_again(
+    start: Literal["hover", "ground"], cuts: tuple[int, ...]
+) -> None:
+    """The cascade is one client of the open loop: the same commands give the same bits."""
+    config = replace(BUSY, start=start, onset_s=4.5)
+    flown, plant, first = fly(config, 6.0), Plant(config), 0
+    for n in cuts:
+        driven = plant.drive(flown.duty[first : first + n], n)
+        for name in ("t_ns", "gyro", "accel", "attitude", "duty", "battery_v", "quaternion", "position", "rotor_speed"):
+            np.testing.assert_array_equal(getattr(driven, name), getattr(flown, name)[first : first + n], err_msg=name)
+        assert np.isnan(driven.setpoint).all()
+        assert np.isnan(driven.thrust_setpoint).all()
+        first += n
+
+
+def test_commands_are_held_and_the_cascade_takes_over_again() -> None:
+    plant = Plant(PlantConfig(trajectory="hover", airframe=quiet_airframe()))
+    hover = plant.advance(1).duty[0]
+    assert np.ptp(plant.drive(hover, 500).position[:, 2]) < 0.01
+    assert np.abs(plant.advance(2000).position[-1] + [0.0, 0.0, 1.0]).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("commands", "steps"),
+    [(np.zeros(3), 5), (np.zeros((4, 4)), 5), (np.full(4, 1.1), 5), (np.full(4, np.nan), 5), (np.zeros(4), -1)],
+)
+def test_commands_that_no_motor_can_follow_are_refused(commands: FloatArray, steps: int) -> None:
+    with pytest.raises(UsageError):
+        Plant(PlantConfig()).drive(commands, steps)
+
+
+def test_a_vehicle_rests_on_the_ground() -> None:
+    """Specific force -g, and nothing moves for 10 s; with a specimen's sensors the same but for their noise."""
+    samples = Plant(PlantConfig(start="ground", airframe=quiet_airframe())).drive(np.zeros(4), 10_000)
+    np.testing.assert_allclose(samples.accel, np.broadcast_to([0.0, 0.0, -G], (10_000, 3)), atol=1e-9)
+    assert np.abs(samples.position - samples.position[0]).max() < 1e-12
+    assert np.abs(samples.omega).max() < 1e-12
+    assert samples.motors.max() == 0
+    aged = Plant(PlantConfig(start="ground", drone=1, payload=Payload(0.2))).drive(np.zeros(4), 10_000)
+    np.testing.assert_allclose(aged.accel.mean(axis=0), [0.0, 0.0, -G], atol=0.02)
+    assert np.abs(aged.position - aged.position[0]).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "config", [{}, {"drone": 2, "wind_m_s": 2.0, "nose": "path"}, {"nose": "spin", "trajectory": "circle"}]
+)
+def test_a_flight_from_the_ground_takes_off_flies_and_lands(config: dict[str, str | int | float]) -> None:
+    samples = fly(PlantConfig(start="ground", landed_s=26.8, **config), 30.0)  # type: ignore[arg-type]  # as above
+    height, motors = -samples.position[:, 2], samples.motors
+    changes = motors[np.flatnonzero(np.diff(motors)) + 1]
+    assert [int(motors[0]), *changes.tolist()] == [0, 1, 2, 1, 0]
+    assert np.abs(height[motors < 2]).max() < 0.01
+    assert height[9000:20_000] == pytest.approx(1.0, abs=0.06)
+    assert samples.thrust_setpoint[motors == 0].max() == 0.0
+    assert 0.0 < samples.thrust_setpoint[motors == 1].max() < 0.01
+    np.testing.assert_array_equal(samples.duty[motors == 1], 0.08)
+    assert samples.rotor_speed[-1].max() < 1.0
+    assert np.abs(samples.attitude[:, :2]).max() < 0.3
+
+
+def test_l1_body_rates_follow_the_turned_set_point_not_its_slopes() -> None:
+    """Turning and leaning: p = dphi - sin(theta) dpsi; the yaw set-point wraps and is unwrapped before it is used."""
+    samples = fly(PlantConfig(nose="spin", trajectory="circle", speed_m_s=1.0, airframe=quiet_airframe()), 20.0)
+    assert np.abs(np.diff(samples.setpoint[:, 2])).max() > 6.0  # wraps
+    phi, theta, psi = np.unwrap(samples.setpoint, axis=0).T
+    slopes = np.gradient(np.column_stack([phi, theta, psi]), 0.001, axis=0)
+    turned = slopes[:, 1] * np.cos(phi) + np.sin(phi) * np.cos(theta) * slopes[:, 2]
+    late = slice(5000, None)
+
+    def misfit(u: FloatArray) -> float:
+        return float(np.abs(np.mean(u[late] - samples.omega[late, 1])))
+
+    assert misfit(turned) < 0.25 * misfit(slopes[:, 1])
+
+
 @pytest.mark.parametrize(
     ("config", "said"),
     [
@@ -218,6 +296,9 @@ def test_worn_rotor_settles_where_thrust_roll_pitch_and_yaw_balance() -> None:
         ({"wind_m_s": math.inf}, "wind_m_s"),
         ({"onset_s": math.nan, "fault": "F1/SV1"}, "onset_s"),
         ({"seed": -1}, "seed"),
+        ({"nose": "up"}, "nose"),
+        ({"start": "ground", "landed_s": 14.0}, "needs 14.7 s"),
+        ({"start": "ground", "altitude_m": -1.0}, "altitude_m"),
     ],
 )
 def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int | float], said: str) -> None:

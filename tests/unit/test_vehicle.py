@@ -1,6 +1,7 @@
 """The vehicle file: what it says, what it refuses, and the motor mapping made from it."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from mavdiag.errors import InputError, UsageError
 from sitl_plant import vehicle as vehicle_module
 from sitl_plant.physics.airframe import Payload, draw_airframe, drone, nominal_airframe
 from sitl_plant.physics.parameters import body_with_payload
-from sitl_plant.vehicle import allocation, load_vehicle, qdrone2
+from sitl_plant.vehicle import allocation, load_vehicle, qdrone2, shipped_vehicles, vehicle_from
 
 SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2.toml").read_text(encoding="utf-8")
 
@@ -142,3 +143,20 @@ def test_payload_moves_mass_centre_and_inertia_as_two_bodies_do() -> None:
     assert body.mass == pytest.approx(1.804)
     with pytest.raises(UsageError, match="payload"):
         Payload(5.0)
+
+
+def test_shipped_vehicles_can_be_had_by_name_or_file(tmp_path: Path) -> None:
+    assert shipped_vehicles()[0] == "qdrone2"
+    assert {name: len(vehicle_from(name).rotors) for name in shipped_vehicles()} == {
+        "qdrone2": 4, "hexa-x": 6, "octo-x": 8, "quad-plus": 4,
+    }  # fmt: skip
+    file = tmp_path / "heavy.toml"
+    file.write_text('base = "hexa-x"\nname = "heavy"\n')
+    assert vehicle_from(str(file)) == replace(vehicle_from("hexa-x"), name="heavy")
+    file.write_text('base = "qdrone2"\nname = "heavy"\n[body]\nmass_kg = 2.0\n')
+    assert vehicle_from(str(file)) == replace(qdrone2(), name="heavy", body=replace(qdrone2().body, mass_kg=2.0))
+    with pytest.raises(UsageError, match="hexa-x"):
+        vehicle_from("nothing")
+    file.write_text('base = "nothing"\n')
+    with pytest.raises(InputError, match="base: give one of"):
+        vehicle_from(str(file))

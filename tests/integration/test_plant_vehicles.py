@@ -1,0 +1,110 @@
+"""Vehicles with six rotors and more, take-offs and turning noses, as a receiver reads them from the wire."""
+
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavdiag.link.codec import Decoder, Frame, field_index
+from mavdiag.link.messages import MessageId
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.samples import SampleDecoder, SampleState
+from mavdiag.telemetry import Signal, Telemetry
+from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
+from sitl_plant.options import FlightPlan, flight_plan
+from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.recording import recorded
+from sitl_plant.vehicle import Vehicle, load_vehicle, vehicle_from
+
+SECONDS = 1.0
+MADE_UP = """
+base = "qdrone2"
+name = "made up"
+[body]
+mass_kg = 2.0
+"""
+
+
+@cache
+def made_up(folder: Path) -> Vehicle:
+    """A hexarotor of a file: six rotors on a ring."""
+    rotors = [
+        f'[[rotors]]\nname = "{i}"\nposition_m = [{0.2 * np.cos(turn)}, {0.2 * np.sin(turn)}, 0.0]\nspin = "{spin}"\n'
+        for i, (turn, spin) in enumerate(zip(np.arange(6) * np.pi / 3, ("cw", "ccw") * 3, strict=True))
+    ]
+    path = folder / "made_up.toml"
+    path.write_text(MADE_UP + "".join(rotors))
+    return load_vehicle(path)
+
+
+def frames_of(config: PlantConfig, profile: str, rate_hz: float, seconds: float = SECONDS) -> list[Frame]:
+    decoder, plan = Decoder(), FlightPlan(config, dialect_named(profile), rate_hz)
+    return [frame for t_ns, data in recorded(plan, seconds, lambda _: None) for frame in decoder.feed(data, t_ns)]
+
+
+def telemetry_of(frames: list[Frame], profile: str) -> Telemetry:
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
+
+
+@pytest.mark.parametrize(("profile", "rate_hz"), [("qdrone2", 200.0), ("ardupilot", 50.0), ("px4", 100.0)])
+@pytest.mark.parametrize("name", ["hexa-x", "octo-x", "made up"])
+def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, tmp_path: Path) -> None:
+    vehicle = made_up(tmp_path) if name == "made up" else vehicle_from(name)
+    n, config = len(vehicle.rotors), PlantConfig(vehicle=vehicle, seed=3)
+    samples, frames = Plant(config).advance(1000), frames_of(config, profile, rate_hz)
+    heard = telemetry_of(frames, profile)
+    for signal, truth, tolerance in (
+        (Signal.ACTUATOR, samples.duty, 0.6e-3),
+        (Signal.ROTOR_SPEED, samples.rotor_speed, 0.06),
+    ):
+        series = heard.need(signal)
+        last = series.host_ns[-1]
+        np.testing.assert_allclose(series.values[-1, :n], truth[last // 1_000_000], atol=tolerance, err_msg=signal)
+        assert not np.nan_to_num(series.values[:, n:]).any()
+    beats = [frame for frame in frames if frame.msgid == MessageId.HEARTBEAT]
+    assert beats[0].fields[field_index(MessageId.HEARTBEAT, "type")] == {6: 13, 8: 14}[n]
+    count = Counter(frame.msgid for frame in frames)
+    if profile == "ardupilot":
+        assert count[11030] == count[11031] == 50
+    else:
+        places = [frame.fields[field_index(MessageId.ESC_STATUS, "index")] for frame in frames if frame.msgid == 291]
+        assert places == [0, 4] * 50
+
+
+def test_direct_telemetry_of_a_hexarotor_is_that_of_the_wire() -> None:
+    config = PlantConfig(vehicle=vehicle_from("hexa-x"), nose="path", seed=4)
+    for profile, rate_hz in (("qdrone2", 1000.0), ("ardupilot", 100.0)):
+        wire = telemetry_of(frames_of(config, profile, rate_hz), profile)
+        direct, _ = flight_telemetry(config, SECONDS, LinkSpec(profile, rate_hz))
+        for signal in (Signal.ACTUATOR, Signal.ROTOR_SPEED, Signal.ATTITUDE_SETPOINT):
+            theirs = wire.need(signal).values
+            np.testing.assert_array_equal(direct.need(signal).values[-len(theirs) :], theirs)
+
+
+def test_l1_the_yaw_set_point_wraps_on_the_wire_and_the_nose_turns() -> None:
+    config = PlantConfig(trajectory="circle", nose="path", speed_m_s=1.0)
+    yaw = telemetry_of(frames_of(config, "px4", 100.0, 7.0), "px4").need(Signal.ATTITUDE_SETPOINT).values[:, 2]
+    assert np.abs(np.diff(yaw)).max() > 6.0
+    assert np.abs(yaw).max() <= np.pi
+    assert np.ptp(np.unwrap(yaw)) == pytest.approx(14.0, abs=0.1)  # 2 rad/s
+
+
+def test_a_take_off_is_told_as_it_is() -> None:
+    plan = flight_plan(takeoff=True, duration=24.0, profile="ardupilot")
+    frames = frames_of(plan.config, "ardupilot", 100.0, 24.0)
+    heard = telemetry_of(frames, "ardupilot")
+    armed, thrust, height = (heard.need(one) for one in (Signal.ARMED, Signal.THRUST_SETPOINT, Signal.HEIGHT))
+    on = np.flatnonzero(armed.values[:, 0])
+    assert armed.host_ns[on[[0, -1]]] * 1e-9 == pytest.approx([2.0, 22.0], abs=1.1)
+    assert thrust.values[thrust.host_ns < 2_000_000_000].max() == 0.0
+    assert thrust.values[(thrust.host_ns > 2e9) & (thrust.host_ns < 4e9)].max() < 0.01
+    assert thrust.values[(thrust.host_ns > 5e9) & (thrust.host_ns < 15e9)].min() > 0.1
+    assert height.values[height.host_ns < 4e9].max() < 0.01 < 0.9 < height.values.max()
+    landed = [frame.fields[field_index(245, "landed_state")] for frame in frames if frame.msgid == 245]
+    assert [one for one, before in zip(landed, [None, *landed], strict=False) if one != before] == [1, 2, 1]
+    beats = [frame.fields for frame in frames if frame.msgid == MessageId.HEARTBEAT]
+    state, mode = (field_index(MessageId.HEARTBEAT, name) for name in ("system_status", "base_mode"))
+    assert (beats[0][state], beats[0][mode], beats[10][state], beats[10][mode]) == (3, 1, 4, 0x81)
