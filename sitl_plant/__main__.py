@@ -13,7 +13,7 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
-from mavdiag import __version__, commandline
+from mavdiag import commandline
 from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
@@ -28,24 +28,9 @@ __all__ = ["app", "main", "record", "run"]
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
-app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.")
+app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
 app.command()(campaign)
 app.command()(stand)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"sitl-plant {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    pass
 
 
 @app.command()

@@ -61,13 +61,14 @@ class Link:
         self.schedule = Schedule(dialect.rates_hz(rate_hz, rotors), dialect.ceiling_hz)
         self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
         self._streamer = Streamer(dialect, self.schedule)
-        self._decoder = Decoder()
+        decoder = Decoder()
+        self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
         self._senders: dict[tuple[int, int], Encoder] = {}
         self._waiting: deque[Message] = deque()
 
     def receive(self) -> list[Frame]:
         """What came in since the last time."""
-        return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decoder.feed(data, host_ns)]
+        return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decode(data, host_ns)]
 
     def queue(self, filtered: FilteredSamples) -> None:
         """Make the messages of a block; they wait for their time."""

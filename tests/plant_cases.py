@@ -5,9 +5,26 @@ from dataclasses import replace
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Airframe, nominal_airframe
+from sitl_plant.physics.airframe import Airframe
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import Vehicle, qdrone2
+
+
+def nominal_airframe(vehicle: Vehicle) -> Airframe:
+    """A specimen without spread, unbalance or bias: what the drawing office had in mind."""
+    n = len(vehicle.rotors)
+    return Airframe(
+        name="nominal",
+        vehicle=vehicle,
+        inertia_kg_m2=np.array(vehicle.body.inertia_kg_m2),
+        centre_of_gravity_m=np.zeros(3),
+        thrust_coefficient_n_s2=np.full(n, vehicle.propulsion.thrust_coefficient_n_s2),
+        motor_lag_s=np.full(n, vehicle.propulsion.motor_lag_s),
+        unbalance_g_mm=np.zeros((n, 2)),
+        thrust_noise_rms=vehicle.propulsion.thrust_noise_rms,
+        battery_gain=1.0,
+        gyro_bias=np.zeros(3),
+    )
 
 
 def quiet_vehicle() -> Vehicle:

@@ -310,5 +310,5 @@ def filled(values: FloatArray, before: FloatArray | None) -> FloatArray:
     """The values with each NaN replaced by the last number in its column. before: the row before them, if any."""
     stacked = values if before is None else np.vstack((before, values))
     rows = np.where(np.isnan(stacked), 0, np.arange(len(stacked))[:, None])
-    filled = np.take_along_axis(stacked, np.maximum.accumulate(rows, axis=0), axis=0)
-    return filled if before is None else filled[1:]
+    whole = np.take_along_axis(stacked, np.maximum.accumulate(rows, axis=0), axis=0)
+    return whole if before is None else whole[1:]

@@ -27,7 +27,7 @@ class FilteredSamples:
     stamp_ns: (n,) time that the messages carry.
     gyro: (n, 3) after the autopilot's filter [rad/s].
     accel: (n, 3) after the autopilot's filter [m/s^2].
-    vibration: (n, 3) level [m/s^2].
+    vibration: (n, 3) level [m/s^2]; zero where the profile does not send it, and so are the clippings.
     clippings: (n,) samples so far at the end of the accelerometer's range.
     """
 
@@ -73,6 +73,7 @@ class ImuFilters:
 
     def __init__(self, dialect: Dialect, seed: int) -> None:
         self._imu_filter = _second_order(corner_hz) if (corner_hz := dialect.profile.imu_corner_hz) else None
+        self._vibration = dialect.profile.vibration
         self._floor, self._level = _first_order(VIBE_FLOOR_HZ), _first_order(VIBE_HZ)
         self._clippings = 0
         self._delay_ns = round(dialect.send_delay_s * 1e9)
@@ -81,9 +82,11 @@ class ImuFilters:
     def step(self, samples: PlantSamples) -> FilteredSamples:
         """The next block (n >= 1)."""
         gyro, accel = samples.gyro, samples.accel
-        vibration = np.sqrt(np.maximum(0.0, self._level.step((accel - self._floor.step(accel)) ** 2)))
-        clipped = np.cumsum(np.any(np.abs(accel) > CLIP_M_S2, axis=1)) + self._clippings
-        self._clippings = int(clipped[-1])
+        vibration, clipped = np.zeros(accel.shape), np.zeros(len(samples), dtype=np.int64)
+        if self._vibration:
+            vibration = np.sqrt(np.maximum(0.0, self._level.step((accel - self._floor.step(accel)) ** 2)))
+            clipped = np.cumsum(np.any(np.abs(accel) > CLIP_M_S2, axis=1)) + self._clippings
+            self._clippings = int(clipped[-1])
         if self._imu_filter is not None:
             both = self._imu_filter.step(np.hstack([gyro, accel]))
             gyro, accel = both[:, :3], both[:, 3:]

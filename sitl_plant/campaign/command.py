@@ -4,9 +4,8 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -20,32 +19,20 @@ if TYPE_CHECKING:
     from sitl_plant.campaign.summary import Summary
     from sitl_plant.campaign.worker import FlightResult
 
-__all__ = ["Learn", "Preset", "campaign"]
-
-
-class Preset(StrEnum):
-    """Sizes of a campaign."""
-
-    QUICK = "quick"
-    FULL = "full"
-
-
-class Learn(StrEnum):
-    """What an airframe's own healthy flights are."""
-
-    MIXED = "mixed"
-    SQUARE = "square"
+__all__ = ["campaign"]
 
 
 def campaign(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
     ] = Path("campaign.jsonl"),
-    preset: Annotated[Preset, typer.Option(help="Size and levels to start from.")] = Preset.QUICK,
+    preset: Annotated[Literal["quick", "full"], typer.Option(help="Size and levels to start from.")] = "quick",
     flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
     hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
     airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
-    learn: Annotated[Learn, typer.Option(help="Learn from mixed flights, or from T's square alone.")] = Learn.MIXED,
+    learn: Annotated[
+        Literal["mixed", "square"], typer.Option(help="Learn from mixed flights, or from T's square alone.")
+    ] = "mixed",
     learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
     duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
     conditions: Annotated[
@@ -75,7 +62,7 @@ def campaign(
         base,
         vehicle=vehicle_from(vehicle),
         seed=seed,
-        learn=learn.value,
+        learn=learn,
         flights=base.flights if flights is None else flights,
         hours=base.hours if hours is None else hours,
         airframes=base.airframes if airframes is None else airframes,

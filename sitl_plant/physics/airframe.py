@@ -12,7 +12,7 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.vehicle import Vehicle
 
-__all__ = ["NO_PAYLOAD", "Airframe", "Payload", "draw_airframe", "drone", "nominal_airframe"]
+__all__ = ["NO_PAYLOAD", "Airframe", "Payload", "draw_airframe", "drone"]
 
 # The seeds that make drones 1, 2 and 3: of n, n + 10, n + 20, ... the first with every draw within 1.5 standard
 # deviations and the battery gain within 1.2 %, so that the three are ordinary specimens.
@@ -54,23 +54,6 @@ class Airframe:
     thrust_noise_rms: float
     battery_gain: float
     gyro_bias: FloatArray
-
-
-def nominal_airframe(vehicle: Vehicle) -> Airframe:
-    """A specimen without spread, unbalance or bias: what the drawing office had in mind."""
-    n = len(vehicle.rotors)
-    return Airframe(
-        name="nominal",
-        vehicle=vehicle,
-        inertia_kg_m2=np.array(vehicle.body.inertia_kg_m2),
-        centre_of_gravity_m=np.zeros(3),
-        thrust_coefficient_n_s2=np.full(n, vehicle.propulsion.thrust_coefficient_n_s2),
-        motor_lag_s=np.full(n, vehicle.propulsion.motor_lag_s),
-        unbalance_g_mm=np.zeros((n, 2)),
-        thrust_noise_rms=vehicle.propulsion.thrust_noise_rms,
-        battery_gain=1.0,
-        gyro_bias=np.zeros(3),
-    )
 
 
 def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: str = "drawn") -> Airframe:

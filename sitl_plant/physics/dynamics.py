@@ -117,11 +117,15 @@ def _push(x: FloatArray, ground: Ground, i: int) -> tuple[float, float, float, f
     return share * f_x, share * f_y, -normal, north, east, share
 
 
-@jit
+@inline
 def grip(x: FloatArray, ground: Ground) -> None:
     """After a step: let the points that slid or left the ground stick where they can hold."""
-    if x[2] <= ground.reach:
-        return
+    if x[2] > ground.reach:
+        _grip(x, ground)
+
+
+@jit
+def _grip(x: FloatArray, ground: Ground) -> None:
     for i in range(len(ground.gear)):
         f_x, f_y, f_z, north, east, share = _push(x, ground, i)
         if f_z == 0.0:

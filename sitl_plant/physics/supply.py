@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import S_PER_H
 from sitl_plant.physics.jit import jit
 
 __all__ = ["Air", "Battery", "advance_battery", "advance_wind"]
-
-S_PER_H = 3600.0
 
 
 class Battery(NamedTuple):

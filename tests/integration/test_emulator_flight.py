@@ -123,3 +123,14 @@ def test_nobody_listening_is_no_trouble(table: tuple[list[Link], list[Client]]) 
     clients[0].endpoint.close()
     report = flown(links, 0.5)
     assert report.dropped == report.messages / 2
+
+
+def test_b28_a_cut_off_datagram_of_one_peer_does_not_spoil_the_next_ones() -> None:
+    with ExitStack() as stack:
+        near, far = (stack.enter_context(end) for end in memory_pair())
+        near.datagrams = True  # as a udpin endpoint has several peers
+        link, encoder = Link(near, DIALECT, None), Encoder(255, 190)
+        whole = encoder.encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3)
+        far.send(whole[:-5])
+        far.send(encoder.encode(MessageId.HEARTBEAT, 6, 8, 0, 0, 4, 3))
+        assert [frame.seq for frame in link.receive()] == [1]

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from plant_cases import fly, quiet_airframe, quiet_vehicle
+from plant_cases import fly, nominal_airframe, quiet_airframe, quiet_vehicle
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Payload, nominal_airframe
+from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.injections import Injection, SensorFault
 from sitl_plant.physics.jit import cached, source_digest
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from plant_cases import nominal_airframe
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import NO_PAYLOAD, nominal_airframe
+from sitl_plant.physics.airframe import NO_PAYLOAD
 from sitl_plant.physics.dynamics import STAGES, WRENCH
 from sitl_plant.physics.injections import rotor_condition
 from sitl_plant.physics.kernel import Model

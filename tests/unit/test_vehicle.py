@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_cases import nominal_airframe
 
 from mavdiag.errors import InputError, UsageError
 from sitl_plant import vehicle as vehicle_module
-from sitl_plant.physics.airframe import Payload, draw_airframe, drone, nominal_airframe
+from sitl_plant.physics.airframe import Payload, draw_airframe, drone
 from sitl_plant.physics.parameters import body_with_payload
 from sitl_plant.vehicle import allocation, load_vehicle, qdrone2, shipped_vehicles, vehicle_from
 
