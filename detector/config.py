@@ -25,9 +25,17 @@ Positive = Annotated[float, Field(gt=0)]
 class Settings(BaseModel):
     """Everything that can be set. The first block has a command-line option each; the rest is for the file.
 
-    connect: the vehicle's link. baseline or learn: a file, or seconds of healthy flight. forward: further links that
-    get the vehicle's frames and the alerts. vehicle: the only system id to watch, None for all. profile: how the
-    vehicle speaks, None to go by its heartbeat.
+    connect: the vehicle's link.
+    baseline: file to judge by.
+    learn: seconds of healthy flight to learn from, in place of it.
+    save: file that keeps what was learned.
+    airframe: what is learned about: a built-in name or a TOML file.
+    name: label of a learned baseline; "vehicle" and its id unless told.
+    forward: further links that get the vehicle's frames and the alerts.
+    journal, record: files for the events and for all frames received.
+    metrics: address to serve figures on.
+    vehicle: the only system id to watch, None for all.
+    profile: how the vehicle speaks, None to go by what it sends.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -36,22 +44,25 @@ class Settings(BaseModel):
     baseline: Path | None = None
     learn: Positive | None = None
     save: Path | None = None
+    airframe: str | None = None
+    name: Annotated[str, Field(min_length=1)] | None = None
     forward: tuple[str, ...] = ()
     journal: Path | None = None
+    record: Path | None = None
     metrics: str | None = None
     vehicle: Annotated[int, Field(ge=1, le=255)] | None = None
     profile: str | None = None
 
-    airframe: str = ""  # name for a learned baseline; default: "vehicle" and its id
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Positive | None = None  # rate to ask for when learning; default: the profile's
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
     clear_s: Positive = 5.0  # quiet time that ends an alert
-    suspect: tuple[str, ...] = ()  # monitors ("latency", "latency.pitch") that only raise a suspicion
+    takeoff_s: Annotated[float, Field(ge=0)] = 3.0  # time after a take-off in which no alert is raised
+    suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
-    twins_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOAT twins
-    twins_axis: Axis = Axis.ROLL
+    named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
+    named_values_axis: Axis = Axis.ROLL
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links
 
     @model_validator(mode="after")
@@ -60,8 +71,9 @@ class Settings(BaseModel):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
-        if self.save is not None and self.learn is None:
-            raise ValueError("--save keeps what --learn SECONDS has learned; without it there is nothing to save")
+        for option in ("save", "airframe", "name"):
+            if getattr(self, option) is not None and self.learn is None:
+                raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         return self
 
 

@@ -1,19 +1,16 @@
 """From bytes on a link to sessions: one vehicle a system id, each with its own profile, conversion and state.
 
-A vehicle enters with a heartbeat from its autopilot (component 1), once it is clear what profile it speaks. Ground
-stations, cameras and other companions on the link are not vehicles. No clock, no socket: bytes and `now` in, effects
-out.
+A vehicle enters with a heartbeat from its autopilot (component 1), once its profile is clear. Ground stations, cameras
+and other companions on the link are not vehicles. No clock, no socket: bytes and `now` in, effects out.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from detector import session
-from detector.effects import Effect, EventOpened
-from detector.negotiate import Ack
+from detector.session import Session
 from detector.states import State
-from detector.values import Inbox, Learned, LearningFailed, SessionSpec, SessionState
+from detector.values import Ack, Effect, EventOpened, Inbox, Learned, LearningFailed, SessionSpec
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import PROFILES, Profile, detect_profile
@@ -21,7 +18,7 @@ from mavdiag.link.samples import Converter, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
 from mavdiag.telemetry import Instant
 
-__all__ = ["Asked", "Fleet", "Newcomer", "Turn", "Vehicle", "VehicleFigures"]
+__all__ = ["Asked", "Fleet", "PendingVehicle", "Turn", "Vehicle", "VehicleFigures"]
 
 _TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in ("type", "autopilot"))
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -31,8 +28,8 @@ _COMMANDS: Mapping[int, tuple[int, ...]] = {
     msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
     for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
 }
-WATCH_S = 1.0  # how long a newcomer's messages are watched for its profile (our choice)
-WAITING_FRAMES = 4096  # of a newcomer that are kept meanwhile
+WATCH_S = 1.0  # how long the messages of a pending vehicle are collected for its profile (our choice)
+WAITING_FRAMES = 4096  # of a pending vehicle that are kept
 _NOT_VEHICLES = (MavType.GCS, MavType.ONBOARD_CONTROLLER)
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
@@ -57,7 +54,7 @@ class Turn:
 
 
 @dataclass(frozen=True, slots=True)
-class Newcomer:
+class PendingVehicle:
     """A vehicle whose profile is not clear yet. frames: since its first heartbeat."""
 
     since: Instant
@@ -65,7 +62,7 @@ class Newcomer:
 
     @property
     def autopilots(self) -> list[int]:
-        """What its autopilot calls itself; empty if no autopilot was heard."""
+        """What its autopilot calls itself; empty if no autopilot sent a heartbeat."""
         beats = (frame.fields for frame in self.frames if frame.msgid == MessageId.HEARTBEAT and _is_autopilot(frame))
         return [
             int(fields[_AUTOPILOT])
@@ -74,7 +71,7 @@ class Newcomer:
         ]
 
     def profile(self, now: Instant) -> Profile | None:
-        """How it speaks: by its IMU messages if it sends any, else by its autopilot's name; None while unclear."""
+        """Its profile: by its IMU messages if it sends any, else by its autopilot's name; None while unclear."""
         imu = sum(frame.msgid in (MessageId.RAW_IMU, MessageId.HIGHRES_IMU) for frame in self.frames)
         if now - self.since < WATCH_S and imu < WAITING_FRAMES // 2:
             return None
@@ -98,16 +95,15 @@ class VehicleFigures:
 
 
 class Vehicle:
-    """One vehicle: what waits to be looked at, and the session's state."""
+    """One vehicle: its session, and what came for it since the last step."""
 
     def __init__(self, profile: Profile, spec: SessionSpec, now: Instant) -> None:
-        self.spec = spec
+        self.session = Session(spec, now)
         self._converter = Converter(profile)
         self._frames: list[Frame] = []
         self._samples = SampleState()
         self._outcome: Learned | LearningFailed | None = None
         self.events = 0
-        self.state: SessionState = session.start(spec, now)
 
     @property
     def vehicle_ns(self) -> int | None:
@@ -123,13 +119,13 @@ class Vehicle:
         self._outcome = outcome
 
     def step(self, now: Instant) -> tuple[Effect, ...]:
-        """Let the session see what came."""
+        """Hand the session what came."""
         frames, self._frames = self._frames, []
         outcome, self._outcome = self._outcome, None
         self._samples, telemetry = self._converter.step(self._samples, frames)
-        heard = any(_is_autopilot(frame) for frame in frames)
-        inbox = Inbox(telemetry, heard, self._samples.timeline.reboots, _acks(frames), outcome)
-        self.state, effects = session.step(self.spec, self.state, inbox, now)
+        alive = any(_is_autopilot(frame) for frame in frames)
+        inbox = Inbox(telemetry, alive, self._samples.timeline.reboots, _acks(frames), outcome)
+        effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
         return effects
 
@@ -137,8 +133,10 @@ class Vehicle:
 class Fleet:
     """All vehicles on one link.
 
-    spec_of: what to do with a vehicle of a profile. profile: how all of them speak, None to go by each heartbeat.
-    only: the one system id to watch, None for all. datagrams: whether a chunk of bytes holds whole frames.
+    spec_of: what to do with a vehicle of a profile.
+    profile: of all vehicles, None to go by what each sends.
+    only: the one system id to watch, None for all.
+    datagrams: whether a chunk of bytes holds whole frames.
     """
 
     def __init__(self, spec_of: SpecOf, *, profile: Profile | None, only: int | None, datagrams: bool) -> None:
@@ -146,7 +144,7 @@ class Fleet:
         self._decoder = Decoder(wanted | {MessageId.COMMAND_ACK} | _COMMANDS.keys())
         self._feed = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._spec_of, self._profile, self._only = spec_of, profile, only
-        self._newcomers: dict[int, Newcomer] = {}
+        self._pending: dict[int, PendingVehicle] = {}
         self.vehicles: dict[int, Vehicle] = {}
 
     @property
@@ -171,7 +169,7 @@ class Fleet:
 
     def finish(self) -> list[Turn]:
         """What is left to say when the daemon stops."""
-        return [Turn(sysid, session.finish(vehicle.state)) for sysid, vehicle in self.vehicles.items()]
+        return [Turn(sysid, vehicle.session.finish()) for sysid, vehicle in self.vehicles.items()]
 
     def figures(self) -> tuple[VehicleFigures, ...]:
         """Where every vehicle stands."""
@@ -180,30 +178,29 @@ class Fleet:
 
     def _figures(self, sysid: int, senders: Mapping[tuple[int, int], LinkCount]) -> VehicleFigures:
         vehicle, count = self.vehicles[sysid], senders[sysid, Component.AUTOPILOT1]
-        state, judge = vehicle.state, vehicle.state.judge
+        state, judge = vehicle.session.state, vehicle.session.state.judge
         judged_s = 0.0 if judge is None else judge.judged_s
         gyro_hz = state.streams.gyro.rate_hz
         return VehicleFigures(sysid, state.state, count.received, count.lost, gyro_hz, judged_s, vehicle.events)
 
     def _enter(self, sysid: int, frames: list[Frame], now: Instant) -> None:
-        """A vehicle that was not known: it waits at the door until its profile is clear."""
+        """A vehicle that was not known: it is pending until its profile is clear."""
         if sysid == 0:
             return
-        known = self._newcomers.get(sysid)
-        newcomer = Newcomer(now, ()) if known is None else known
-        newcomer = Newcomer(newcomer.since, (*newcomer.frames, *frames)[-WAITING_FRAMES:])
-        profile = newcomer.profile(now) if self._profile is None else self._profile
-        if not newcomer.autopilots:
+        before = self._pending.get(sysid, PendingVehicle(now, ()))
+        pending = PendingVehicle(before.since, (*before.frames, *frames)[-WAITING_FRAMES:])
+        if not pending.autopilots:
             return
+        profile = pending.profile(now) if self._profile is None else self._profile
         if profile is None:
-            self._newcomers[sysid] = newcomer
+            self._pending[sysid] = pending
             return
-        self._newcomers.pop(sysid, None)
+        self._pending.pop(sysid, None)
         self.vehicles[sysid] = Vehicle(profile, self._spec_of(profile), now)
-        self.vehicles[sysid].take(newcomer.frames)
+        self.vehicles[sysid].take(pending.frames)
 
     def _asked(self, frame: Frame) -> Asked | None:
-        """A command for the companion of a vehicle that we watch; for anybody else's it is none of our business."""
+        """A command for the companion of a vehicle that we watch; one for another companion is left alone."""
         fields = frame.fields
         command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
         if component != Component.ONBOARD_COMPUTER or system not in self.vehicles:

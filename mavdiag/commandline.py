@@ -4,14 +4,17 @@
 """
 
 import os
+import signal
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NoReturn
 
 import typer
 
 from mavdiag.errors import MavdiagError
 
-__all__ = ["ERROR", "application", "run"]
+__all__ = ["ERROR", "application", "run", "stop_signals"]
 
 ERROR = 2
 INTERRUPTED = 130
@@ -44,6 +47,19 @@ def run(app: typer.Typer, name: str) -> NoReturn:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def stop_signals() -> Iterator[Callable[[], bool]]:
+    """Let SIGINT and SIGTERM ask for an end instead of ending the process at once; yields whether one came."""
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _line(message: str) -> str:

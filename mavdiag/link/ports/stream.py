@@ -9,7 +9,7 @@ import serial
 
 from mavdiag.link.ports.base import RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
-__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "whole_frames"]
+__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "frame_length", "whole_frames"]
 
 CLIENTS_MAX = 16  # a TCP server turns further clients away
 
@@ -245,14 +245,14 @@ def whole_frames(data: bytes) -> int:
     """
     start = 0
     while start < len(data):
-        length = _frame_length(data, start)
+        length = frame_length(data, start)
         if length is None or start + length > len(data):
             return start
         start += length
     return start
 
 
-def _frame_length(data: bytes, start: int) -> int | None:
+def frame_length(data: bytes, start: int) -> int | None:
     """Bytes of the frame that starts here (1 for a byte that starts none), None if too few are there to say.
 
     MAVLink serialization: v1 is 0xFE with 8 bytes around the payload, v2 is 0xFD with 12, and 13 more if signed.

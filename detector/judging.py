@@ -1,0 +1,153 @@
+"""Judging in flight: the chain at work, the alert that its stages add up to, and which monitors do not judge.
+
+A damaged propeller leaves the margin again and again, so the decision's stage comes and goes. An alert spans a burst:
+it begins with the first suspicion or fault and ends when there was none for a while.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from detector.alerts import Notice, alert_notice, label_of
+from detector.negotiate import LABELS
+from detector.streams import METERED, Streams
+from detector.values import EventClosed, EventOpened, Record, StageChanged
+from mavdiag.baseline import Baseline
+from mavdiag.chain import Chain, ChainOutput, ChainState, Slot
+from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.telemetry import Instant, Telemetry
+
+__all__ = ["Alert", "Judge", "alert_after", "names_of", "not_judged", "records_of"]
+
+REVIEW_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
+STREAM_S = 5.0  # how long a stream may take to come before its absence is told (our choice)
+ALERTING = (Stage.SUSPECTED, Stage.FAULT)
+
+Finding: TypeAlias = Change | Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """A baseline and its chain at work.
+
+    judged: when anything was judged last (host).
+    judged_s: flight time in which a deciding monitor judged, so far.
+    flight_s: flight time so far.
+    reviewed_s: the flight time at the last review of the monitors.
+    shares: what each monitor's account showed then, (judged_s, seconds by reason).
+    idle: label and reason of the monitors that judged nothing between the last two reviews.
+    """
+
+    baseline: Baseline
+    chain: Chain
+    memory: ChainState
+    judged: Instant
+    judged_s: float = 0.0
+    flight_s: float = 0.0
+    reviewed_s: float = 0.0
+    shares: tuple[tuple[float, Mapping[str, float]], ...] = ()
+    idle: tuple[tuple[str, str], ...] = ()
+
+    def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
+        """Judge the next telemetry."""
+        memory, output = self.chain.step(self.memory, telemetry)
+        judge = replace(
+            self,
+            memory=memory,
+            judged=now if output.judged_s > 0 else self.judged,
+            judged_s=self.judged_s + output.judged_s,
+            flight_s=self.flight_s + output.flight_s,
+        )
+        return (judge if judge.flight_s - judge.reviewed_s < REVIEW_S else _reviewed(judge)), output
+
+    def end_flight(self) -> tuple["Judge", ChainOutput]:
+        """The flight cannot be followed any longer: what is open is closed."""
+        memory, output = self.chain.end_flight(self.memory)
+        return replace(self, memory=memory), output
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """An alert so far.
+
+    since: when it began (host).
+    latest: when there was a suspicion or a fault last (host).
+    finding: the latest of them.
+    confirmed: whether a fault was declared, not only suspected.
+    active: whether the finding holds at this moment.
+    named: whether a rotor was named; it is news once.
+    """
+
+    since: Instant
+    latest: Instant
+    finding: Finding
+    confirmed: bool
+    active: bool = True
+    named: bool = False
+
+    @property
+    def notice(self) -> Notice:
+        """What is said of it while it lasts: nothing new while its finding does not hold."""
+        return alert_notice(
+            self.finding, fault=self.confirmed, key="named" if self.named else "", silent=not self.active
+        )
+
+
+def alert_after(
+    alert: Alert | None, output: ChainOutput, diagnosis: Diagnosis, suspect: frozenset[str], now: Instant
+) -> Alert | None:
+    """The alert after a step's output; None if there is none yet. Without new rows nothing changes."""
+    if output.now_ns is None:
+        return alert
+    found = [one for one in (*output.changes, diagnosis) if one.stage in ALERTING]
+    faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
+    if not found or (alert is not None and alert.confirmed and not faults):
+        return alert and replace(alert, active=False, latest=now if found else alert.latest)
+    finding = (faults or found)[-1]
+    if alert is None:
+        return Alert(now, now, finding, bool(faults), named=finding.rotor is not None)
+    # Once it has let go, it may come back in another form while the fault goes: no news.
+    named = alert.named or (alert.active and finding.rotor is not None)
+    return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=True, named=named)
+
+
+def records_of(output: ChainOutput) -> tuple[Record, ...]:
+    """The events and changes of a step, for the journal."""
+    events = (EventOpened(event) if event.end_ns is None else EventClosed(event) for event in output.events)
+    return (*events, *(StageChanged(change) for change in output.changes))
+
+
+def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
+    """Label and reason of the monitors that do not judge, because their streams do not come or for reasons of theirs."""
+    if streams.began is None or now - streams.began < STREAM_S:
+        return ()
+    lacking = {label_of(slot.monitor.name): why for slot in judge.chain.slots if (why := _lack(slot, streams))}
+    return tuple((dict(judge.idle) | lacking).items())
+
+
+def names_of(slot: Slot) -> frozenset[str]:
+    """How settings may call a slot: by its monitor, or by its monitor and axis."""
+    monitor = slot.monitor
+    return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))
+
+
+def _names(finding: Finding) -> frozenset[str]:
+    return frozenset((str(finding.monitor), f"{finding.monitor}.{finding.axis}"))
+
+
+def _lack(slot: Slot, streams: Streams) -> str:
+    missing = [one for one in METERED if one in slot.monitor.needs and streams.meter(one).latest is None]
+    return f"no {LABELS[missing[0]]}" if missing else ""
+
+
+def _reviewed(judge: Judge) -> Judge:
+    """With the monitors that judged nothing since the last review."""
+    accounts = judge.memory.accounts
+    shares = tuple((account.judged_s, dict(account.not_judged)) for account in accounts)
+    before = judge.shares or tuple((0.0, dict[str, float]()) for _ in accounts)
+    idle = list[tuple[str, str]]()
+    for slot, (was_s, reasons), (judged_s, now_reasons) in zip(judge.chain.slots, before, shares, strict=True):
+        grown = {reason: spent_s - reasons.get(reason, 0.0) for reason, spent_s in now_reasons.items()}
+        if judged_s <= was_s and grown:
+            idle.append((label_of(slot.monitor.name), max(grown, key=lambda reason: grown[reason])))
+    return replace(judge, reviewed_s=judge.flight_s, shares=shares, idle=tuple(idle))
