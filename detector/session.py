@@ -199,10 +199,10 @@ class Session:
         streams, baseline, least_hz = self.state.streams, self.state.baseline, self.spec.min_rate_hz
         gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
         judging = self.state.state in (State.MONITORING, State.ALERT)
-        if self._needs_setpoints() and setpoint.latest is None:
-            return Hindrance(Reason.NO_SETPOINTS)
         if gyro.latest is None:
             return Hindrance(Reason.NO_GYRO)
+        if self._needs_setpoints() and setpoint.latest is None:
+            return Hindrance(Reason.NO_SETPOINTS)
         if gyro.period_s is None or (self._needs_setpoints() and setpoint.period_s is None):
             return Hindrance(Reason.MEASURING)
         periods = gyro.periods_s if judging else (gyro.period_s,)

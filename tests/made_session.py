@@ -6,30 +6,12 @@ from functools import cache
 import numpy as np
 from scipy.signal import lfilter
 
-from detector import session
-from detector.effects import Effect, SendText, StateChanged
-from detector.negotiate import Ack
+from detector.session import Session, SessionState
 from detector.states import State
-from detector.values import Inbox, Learned, LearningFailed, SessionSpec, SessionState
-from mavdiag.baseline import (
-    Airframe,
-    AxisModel,
-    Baseline,
-    GateLimits,
-    Link,
-    MonitorEntry,
-    Provenance,
-    SourceLog,
-    Window,
-    sealed,
-)
+from detector.values import Ack, Effect, Inbox, Learned, LearningFailed, SendText, SessionSpec, StateChanged
+from mavdiag.baseline import made
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors.margin import MarginRule
-from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.rows.align import Grid
 from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
-from mavdiag.thresholds.heldout import Scores
-from mavdiag.thresholds.rule import ThresholdRule, threshold_of
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 
@@ -50,66 +32,29 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
     return setpoint, clean + NOISE * rng.standard_normal((n, 3))
 
 
-def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> Baseline:
-    """A baseline that knows the made airframe exactly."""
-    models = tuple(
-        AxisModel(
-            axis=axis,
-            order=(1, 1, 1),
-            method="sriv",
-            a=tuple(A.tolist()),
-            b=tuple(B.tolist()),
-            standard_errors=(0.001, 0.001),
-            r2t=0.99,
-            nrmse_fit=0.9,
-            mse=1e-4,
-            rows=6000,
-        )
-        for axis in axes
-    )
-    monitors = tuple(
-        MonitorEntry(
-            spec=RunLengthSpec(
-                axis=axis, margin_rad_s=MARGIN, margin_rule=MarginRule.PERCENTILE_90, longest_run_s=(FML_S,)
-            ),
-            threshold=threshold_of(
-                Scores(np.array([FML_S]), 3600.0), flights=1, budget_per_hour=0.05, rule=ThresholdRule.MAXIMUM
-            ),
-        )
-        for axis in axes
-    )
-    gate = GateLimits(min_height_m=None, min_thrust=0.1, need_armed=True, trim_start_s=0.0, trim_end_s=0.0)
-    return sealed(
-        Baseline(
-            airframe=Airframe(name="made", scope="airframe", frame=None),
-            link=Link(profile=profile, dt_s=1 / rate_hz, grid=Grid.NATIVE, max_gap_s=0.035, gate=gate),
-            window=Window(samples=11, order=2),
-            models=models,
-            monitors=monitors,
-            not_judgeable=(),
-            healthy_hours=1.0,
-            provenance=Provenance(
-                logs=(SourceLog(name="made", sha256="0" * 64, judged_s=3600.0),), created="2026-01-01", tool="test"
-            ),
-        )
-    )
+def baseline_for(profile="qdrone2", rate_hz=RATE_HZ, axes=(Axis.ROLL,), names=("fsd",)):
+    return made(profile, rate_hz, axes, names)
 
 
 @dataclass
 class Story:
-    """One session and its vehicle. `fly` lets time pass; `told` keeps every effect with the time it came at [s]."""
+    """One session and its vehicle. `fly` lets time pass; `log` keeps every effect with the time it came at [s]."""
 
     spec: SessionSpec = field(default_factory=lambda: SessionSpec(PROFILES["qdrone2"], learn_s=20.0))
     seconds: int = 120
     seed: int = 1
     chunk_s: float = 0.1
-    state: SessionState = field(init=False)
-    told: list[tuple[float, Effect]] = field(default_factory=list)
+    session: Session = field(init=False)
+    log: list[tuple[float, Effect]] = field(default_factory=list)
     passed: int = 0  # samples' worth of time
     reboots: int = 0
 
     def __post_init__(self) -> None:
-        self.state = session.start(self.spec, self.now)
+        self.session = Session(self.spec, self.now)
+
+    @property
+    def state(self) -> SessionState:
+        return self.session.state
 
     @property
     def now(self) -> Instant:
@@ -128,35 +73,42 @@ class Story:
         thrust: float = 0.5,
         without: tuple[Signal, ...] = (),
         every: int = 1,
+        outputs: bool = False,
     ) -> list[Effect]:
-        """Let the vehicle send for a while. push [rad/s]: added to the roll rate; every: sends each such sample."""
-        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        """Let the vehicle send for a while.
+
+        push [rad/s]: added to the roll rate; every: sends each such sample; outputs: of the motors, too.
+        """
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             telemetry = self._chunk(chunk, push, armed, thrust, every)
-            kept = Telemetry(tuple(one for one in telemetry.series if one.signal not in without))
+            kept = tuple(one for one in telemetry.series if one.signal not in without)
+            if outputs:
+                t_ns = telemetry.series[0].t_ns
+                kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, np.full((len(t_ns), 4), 0.5)))
             self.passed += chunk
-            self.give(Inbox(kept, heard=True, reboots=self.reboots))
-        return [effect for _, effect in self.told[before:]]
+            self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots))
+        return [effect for _, effect in self.log[before:]]
 
     def silence(self, seconds: float) -> list[Effect]:
-        """Let time pass without a word from the vehicle."""
-        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        """Let time pass while nothing comes from the vehicle."""
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             self.passed += chunk
             self.give(Inbox(reboots=self.reboots))
-        return [effect for _, effect in self.told[before:]]
+        return [effect for _, effect in self.log[before:]]
 
     def give(self, inbox: Inbox) -> list[Effect]:
         """One step."""
-        self.state, effects = session.step(self.spec, self.state, inbox, self.now)
-        self.told += [(self.s, effect) for effect in effects]
+        effects = self.session.step(inbox, self.now)
+        self.log += [(self.s, effect) for effect in effects]
         return list(effects)
 
     def answer(self, outcome: Learned | LearningFailed) -> list[Effect]:
-        return self.give(Inbox(heard=True, reboots=self.reboots, outcome=outcome))
+        return self.give(Inbox(alive=True, reboots=self.reboots, outcome=outcome))
 
     def acknowledge(self, ack: Ack) -> list[Effect]:
-        return self.give(Inbox(heard=True, reboots=self.reboots, acks=(ack,)))
+        return self.give(Inbox(alive=True, reboots=self.reboots, acks=(ack,)))
 
     def at(self, state: State) -> bool:
         """Whether it stands there now."""
@@ -164,12 +116,12 @@ class Story:
 
     @property
     def texts(self) -> list[str]:
-        return [effect.text for _, effect in self.told if isinstance(effect, SendText)]
+        return [effect.text for _, effect in self.log if isinstance(effect, SendText)]
 
     @property
     def states(self) -> list[State]:
         """The way it went."""
-        return [effect.new for _, effect in self.told if isinstance(effect, StateChanged)]
+        return [effect.new for _, effect in self.log if isinstance(effect, StateChanged)]
 
     def _chunk(self, n: int, push: float, armed: bool, thrust: float, every: int) -> Telemetry:
         setpoint, rate = _attitude_and_rate(self.seconds, self.seed)
@@ -192,8 +144,4 @@ class Story:
 
 def outcome_of(story: Story) -> Learned:
     """What a fit of the made flight would give."""
-    return Learned(replace_profile(baseline_for(), story.spec.profile.name))
-
-
-def replace_profile(baseline: Baseline, profile: str) -> Baseline:
-    return sealed(baseline.model_copy(update={"link": baseline.link.model_copy(update={"profile": profile})}))
+    return Learned(baseline_for(story.spec.profile.name))
