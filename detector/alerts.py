@@ -95,7 +95,7 @@ POLICY: Mapping[Kind, Policy] = {
     Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # cause and evidence
     Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # cause and evidence
     Kind.CLEARED: Policy(Severity.INFO, "PROP clear after {}s"),  # how long
-    Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert ended: {}"),  # why it is not judged any longer
+    Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert over: {}"),  # why it is not judged any longer
     Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", (60.0,)),  # reason
     Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", (60.0,)),  # progress, ": reason"
     Kind.FITTING: Policy(Severity.INFO, "PROP fitting the baseline"),

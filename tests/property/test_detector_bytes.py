@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
-from detector.effects import SendText
 from detector.fleet import Fleet
-from detector.values import SessionSpec
+from detector.values import SendText, SessionSpec
 from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile

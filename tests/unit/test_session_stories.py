@@ -150,7 +150,7 @@ def test_an_alert_outlives_no_lost_link() -> None:
     story.fly(3.0, push=0.5)
     effects = story.silence(10.0)
     assert not [text for text in texts(effects) if "FAULT" in text]
-    assert "PROP alert ended: no gyro" in texts(effects)
+    assert "PROP alert over: no gyro" in texts(effects)
     assert [e.event.end_ns is not None for e in effects if isinstance(e, EventClosed)] == [True]
     effects = story.fly(10.0)
     assert not [e for e in effects if isinstance(e, EventOpened | EventClosed)]
@@ -400,7 +400,7 @@ def test_an_alert_that_ends_on_the_ground_is_not_called_cleared() -> None:
     story.fly(3.0, push=0.5)
     effects = story.fly(8.0, armed=False)
     assert story.at(State.MONITORING)
-    assert "PROP alert ended: not armed" in texts(effects)
+    assert "PROP alert over: not armed" in texts(effects)
     assert not any(text.startswith("PROP clear") for text in texts(effects))
 
 
