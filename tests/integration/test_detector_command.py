@@ -19,10 +19,10 @@ from made_vehicle import MadeVehicle
 
 from detector.fitting import FittingJob, Outcome, ProcessFitter
 from detector.values import Learned, LearningFailed
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.link.codec import Decoder, decode_statustext
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
-from mavdiag.storage import save_baseline
 from mavdiag.telemetry import Telemetry
 
 COMMAND = [sys.executable, "-m", "detector"]
@@ -90,8 +90,11 @@ def test_help_names_every_option_of_the_contract() -> None:
         "baseline",
         "learn",
         "save",
+        "airframe",
+        "name",
         "forward",
         "journal",
+        "record",
         "metrics",
         "vehicle",
         "profile",
@@ -125,6 +128,8 @@ def test_importing_the_command_brings_nothing_heavy() -> None:
             ("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--journal", "absent/j.jsonl"),
             "choose another --journal file",
         ),
+        (("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--record", "absent/f.tlog"), "choose another --record file"),
+        (("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--airframe", "absent.toml"), "absent.toml"),
         (("--learn", "10", "--config", "absent.toml"), "absent.toml: cannot be read"),
         (("--learn", "10", "--vehicle", "300"), "vehicle: "),
     ],
@@ -160,7 +165,7 @@ def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, t
 
 
 def test_a_baseline_and_a_configuration_file_are_taken(tmp_path: Path) -> None:
-    save_baseline(tmp_path / "b.json", baseline_for())
+    baseline_for().save(tmp_path / "b.json")
     config = tmp_path / "detector.toml"
     config.write_text(f'baseline = "{tmp_path}/b.json"\nconnect = "tcpin:127.0.0.1:0"\n')
     with running("--config", str(config)) as (_, first):
@@ -170,7 +175,7 @@ def test_a_baseline_and_a_configuration_file_are_taken(tmp_path: Path) -> None:
 
 def test_a_fit_in_a_process_of_its_own_comes_back_with_its_reason() -> None:
     fitter, done = ProcessFitter(), list[tuple[int, Outcome]]()
-    fitter.begin(FittingJob(3, "made", "qdrone2", Telemetry()))
+    fitter.begin(FittingJob(3, Airframe(), "qdrone2", Telemetry()))
     give_up = time.monotonic() + PATIENCE_S
     while not done and time.monotonic() < give_up:
         done = fitter.poll()
@@ -184,7 +189,7 @@ def test_a_fit_in_a_process_of_its_own_comes_back_with_its_reason() -> None:
 
 def test_a_fit_that_takes_too_long_has_failed() -> None:
     fitter, done = ProcessFitter(limit_s=0.0), list[tuple[int, Outcome]]()
-    fitter.begin(FittingJob(3, "made", "qdrone2", Telemetry()))
+    fitter.begin(FittingJob(3, Airframe(), "qdrone2", Telemetry()))
     give_up = time.monotonic() + PATIENCE_S
     while not done and time.monotonic() < give_up:
         done = fitter.poll()
@@ -197,11 +202,12 @@ def test_a_fit_that_takes_too_long_has_failed() -> None:
 FITTING = """
 import signal, sys, time
 from detector.fitting import FittingJob, ProcessFitter
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.telemetry import Telemetry
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, lambda number, frame: None)
     fitter = ProcessFitter()
-    fitter.begin(FittingJob(1, "made", "qdrone2", Telemetry()))
+    fitter.begin(FittingJob(1, Airframe(), "qdrone2", Telemetry()))
     print("begun", flush=True)
     until = time.monotonic() + 3.0
     while time.monotonic() < until and not (done := fitter.poll()):
@@ -246,7 +252,7 @@ def test_it_is_ready_with_less_than_a_second_of_work() -> None:
 
 @pytest.mark.realtime
 def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> None:
-    save_baseline(tmp_path / "b.json", baseline_for())
+    baseline_for().save(tmp_path / "b.json")
     with open_endpoint("udpin:127.0.0.1:0") as free:
         metrics = free.address.removeprefix("udpin:")
     options = ("--baseline", str(tmp_path / "b.json"), "--connect", "udpin:127.0.0.1:0", "--metrics", metrics)
@@ -259,8 +265,8 @@ def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> No
             with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5.0) as page:
                 figures = page.read().decode()
         code, rest = ended(child, signal.SIGINT)
-    assert texts[-1].startswith("PROP FAULT roll FSD 0.3")
-    assert 'mavdiag_events_total{monitor="latency",vehicle="1"} 1.0' in figures
+    assert texts[-1].startswith("PROP FAULT roll FSD 0.")
+    assert 'mavdiag_events_total{monitor="fsd",vehicle="1"} 1.0' in figures
     assert 'mavdiag_state{state="monitoring",vehicle="1"}' in figures
     assert code == 0
     assert " 0 lost on the way" in rest
