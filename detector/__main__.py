@@ -37,6 +37,7 @@ def _version(wanted: bool) -> None:
 
 @app.command()
 def detect(
+    context: typer.Context,
     connect: Annotated[
         str | None,
         typer.Option(
@@ -88,24 +89,9 @@ def detect(
 
     Exit code 0 when stopped, 2 for a wrong option, baseline or address.
     """
-    settings = load_settings(
-        config,
-        {
-            "connect": connect,
-            "baseline": baseline,
-            "learn": learn,
-            "save": save,
-            "airframe": airframe,
-            "name": name,
-            "forward": forward or None,
-            "journal": journal,
-            "record": record,
-            "metrics": metrics,
-            "vehicle": vehicle,
-            "profile": profile,
-        },
-    )
-    _serve(settings)
+    own = ("config", "version")
+    given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
+    _serve(load_settings(config, {name: value for name, value in given.items() if name not in own}))
 
 
 def _serve(settings: Settings) -> None:

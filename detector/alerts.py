@@ -228,9 +228,7 @@ class Presenter:
     suppressed: int = 0
 
 
-def present(
-    presenter: Presenter, notices: tuple[Notice, ...], now: Instant
-) -> tuple[Presenter, tuple[Effect, ...]]:
+def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> tuple[Presenter, tuple[Effect, ...]]:
     """Say what is to be said of the notices of this step, loudest first."""
     out: list[Effect] = []
     presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one.at < MINUTE_S))

@@ -20,7 +20,6 @@ from detector.relay import Relay
 from detector.sender import MavlinkSender
 from detector.values import (
     AskInterval,
-    BaselineLearned,
     Effect,
     EventOpened,
     Learn,
@@ -28,13 +27,13 @@ from detector.values import (
     SendFloat,
     SendText,
     SessionSpec,
-    StageChanged,
     StateChanged,
     TextSuppressed,
 )
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
 from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
@@ -165,22 +164,7 @@ class Daemon:
         return Instant(self._host.now_ns())
 
     def _spec(self, profile: Profile) -> SessionSpec:
-        settings = self._settings
-        return SessionSpec(
-            profile,
-            self._baseline,
-            learn_s=settings.learn or 0.0,
-            min_rate_hz=settings.min_rate_hz,
-            ask_hz=settings.ask_hz,
-            negotiate=settings.negotiate,
-            link_lost_s=settings.link_lost_s,
-            clear_s=settings.clear_s,
-            takeoff_s=settings.takeoff_s,
-            suspect=settings.suspect,
-            texts_per_minute=settings.texts_per_minute,
-            named_values_hz=settings.named_values_hz,
-            named_values_axis=settings.named_values_axis,
-        )
+        return SessionSpec(profile, self._baseline, self._settings)
 
     def _chunks(self) -> list[Chunk]:
         chunks: list[Chunk] = []
@@ -204,7 +188,7 @@ class Daemon:
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; choose one with --vehicle")
 
     def _beat(self) -> None:
-        """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before a vehicle is known."""
+        """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before a vehicle."""
         for sysid, vehicle in self._fleet.vehicles.items():
             if vehicle.session.healthy:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
@@ -234,8 +218,8 @@ class Daemon:
             case Learn(profile, telemetry):
                 airframe = replace(self._airframe, name=self._settings.name or f"vehicle {sysid}")
                 self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry))
-            case BaselineLearned(baseline):
-                self._save(sysid, baseline)
+            case Baseline():
+                self._save(sysid, effect)
             case EventOpened(event):
                 if self._metrics is not None:
                     self._metrics.count_event(sysid, event.monitor)
@@ -287,12 +271,12 @@ def _log_lines(effect: Effect) -> list[str]:
     match effect:
         case StateChanged(old, new, reason):
             return [f"{old} -> {new}: {reason}"]
-        case StageChanged(change):
-            return [f"decision: {change.stage}, {change.reason}"]
+        case Change(stage=stage, reason=reason):
+            return [f"decision: {stage}, {reason}"]
         case SendText(severity, text):
             return [f"{severity.name} {text!r}"]
-        case BaselineLearned(baseline):
-            return str(baseline).splitlines()
+        case Baseline():
+            return str(effect).splitlines()
         case Note(text):
             return [text]
         case TextSuppressed(text, count):

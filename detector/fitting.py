@@ -1,6 +1,5 @@
 """Making a baseline beside the daemon (edge): in a process of its own, so that the receive loop never stalls."""
 
-import hashlib
 import multiprocessing
 import os
 import signal
@@ -8,13 +7,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from typing import Protocol, TypeAlias
 
-from detector.values import Learned, LearningFailed
+from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import Baseline
 from mavdiag.errors import MavdiagError
 from mavdiag.telemetry import Log, Telemetry
 
@@ -23,7 +23,7 @@ __all__ = ["Fitter", "FittingJob", "Outcome", "ProcessFitter", "fit_baseline"]
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
 
-Outcome: TypeAlias = Learned | LearningFailed
+Outcome: TypeAlias = Baseline | LearningFailed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,20 +61,11 @@ def fit_baseline(job: FittingJob) -> Outcome:
     from mavdiag.learning import LearnOptions, learn
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    log = Log(f"vehicle {job.vehicle}, live, {created}", _digest(job.telemetry), job.profile, job.telemetry)
+    log = Log(f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry)
     try:
-        return Learned(learn([log], replace(LearnOptions(), airframe=job.airframe), created=created))
+        return learn([log], LearnOptions(airframe=job.airframe), created=created)
     except MavdiagError as error:
         return LearningFailed(str(error))
-
-
-def _digest(telemetry: Telemetry) -> str:
-    """SHA-256 over signals, times and values: what stands for a file's when there is none."""
-    digest = hashlib.sha256()
-    for series in sorted(telemetry.series, key=lambda series: series.signal):
-        for part in (series.signal.encode(), series.t_ns.tobytes(), series.values.tobytes()):
-            digest.update(part)
-    return digest.hexdigest()
 
 
 def _prepare() -> None:

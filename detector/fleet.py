@@ -10,7 +10,8 @@ from typing import TypeAlias
 
 from detector.session import Session
 from detector.states import State
-from detector.values import Ack, Effect, EventOpened, Inbox, Learned, LearningFailed, SessionSpec
+from detector.values import Ack, Effect, EventOpened, Inbox, LearningFailed, SessionSpec
+from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import PROFILES, Profile, detect_profile
@@ -102,7 +103,7 @@ class Vehicle:
         self._converter = Converter(profile)
         self._frames: list[Frame] = []
         self._samples = SampleState()
-        self._outcome: Learned | LearningFailed | None = None
+        self._outcome: Baseline | LearningFailed | None = None
         self.events = 0
 
     @property
@@ -114,7 +115,7 @@ class Vehicle:
         """Frames of this vehicle, in order of arrival."""
         self._frames += frames
 
-    def answer(self, outcome: Learned | LearningFailed) -> None:
+    def answer(self, outcome: Baseline | LearningFailed) -> None:
         """What came of the last `Learn`."""
         self._outcome = outcome
 

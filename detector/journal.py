@@ -16,17 +16,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import BinaryIO
 
-from detector.values import (
-    BaselineLearned,
-    EventClosed,
-    EventOpened,
-    Note,
-    Record,
-    SendText,
-    StageChanged,
-    StateChanged,
-    TextSuppressed,
-)
+from detector.values import EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
+from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
 from mavdiag.errors import UsageError
 from mavdiag.logs.tlog import tlog_record
@@ -65,14 +56,14 @@ def _content(record: Record, when: When) -> tuple[str, dict[str, object]]:
             return "opened", _event(event, when)
         case StateChanged(old, new, reason):
             return "state", {"from": old, "to": new, "reason": reason}
-        case StageChanged(change):
-            return "stage", _stage(change)
+        case Change():
+            return "stage", _stage(record)
         case SendText(severity, text):
             return "text", {"severity": int(severity), "text": text}
         case TextSuppressed(text, count):
             return "suppressed", {"text": text, "count": count}
-        case BaselineLearned(baseline):
-            return "baseline", {"digest": baseline.digest, "airframe": baseline.airframe.name}
+        case Baseline():
+            return "baseline", {"digest": record.digest, "airframe": record.airframe.name}
         case Note(text):
             return "note", {"text": text}
 
@@ -87,16 +78,8 @@ def _event(event: Event, when: When) -> dict[str, object]:
 
 
 def _stage(change: Change) -> dict[str, object]:
-    return {
-        "stage": change.stage,
-        "reason": change.reason,
-        "t_s": round(change.t_ns / NS_PER_S, 6),
-        "monitor": change.monitor,
-        "axis": change.axis,
-        "statistic": change.statistic,
-        "threshold": change.threshold,
-        "rotor": change.rotor,
-    }
+    fields = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
+    return {"t_s": round(change.t_ns / NS_PER_S, 6)} | {name: getattr(change, name) for name in fields}
 
 
 def _line(when: When, kind: str, content: dict[str, object]) -> str:

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from detector.alerts import Notice, alert_notice, label_of
 from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
-from detector.values import EventClosed, EventOpened, Record, StageChanged
+from detector.values import EventClosed, EventOpened, Record
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, Slot
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
@@ -114,11 +114,11 @@ def alert_after(
 def records_of(output: ChainOutput) -> tuple[Record, ...]:
     """The events and changes of a step, for the journal."""
     events = (EventOpened(event) if event.end_ns is None else EventClosed(event) for event in output.events)
-    return (*events, *(StageChanged(change) for change in output.changes))
+    return (*events, *output.changes)
 
 
 def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
-    """Label and reason of the monitors that do not judge, because their streams do not come or for reasons of theirs."""
+    """Label and reason of the monitors that do not judge: their streams do not come, or they say why."""
     if streams.began is None or now - streams.began < STREAM_S:
         return ()
     lacking = {label_of(slot.monitor.name): why for slot in judge.chain.slots if (why := _lack(slot, streams))}

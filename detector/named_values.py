@@ -34,9 +34,7 @@ class NamedValues:
     fsd_s: float = 0.0
 
 
-def named_values(
-    values: NamedValues, output: ChainOutput, now: Instant
-) -> tuple[NamedValues, tuple[SendFloat, ...]]:
+def named_values(values: NamedValues, output: ChainOutput, now: Instant) -> tuple[NamedValues, tuple[SendFloat, ...]]:
     """Take in the gauges of a step; return the floats that are to be sent."""
     gauge = _selected(output.gauges, values.axis)
     if gauge is None or output.now_ns is None:

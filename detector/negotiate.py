@@ -7,7 +7,7 @@ recorded and not asked again. Only what was *measured* counts as got.
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from detector.alerts import Kind, Notice
 from detector.values import Ack, AskInterval, Effect, Note
@@ -85,14 +85,12 @@ def wants_of(
 class _Ask:
     """What was asked for one message.
 
-    msgid: the message.
     tries: since its rate was right last.
     at: when it was asked for last.
     refused: whether the autopilot refused it.
     reported_hz: the rate that was reported last; None if none was.
     """
 
-    msgid: int
     tries: int = 0
     at: Instant | None = None
     refused: bool = False
@@ -103,11 +101,11 @@ class _Ask:
 class Negotiation:
     """All that was asked so far.
 
-    asks: one for each message.
+    asks: by message.
     awaited: messages whose acknowledgement has not come, with the time, in the order asked.
     """
 
-    asks: tuple[_Ask, ...] = ()
+    asks: Mapping[int, _Ask] = field(default_factory=dict)
     awaited: tuple[tuple[int, Instant], ...] = ()
 
 
@@ -121,14 +119,14 @@ def negotiate(
     negotiation, notes = _acknowledged(negotiation, acks, now)
     effects: list[Effect] = [*notes]
     for want, rate_hz in wants:
-        ask = _of(negotiation, want.msgid)
+        ask = negotiation.asks.get(want.msgid, _Ask())
         if rate_hz is None:
             continue
         if want.met_by(rate_hz):
-            negotiation = _with(negotiation, replace(ask, tries=0, refused=False))
+            negotiation = _with(negotiation, want.msgid, replace(ask, tries=0, refused=False))
         elif _may_ask(ask, now):
             effects.append(AskInterval(want.msgid, round(_US_PER_S / want.ask_hz)))
-            negotiation = _with(negotiation, replace(ask, tries=ask.tries + 1, at=now))
+            negotiation = _with(negotiation, want.msgid, replace(ask, tries=ask.tries + 1, at=now))
             negotiation = replace(negotiation, awaited=(*negotiation.awaited, (want.msgid, now)))
     negotiation, notices = _reported(negotiation, wants, now)
     return negotiation, tuple(effects), notices
@@ -145,7 +143,7 @@ def _acknowledged(negotiation: Negotiation, acks: tuple[Ack, ...], now: Instant)
         awaited = tuple(rest)
         notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
         if ack.result in _REFUSED:
-            negotiation = _with(negotiation, replace(_of(negotiation, msgid), refused=True))
+            negotiation = _with(negotiation, msgid, replace(negotiation.asks[msgid], refused=True))
     return replace(negotiation, awaited=awaited), notes
 
 
@@ -158,15 +156,13 @@ def _reported(
     negotiation: Negotiation, wants: tuple[tuple[Want, float | None], ...], now: Instant
 ) -> tuple[Negotiation, tuple[Notice, ...]]:
     """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
-    asked = [(_of(negotiation, want.msgid), rate) for want, rate in wants]
-    asked = [(ask, rate) for ask, rate in asked if ask.at is not None]
-    fresh = [(ask, rate) for ask, rate in asked if rate and not _like(rate, ask.reported_hz)]
-    settled = all(ask.at is not None and now - ask.at >= AGAIN_S / 2 for ask, _ in asked)
-    if not fresh or not settled:
+    asked = [(want.msgid, negotiation.asks.get(want.msgid, _Ask()), rate) for want, rate in wants]
+    fresh = [(msgid, ask, rate) for msgid, ask, rate in asked if ask.at and rate and not _like(rate, ask.reported_hz)]
+    if not fresh or any(ask.at is not None and now - ask.at < AGAIN_S / 2 for _, ask, _ in asked):
         return negotiation, ()
-    words = ", ".join(f"{message_name(ask.msgid)} {rate:.0f}" for ask, rate in fresh)
-    for ask, rate in fresh:
-        negotiation = _with(negotiation, replace(ask, reported_hz=rate))
+    words = ", ".join(f"{message_name(msgid)} {rate:.0f}" for msgid, _, rate in fresh)
+    for msgid, ask, rate in fresh:
+        negotiation = _with(negotiation, msgid, replace(ask, reported_hz=rate))
     return negotiation, (Notice(Kind.RATES, (words,)),)
 
 
@@ -174,13 +170,8 @@ def _like(rate_hz: float, reported_hz: float | None) -> bool:
     return reported_hz is not None and abs(rate_hz - reported_hz) <= 0.1 * reported_hz
 
 
-def _of(negotiation: Negotiation, msgid: int) -> _Ask:
-    return next((ask for ask in negotiation.asks if ask.msgid == msgid), _Ask(msgid))
-
-
-def _with(negotiation: Negotiation, ask: _Ask) -> Negotiation:
-    others = tuple(one for one in negotiation.asks if one.msgid != ask.msgid)
-    return replace(negotiation, asks=(*others, ask))
+def _with(negotiation: Negotiation, msgid: int, ask: _Ask) -> Negotiation:
+    return replace(negotiation, asks={**negotiation.asks, msgid: ask})
 
 
 def _result(number: int) -> str:

@@ -1,4 +1,4 @@
-"""One vehicle's session, sans I/O: `session.step(inbox, now) -> effects`; all that it remembers is one value, its state.
+"""One vehicle's session, sans I/O: `session.step(inbox, now) -> effects`; what it remembers is one value, its state.
 
 What may follow what is in `states`, what is said and how often in `alerts`. `now` is the host's clock and rules what is
 said and given up; the judgement itself runs on the vehicle's clock.
@@ -15,7 +15,6 @@ from detector.negotiate import Negotiation, negotiate, wants_of
 from detector.states import TABLE, State, Trigger, advance
 from detector.streams import Collection, Hindrance, Reason, Streams, collect, observe, on_ground
 from detector.values import (
-    BaselineLearned,
     Effect,
     EventClosed,
     Inbox,
@@ -78,13 +77,22 @@ class SessionState:
     reboots: int = 0
 
 
+_NEW_LINK: Mapping[str, object] = {
+    "streams": Streams(),
+    "negotiation": Negotiation(),
+    "waited": (),
+    "airborne": None,
+}
+
+
 class Session:
     """One vehicle's session; it begins when its first frame comes."""
 
     def __init__(self, spec: SessionSpec, now: Instant) -> None:
         self.spec: Final = spec
-        presenter = Presenter(spec.texts_per_minute)
-        values = NamedValues(1.0 / spec.named_values_hz, spec.named_values_axis)
+        self._settings = settings = spec.settings
+        presenter = Presenter(settings.texts_per_minute)
+        values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
         self.state = SessionState(State.WAITING, "the first frame came", now, spec.baseline, presenter, values)
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
@@ -132,22 +140,15 @@ class Session:
         self._say(Kind.OFF, reason)
 
     def _link(self, inbox: Inbox, now: Instant) -> None:
-        state, spec = self.state, self.spec
+        state, limit_s = self.state, self._settings.link_lost_s
         if inbox.alive:
             self._keep(latest=now)
             if state.state is State.LOST:
                 self._move(Trigger.LINK_BACK)
                 self._say(Kind.LINK_BACK, figure(now - state.latest, 1))
-        elif now - state.latest > spec.link_lost_s and Trigger.LINK_LOST in TABLE[state.state]:
+        elif now - state.latest > limit_s and Trigger.LINK_LOST in TABLE[state.state]:
             self._stop_judging("link lost")
-            self._move(
-                Trigger.LINK_LOST,
-                f"nothing came for {spec.link_lost_s:g} s",
-                streams=Streams(),
-                negotiation=Negotiation(),
-                waited=(),
-                airborne=None,
-            )
+            self._move(Trigger.LINK_LOST, f"nothing came for {limit_s:g} s", **_NEW_LINK)
             self._say(Kind.LINK_LOST)
 
     def _reboot(self, inbox: Inbox) -> None:
@@ -155,19 +156,8 @@ class Session:
         if inbox.reboots == self.state.reboots or Trigger.REBOOT not in TABLE[self.state.state]:
             return
         self._effects += self.finish()
-        self._move(
-            Trigger.REBOOT,
-            reboots=inbox.reboots,
-            streams=Streams(),
-            negotiation=Negotiation(),
-            collection=Collection(),
-            failed=0,
-            waited=(),
-            judge=None,
-            alert=None,
-            airborne=None,
-            told=(),
-        )
+        new = {"collection": Collection(), "failed": 0, "judge": None, "alert": None, "told": ()}
+        self._move(Trigger.REBOOT, reboots=inbox.reboots, **_NEW_LINK, **new)
         self._say(Kind.REBOOT)
 
     def _observe(self, inbox: Inbox, now: Instant) -> None:
@@ -176,7 +166,7 @@ class Session:
             return
         streams = observe(self.state.streams, inbox.telemetry, now)
         self._keep(streams=streams)
-        if not self.spec.negotiate or self.state.state in (State.FITTING, State.FAULTED):
+        if not self._settings.negotiate or self.state.state in (State.FITTING, State.FAULTED):
             return
         wants = ((want, streams.rate_hz(want.signal, now)) for want in wants_of(self.spec.profile, *self._needed()))
         negotiation, effects, notices = negotiate(self.state.negotiation, tuple(wants), inbox.acks, now)
@@ -186,17 +176,17 @@ class Session:
 
     def _needed(self) -> tuple[frozenset[Signal], tuple[float, float, float], float]:
         """The signals that the monitors need, the IMU's rates (asked for, least, most) and the set-points' least."""
-        least_hz, baseline = self.spec.min_rate_hz, self.state.baseline
+        least_hz, baseline = self._settings.min_rate_hz, self.state.baseline
         if baseline is None:
             needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
-            return needs, (self.spec.ask_hz or self.spec.profile.rate_hz, least_hz, float("inf")), least_hz
+            return needs, (self._settings.ask_hz or self.spec.profile.rate_hz, least_hz, float("inf")), least_hz
         exact_hz = 1.0 / baseline.link.dt_s
         slowest_hz, fastest_hz = exact_hz / (1.0 + RATE_TOLERANCE), exact_hz / (1.0 - RATE_TOLERANCE)
         return baseline.needs(), (exact_hz, slowest_hz, fastest_hz), min(least_hz, slowest_hz)
 
     def _hindrance(self) -> Hindrance | None:
         """What the streams lack, None if they will do. A rate must be wrong twice before it counts as changed."""
-        streams, baseline, least_hz = self.state.streams, self.state.baseline, self.spec.min_rate_hz
+        streams, baseline, least_hz = self.state.streams, self.state.baseline, self._settings.min_rate_hz
         gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
         judging = self.state.state in (State.MONITORING, State.ALERT)
         if gyro.latest is None:
@@ -256,23 +246,23 @@ class Session:
     def _note_unknown_suspects(self) -> None:
         judge = self.state.judge
         known = frozenset[str]().union(*(names_of(slot) for slot in judge.chain.slots)) if judge else frozenset()
-        unknown = sorted(set(self.spec.suspect) - known)
+        unknown = sorted(set(self._settings.suspect) - known)
         self._effects += [Note(f"suspect: the baseline has no monitor {name!r}") for name in unknown]
 
     def _learning(self, inbox: Inbox, now: Instant) -> None:
         lack = self._hindrance()
         if lack is not None:
             return self._move(Trigger.STREAMS_LOST, lack.text)
-        spec, state = self.spec, self.state
-        goal_s = spec.learn_s * (1 + state.failed)
-        ground = on_ground(state.streams, gate_for(spec.profile.name))
+        state, learn_s, profile = self.state, self._settings.learn or 0.0, self.spec.profile.name
+        goal_s = learn_s * (1 + state.failed)
+        ground = on_ground(state.streams, gate_for(profile))
         collection = state.collection
         if ground is None:
-            collection = collect(collection, inbox.telemetry, state.streams.gyro.period_s or 0.0, FITS * spec.learn_s)
+            collection = collect(collection, inbox.telemetry, state.streams.gyro.period_s or 0.0, FITS * learn_s)
         self._keep(collection=collection)
         if collection.seconds >= goal_s:
             self._move(Trigger.COLLECTED)
-            self._effects.append(Learn(spec.profile.name, collection.telemetry))
+            self._effects.append(Learn(profile, collection.telemetry))
             return self._say(Kind.FITTING)
         percent = int(100 * collection.seconds / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
@@ -283,18 +273,17 @@ class Session:
         """A fit that failed is tried again with more flight: what was collected stays."""
         outcome = inbox.outcome
         if outcome is None:
-            return
+            return None
         if isinstance(outcome, LearningFailed):
             failed = self.state.failed + 1
             if failed >= FITS:
                 return self._off(Trigger.GIVEN_UP, f"cannot learn: {outcome.reason}")
             self._move(Trigger.NOT_FITTED, outcome.reason, failed=failed)
             return self._say(Kind.NOT_LEARNED, outcome.reason)
-        baseline = outcome.baseline
-        self._move(Trigger.FITTED, baseline=baseline, collection=Collection(), failed=0)
-        self._effects.append(BaselineLearned(baseline))
-        refused = len(baseline.not_judgeable)
-        return self._say(Kind.LEARNED, str(len(baseline.monitors)), f", {refused} cannot" if refused else "")
+        self._move(Trigger.FITTED, baseline=outcome, collection=Collection(), failed=0)
+        self._effects.append(outcome)
+        refused = len(outcome.not_judgeable)
+        return self._say(Kind.LEARNED, str(len(outcome.monitors)), f", {refused} cannot" if refused else "")
 
     def _judging(self, inbox: Inbox, now: Instant) -> None:
         state, lack = self.state, self._hindrance()
@@ -306,8 +295,8 @@ class Session:
         values, floats = named_values(state.named_values, output, now)
         ground = on_ground(state.streams, judge.chain.front.gate)
         airborne = None if ground else state.airborne or now
-        alert = alert_after(state.alert, output, judge.memory.diagnosis, frozenset(self.spec.suspect), now)
-        if state.alert is None and (airborne is None or now - airborne < self.spec.takeoff_s):
+        alert = alert_after(state.alert, output, judge.memory.diagnosis, frozenset(self._settings.suspect), now)
+        if state.alert is None and (airborne is None or now - airborne < self._settings.takeoff_s):
             alert = None
         self._keep(judge=judge, named_values=values, airborne=airborne, alert=alert)
         self._effects += [*records_of(output), *floats]
@@ -327,7 +316,7 @@ class Session:
         notice = alert.notice
         if self.state.state is State.MONITORING:
             self._move(Trigger.ALARM, notice.text)
-        if now - alert.latest < self.spec.clear_s:
+        if now - alert.latest < self._settings.clear_s:
             self._keep(reason=notice.text)
             self._notices.append(notice)
             return
@@ -343,7 +332,9 @@ class Session:
         if self.state.state is State.ALERT:
             self._move(Trigger.QUIET)
         unjudged = not_judged(judge, self.state.streams, now)
-        self._effects += [Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.told]
+        self._effects += [
+            Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.told
+        ]
         diagnosis, why, short = judge.memory.diagnosis, "", ""
         if now - judge.judged >= IDLE_S:
             why = short = f": {ground.text if ground else diagnosis.reason or Reason.GAPS}"

@@ -1,32 +1,30 @@
-"""What goes into a session and what comes out of it: closed, frozen values. The daemon has one action for each effect."""
+"""What goes into a session and what comes out of it: closed, frozen values. The daemon acts on each effect."""
 
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
 from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import Profile
-from mavdiag.telemetry import Axis, Telemetry
+from mavdiag.telemetry import Telemetry
 
 __all__ = [
     "Ack",
     "AskInterval",
-    "BaselineLearned",
     "Effect",
     "EventClosed",
     "EventOpened",
     "Inbox",
     "Learn",
-    "Learned",
     "LearningFailed",
     "Note",
     "Record",
     "SendFloat",
     "SendText",
     "SessionSpec",
-    "StageChanged",
     "StateChanged",
     "TextSuppressed",
 ]
@@ -36,34 +34,14 @@ __all__ = [
 class SessionSpec:
     """What a session is to do.
 
-    profile: how the vehicle speaks.
+    profile: the vehicle's link profile.
     baseline: what it judges by; None to learn one.
-    learn_s: how much flight it learns from [s].
-    min_rate_hz: slowest gyro and set-point streams that will do.
-    ask_hz: rate to ask for when learning; None for the profile's own.
-    negotiate: whether to ask for streams at all.
-    link_lost_s: silence that means that the link is lost.
-    clear_s: quiet time that ends an alert.
-    takeoff_s: time after a take-off in which no alert is raised.
-    suspect: monitors ("fsd", or "fsd.pitch" for one axis) that only raise a suspicion.
-    texts_per_minute: budget of texts.
-    named_values_hz: rate of the NAMED_VALUE_FLOATs.
-    named_values_axis: whose figures they carry.
+    settings: how it works.
     """
 
     profile: Profile
     baseline: Baseline | None = None
-    learn_s: float = 60.0
-    min_rate_hz: float = 45.0
-    ask_hz: float | None = None
-    negotiate: bool = True
-    link_lost_s: float = 3.0
-    clear_s: float = 5.0
-    takeoff_s: float = 3.0
-    suspect: tuple[str, ...] = ()
-    texts_per_minute: int = 30
-    named_values_hz: float = 5.0
-    named_values_axis: Axis = Axis.ROLL
+    settings: SessionSettings = field(default_factory=SessionSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +50,6 @@ class Ack:
 
     command: int
     result: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Learned:
-    """The answer to `Learn`: a baseline."""
-
-    baseline: Baseline
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +74,7 @@ class Inbox:
     alive: bool = False
     reboots: int = 0
     acks: tuple[Ack, ...] = ()
-    outcome: Learned | LearningFailed | None = None
+    outcome: Baseline | LearningFailed | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,13 +120,6 @@ class StateChanged:
 
 
 @dataclass(frozen=True, slots=True)
-class StageChanged:
-    """The decision went from one stage to another."""
-
-    change: Change
-
-
-@dataclass(frozen=True, slots=True)
 class EventOpened:
     """A monitor went above its threshold; its figures are those of that moment."""
 
@@ -184,14 +148,6 @@ class Note:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class BaselineLearned:
-    """A baseline was made in flight: keep it if asked to."""
-
-    baseline: Baseline
-
-
-Record: TypeAlias = (
-    SendText | StateChanged | StageChanged | EventOpened | EventClosed | TextSuppressed | Note | BaselineLearned
-)
+Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
+"""What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
 Effect: TypeAlias = Record | SendFloat | AskInterval | Learn

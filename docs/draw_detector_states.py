@@ -30,8 +30,7 @@ stream that stops leads to `waiting`, never to `faulted`.
 def page() -> str:
     """The whole page."""
     rows = [
-        f"| {kind} | {policy.severity.name} | `{policy.template.format('..', '..')}` "
-        f"| {_again(policy)} |"
+        f"| {kind} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
         for kind, policy in POLICY.items()
     ]
     return TEXT.format(diagram=diagram(), texts="\n".join(rows))

@@ -6,9 +6,11 @@ from functools import cache
 import numpy as np
 from scipy.signal import lfilter
 
+from detector.config import SessionSettings
 from detector.session import Session, SessionState
 from detector.states import State
-from detector.values import Ack, Effect, Inbox, Learned, LearningFailed, SendText, SessionSpec, StateChanged
+from detector.values import Ack, Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
+from mavdiag.baseline import Baseline
 from mavdiag.baseline import made
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
@@ -36,11 +38,16 @@ def baseline_for(profile="qdrone2", rate_hz=RATE_HZ, axes=(Axis.ROLL,), names=("
     return made(profile, rate_hz, axes, names)
 
 
+LEARNING = SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
+
+
 @dataclass
 class Story:
     """One session and its vehicle. `fly` lets time pass; `log` keeps every effect with the time it came at [s]."""
 
-    spec: SessionSpec = field(default_factory=lambda: SessionSpec(PROFILES["qdrone2"], learn_s=20.0))
+    spec: SessionSpec = field(
+        default_factory=lambda: SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
+    )
     seconds: int = 120
     seed: int = 1
     chunk_s: float = 0.1
@@ -104,7 +111,7 @@ class Story:
         self.log += [(self.s, effect) for effect in effects]
         return list(effects)
 
-    def answer(self, outcome: Learned | LearningFailed) -> list[Effect]:
+    def answer(self, outcome: Baseline | LearningFailed) -> list[Effect]:
         return self.give(Inbox(alive=True, reboots=self.reboots, outcome=outcome))
 
     def acknowledge(self, ack: Ack) -> list[Effect]:
@@ -142,6 +149,6 @@ class Story:
         )
 
 
-def outcome_of(story: Story) -> Learned:
+def outcome_of(story: Story) -> Baseline:
     """What a fit of the made flight would give."""
-    return Learned(baseline_for(story.spec.profile.name))
+    return baseline_for(story.spec.profile.name)

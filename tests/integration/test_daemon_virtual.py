@@ -11,7 +11,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 
 from detector.config import Settings
 from detector.states import State
-from detector.values import Learned, LearningFailed
+from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
@@ -93,7 +93,7 @@ def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
 
 def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     bench = benches(Settings(connect=UDP_IN, learn=5.0, save=path), MadeVehicle(1), fitter=fitter)
     bench.run(12.0)
     assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
@@ -103,7 +103,7 @@ def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
 
 
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     settings = Settings(connect=UDP_IN, learn=5.0, save=tmp_path / "b.json")
     bench = benches(settings, MadeVehicle(1), MadeVehicle(2), fitter=fitter)
     bench.run(12.0)
@@ -206,7 +206,7 @@ def test_links_behind_get_the_vehicle_and_the_texts_and_can_answer(benches: Benc
 
 def test_the_journal_tells_the_run_from_start_to_stop(benches: Benches, tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter, journal=path)
     bench.run(12.0)
     bench.daemon.end()
@@ -239,7 +239,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
 def test_b29_what_a_learned_baseline_rests_on_is_printed(benches: Benches) -> None:
     """It was the FML alone."""
     baseline = baseline_for()
-    fitter = FakeFitter(Learned(baseline))
+    fitter = FakeFitter(baseline)
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
     bench.run(12.0)
     for line in str(baseline).splitlines():

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
+from detector.config import SessionSettings
 from detector.fleet import Fleet
 from detector.values import SendText, SessionSpec
 from mavdiag.link.conversion import sources
@@ -45,7 +46,7 @@ def fleet(datagrams: bool, spec_of: Callable[[Profile], SessionSpec]) -> Fleet:
 def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learning: bool) -> None:
     rng = np.random.default_rng(seed)
     baseline = None if learning else baseline_for()
-    one = fleet(datagrams, lambda profile: SessionSpec(profile, baseline, learn_s=2.0))
+    one = fleet(datagrams, lambda profile: SessionSpec(profile, baseline, SessionSettings(learn=2.0)))
     vehicle, other = MadeVehicle(1), (int(rng.integers(0, 256)), int(rng.choice([1, 191])))
     now = Instant(10**12)
     for _ in range(150):

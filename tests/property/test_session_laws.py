@@ -5,6 +5,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made_session import Story, baseline_for
 
+from detector.config import SessionSettings
 from detector.session import FITS
 from detector.states import TABLE, State
 from detector.values import (
@@ -13,7 +14,6 @@ from detector.values import (
     Effect,
     Inbox,
     Learn,
-    Learned,
     LearningFailed,
     SendFloat,
     SendText,
@@ -63,7 +63,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
             story.reboots += 1
             story.fly(0.5)
         case ("learned", str(profile)):
-            story.answer(Learned(baseline_for(profile)))
+            story.answer(baseline_for(profile))
         case ("failed",):
             story.answer(LearningFailed("no"))
         case ("ack", MavResult() as result):
@@ -80,7 +80,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
 @given(actions=ACTIONS, with_baseline=st.booleans())
 @example(actions=[("fly", 5, 0.5, True), ("reboot",), ("silence", 5), ("reboot",)], with_baseline=True)
 def test_whatever_happens_the_laws_hold(actions: list[tuple[object, ...]], with_baseline: bool) -> None:
-    spec = SessionSpec(PROFILES["qdrone2"], baseline_for() if with_baseline else None, learn_s=5.0)
+    spec = SessionSpec(PROFILES["qdrone2"], baseline_for() if with_baseline else None, SessionSettings(learn=5.0))
     story = Story(spec, seconds=SECONDS)
     for action in actions:
         act(story, action)

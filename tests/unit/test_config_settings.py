@@ -25,7 +25,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("lern = 30", "unknown key 'lern'; known are connect, baseline, learn"),
+        ("lern = 30", "unknown key 'lern'; known are learn, negotiate, "),
         ("learn = -1", "learn: Input should be greater than 0"),
         ("learn = 10\nvehicle = 256", "vehicle: "),
         ("learn = 10\nnamed_values_axis = 'sideways'", "named_values_axis: "),

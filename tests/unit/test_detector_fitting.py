@@ -4,9 +4,10 @@ import pytest
 from made_session import baseline_for
 
 from detector.fitting import FittingJob, fit_baseline
-from detector.values import Learned, LearningFailed
+from detector.values import LearningFailed
 from mavdiag import learning
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import Baseline
 from mavdiag.errors import IdentificationError
 from mavdiag.learning import LearnOptions
 from mavdiag.telemetry import Log, Telemetry
@@ -24,7 +25,7 @@ def test_b26_live_learning_has_the_options_of_identify(monkeypatch: pytest.Monke
         return baseline_for()
 
     monkeypatch.setattr(learning, "learn", learn)
-    assert isinstance(fit_baseline(JOB), Learned)
+    assert isinstance(fit_baseline(JOB), Baseline)
     assert asked == [LearnOptions(airframe=AIRFRAME)]
 
 

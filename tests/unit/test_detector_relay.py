@@ -1,10 +1,9 @@
 """Frames on their way through the daemon: cut between frames, at most one network packet each."""
 
+from detector.relay import DATAGRAM_BYTES, FrameSplitter, Relay
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import MemoryEndpoint, memory_pair
-
-from detector.relay import DATAGRAM_BYTES, FrameSplitter, Relay
 
 
 def frames(count: int, sysid: int = 1) -> list[bytes]:

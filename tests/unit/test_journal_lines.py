@@ -11,13 +11,11 @@ from made_session import baseline_for
 from detector.journal import Journal, Recorder, When, line, mark
 from detector.states import State
 from detector.values import (
-    BaselineLearned,
     EventClosed,
     EventOpened,
     Note,
     Record,
     SendText,
-    StageChanged,
     StateChanged,
     TextSuppressed,
 )
@@ -99,9 +97,9 @@ def test_an_event_that_lasts_has_no_end() -> None:
         ),
         (SendText(Severity.INFO, "hello"), {"kind": "text", "severity": 6, "text": "hello"}),
         (TextSuppressed("hello", 3), {"kind": "suppressed", "text": "hello", "count": 3}),
-        (StageChanged(CHANGE), {"kind": "stage", "stage": "suspected", "t_s": 60.0, "monitor": "fsd", "rotor": None}),
+        (CHANGE, {"kind": "stage", "stage": "suspected", "t_s": 60.0, "monitor": "fsd", "rotor": None}),
         (Note("got it"), {"kind": "note", "text": "got it"}),
-        (BaselineLearned(baseline_for()), {"kind": "baseline", "airframe": "made"}),
+        (baseline_for(), {"kind": "baseline", "airframe": "made"}),
     ],
 )
 def test_every_record_is_one_json_object_on_one_line(record: Record, fields: dict[str, object]) -> None:

@@ -1,21 +1,19 @@
 """What a session does, told as stories on a virtual clock."""
 
 import itertools
-from dataclasses import replace
 
 import pytest
 from made_session import FML_S, Story, baseline_for, outcome_of
 
+from detector.config import SessionSettings
 from detector.states import State
 from detector.values import (
     Ack,
     AskInterval,
-    BaselineLearned,
     Effect,
     EventClosed,
     EventOpened,
     Learn,
-    Learned,
     LearningFailed,
     Note,
     SendFloat,
@@ -23,6 +21,7 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
+from mavdiag.baseline import Baseline
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Axis, Signal
@@ -32,9 +31,8 @@ QDRONE2 = PROFILES["qdrone2"]
 
 def watching(seconds: int = 120, **changes: object) -> Story:
     """A session with a baseline, already monitoring."""
-    spec = SessionSpec(QDRONE2, baseline_for())
-    spec = replace(spec, **changes) if changes else spec  # type: ignore[arg-type]  # of mixed types by nature
-    story = Story(spec, seconds=seconds)
+    settings = SessionSettings.model_validate(changes)
+    story = Story(SessionSpec(QDRONE2, baseline_for(), settings), seconds=seconds)
     story.fly(5.0)
     assert story.at(State.MONITORING)
     return story
@@ -66,7 +64,7 @@ def test_it_learns_then_watches_then_alerts_and_says_when_it_clears() -> None:
     assert fault.startswith("PROP FAULT roll FSD 0.")
     assert fault.endswith(">FML 0.30s")
     assert any(text.startswith("PROP clear after ") for text in story.texts)
-    assert any(isinstance(effect, BaselineLearned) for _, effect in story.log)
+    assert any(isinstance(effect, Baseline) for _, effect in story.log)
 
 
 def test_the_progress_of_learning_is_said_in_quarters() -> None:
@@ -484,6 +482,6 @@ def test_an_hour_of_healthy_flight_is_quiet() -> None:
 def test_a_learned_baseline_that_does_not_fit_after_all_is_refused() -> None:
     story = Story()
     story.fly(26.0)
-    story.answer(Learned(baseline_for("ardupilot")))  # not what the link speaks
+    story.answer(baseline_for("ardupilot"))  # not what the link speaks
     story.fly(1.0)
     assert [change.new for _, change in story.log if isinstance(change, StateChanged)][-1] is State.FAULTED

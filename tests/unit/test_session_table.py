@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from detector.config import Settings
+from detector.sender import HEALTH
 from detector.session import Session
 from detector.states import TABLE, State, Trigger, advance, diagram
-from detector.sender import HEALTH
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
