@@ -18,7 +18,7 @@ import pymavlink.dialects.v20.ardupilotmega as dialect
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.samples import Converter, SampleState
+from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.logs.tlog import decode_tlog, tlog_record
 
 CHUNK_BYTES = 1400  # what a UDP datagram carries at most
@@ -91,7 +91,7 @@ def decode_fields(chunks: Sequence[bytes]) -> int:
 def race_decoders(frames: Sequence[bytes], repeats: int) -> None:
     """pymavlink's parse_buffer against the decoder."""
     chunks = chunks_of(b"".join(frames))
-    converter = Converter(PROFILES["qdrone2"])
+    converter = SampleDecoder(PROFILES["qdrone2"])
     assert decode_pymavlink(chunks) == len(decode_frames(chunks)) == len(frames)
     race(
         f"Decode {len(frames)} messages, {sum(map(len, frames))} bytes",
@@ -133,7 +133,7 @@ def race_blocks(frames: Sequence[bytes], repeats: int) -> None:
     """Frames to SI samples in blocks of some pairs, against unpacking the same frames one by one."""
     received = [frame._replace(host_ns=500_000 * k) for k, frame in enumerate(decode_frames([b"".join(frames)]))]
     pairs = sum(frame.msgid == MessageId.RAW_IMU for frame in received)
-    converter = Converter(PROFILES["qdrone2"])
+    converter = SampleDecoder(PROFILES["qdrone2"])
 
     def convert(block: int) -> SampleState:
         state = SampleState()
@@ -147,7 +147,7 @@ def race_blocks(frames: Sequence[bytes], repeats: int) -> None:
         "pair",
         repeats,
         ("Frame.fields alone (the peer)", lambda: [frame.fields for frame in received]),
-        *((f"Converter, blocks of {block} pairs", lambda block=block: convert(block)) for block in (20, 50, 200)),
+        *((f"SampleDecoder, blocks of {block} pairs", lambda block=block: convert(block)) for block in (20, 50, 200)),
     )
 
 

@@ -1,25 +1,26 @@
-"""The values that cross module boundaries: one time type, one telemetry shape, array aliases.
+"""The values that cross module boundaries: one time type, one telemetry shape, one log, array aliases.
 
 Everything here is in SI units and in the body frame FRD (x forward, y right, z down). Bytes become these values in
 `mavdiag.link.samples` and in the readers of `mavdiag.logs`, and nowhere else.
 """
 
+import importlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.errors import InputError
+from mavdiag.errors import InputError, UsageError
+from mavdiag.units import NS_PER_S
 
-__all__ = ["Axis", "BoolArray", "FloatArray", "Instant", "IntArray", "Series", "Signal", "Telemetry"]
+__all__ = ["Axis", "BoolArray", "FloatArray", "Instant", "IntArray", "Log", "Series", "Signal", "Telemetry"]
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
-
-NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -64,19 +65,40 @@ class Signal(StrEnum):
     BODY_RATE = "body_rate"  # p, q, r from the gyro [rad/s]
     SPECIFIC_FORCE = "specific_force"  # x, y, z from the accelerometer [m/s^2]; (0, 0, -9.81) at rest
     ATTITUDE = "attitude"  # roll, pitch, yaw estimate [rad]
-    ACTUATOR = "actuator"  # one column per output, 0..1
-    ROTOR_SPEED = "rotor_speed"  # one column per rotor [rad/s], unsigned
+    ACTUATOR = "actuator"  # one column per output, 0..1; 0 for an output that is not in use
+    ROTOR_SPEED = "rotor_speed"  # one column per rotor [rad/s], unsigned; NaN for a rotor that was never reported
     VIBRATION = "vibration"  # x, y, z vibration level [m/s^2]
     HEIGHT = "height"  # above take-off, up positive [m]
     VOLTAGE = "voltage"  # battery [V]
     ARMED = "armed"  # 0 or 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_RPY, _XYZ, _PQR = ("roll", "pitch", "yaw"), ("x", "y", "z"), ("p", "q", "r")
+_NUMBERED: tuple[str, ...] = ()  # as many columns as the vehicle has outputs or rotors
+_UNIT_AND_COLUMNS = {
+    Signal.ATTITUDE_SETPOINT: ("rad", _RPY),
+    Signal.RATE_SETPOINT: ("rad/s", _PQR),
+    Signal.THRUST_SETPOINT: ("", ("thrust",)),
+    Signal.TORQUE_COMMAND: ("", _RPY),
+    Signal.BODY_RATE: ("rad/s", _PQR),
+    Signal.SPECIFIC_FORCE: ("m/s^2", _XYZ),
+    Signal.ATTITUDE: ("rad", _RPY),
+    Signal.ACTUATOR: ("", _NUMBERED),
+    Signal.ROTOR_SPEED: ("rad/s", _NUMBERED),
+    Signal.VIBRATION: ("m/s^2", _XYZ),
+    Signal.HEIGHT: ("m", ("height",)),
+    Signal.VOLTAGE: ("V", ("voltage",)),
+    Signal.ARMED: ("", ("armed",)),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Series:
     """One signal over a span of time, as it came: gaps, jitter and order untouched.
 
-    t_ns: (n,) vehicle clock [ns], counter wraps removed. host_ns: (n,) clock of the receiver or recorder [ns].
+    signal: what it measures.
+    t_ns: (n,) vehicle clock [ns], counter wraps removed.
+    host_ns: (n,) clock of the receiver or recorder [ns].
     values: (n, k), the columns and units that `Signal` gives.
     Raises InputError if the lengths differ.
     """
@@ -93,12 +115,41 @@ class Series:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    @property
+    def t_s(self) -> FloatArray:
+        """(n,) vehicle clock [s]."""
+        return self.t_ns / NS_PER_S
 
-@dataclass(frozen=True, slots=True, eq=False)
+    @property
+    def unit(self) -> str:
+        """Unit of the values; empty for a pure number."""
+        return _UNIT_AND_COLUMNS[self.signal][0]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """A name for each column: roll, pitch, yaw and the like; outputs and rotors count from 1."""
+        named = _UNIT_AND_COLUMNS[self.signal][1]
+        return named or tuple(str(number) for number in range(1, self.values.shape[1] + 1))
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame: the columns, with `t_s` as the index. Raises UsageError if pandas is not installed."""
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise UsageError("to_frame needs pandas, which is not installed: pip install pandas") from error
+        return pandas.DataFrame(self.values, index=pandas.Index(self.t_s, name="t_s"), columns=list(self.columns))
+
+    def __repr__(self) -> str:
+        span_s = float(self.t_s.max() - self.t_s.min()) if len(self) else 0.0
+        unit = f" [{self.unit}]" if self.unit else ""
+        return f"<Series {self.signal}: {len(self)} x {self.values.shape[1]}{unit} in {span_s:.3f} s>"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Telemetry:
-    """What one vehicle said in a span of time: a whole log, or what arrived since the last look at a live link.
+    """What one vehicle sent in a span of time: a whole log, or what arrived since the last look at a live link.
 
-    At most one series per signal; a signal that did not occur is absent.
+    series: at most one per signal; a signal that did not occur is absent.
     """
 
     series: tuple[Series, ...] = ()
@@ -108,8 +159,49 @@ class Telemetry:
         return next((s for s in self.series if s.signal is signal), None)
 
     def need(self, signal: Signal) -> Series:
-        """The series of `signal`. Raises InputError, naming the signal, if it is absent or empty."""
+        """The series of `signal`. Raises InputError, naming it and what there is, if it is absent or empty."""
         found = self.get(signal)
         if found is None or len(found) == 0:
-            raise InputError(f"no {signal.replace('_', ' ')} in the data")
+            there = ", ".join(one.signal for one in self.series if len(one)) or "nothing"
+            raise InputError(f"no {signal.replace('_', ' ')} in the data; there is {there}")
         return found
+
+    def __getitem__(self, signal: Signal | str) -> Series:
+        """As `need`, by the signal or its name. Raises InputError also for a name that no signal has."""
+        if signal not in tuple(Signal):
+            raise InputError(f"no signal is named {signal!r}; there are {', '.join(Signal)}")
+        return self.need(Signal(signal))
+
+    def __iter__(self) -> Iterator[Series]:
+        return iter(self.series)
+
+    def __repr__(self) -> str:
+        return f"<Telemetry: {', '.join(f'{one.signal} ({len(one)})' for one in self.series) or 'empty'}>"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Log:
+    """One vehicle's flight, from a file or from a live link.
+
+    name: what to call it in a report (a file's name).
+    sha256: of the whole file, hexadecimal; empty where there is no file.
+    profile: link profile that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or that of a log format.
+    telemetry: its signals.
+    started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
+    notes: what is wrong with the file though it can be used, one sentence each.
+    """
+
+    name: str
+    sha256: str
+    profile: str
+    telemetry: Telemetry
+    started_ns: int = 0
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, signal: Signal | str) -> Series:
+        """The series of a signal, by the signal or its name. Raises InputError if the log has none."""
+        return self.telemetry[signal]
+
+    def __repr__(self) -> str:
+        notes = "".join(f"; {note}" for note in self.notes)
+        return f"<Log {self.name}: profile {self.profile}, {len(self.telemetry.series)} signals{notes}>"

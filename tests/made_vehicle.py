@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from memory_port import MemoryEndpoint, memory_pair
 
 from detector.config import Settings
 from detector.daemon import Daemon, Host
@@ -14,8 +15,8 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
-from mavdiag.link.ports import Endpoint, MemoryEndpoint, memory_pair
-from mavdiag.telemetry import NS_PER_S
+from mavdiag.link.ports import Endpoint
+from mavdiag.units import NS_PER_S
 
 __all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost"]
 

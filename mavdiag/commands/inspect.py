@@ -6,9 +6,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from mavdiag.commands.listen import hear
-from mavdiag.logs import Log, read_log
-from mavdiag.telemetry import NS_PER_S, FloatArray, Series
+from mavdiag.link.link import open_link
+from mavdiag.logs import read_log
+from mavdiag.telemetry import FloatArray, Log, Series
+from mavdiag.units import NS_PER_S
 
 __all__ = ["inspect"]
 
@@ -17,10 +18,14 @@ def inspect(
     source: Annotated[str, typer.Argument(metavar="ENDPOINT|LOG", help="udpin:127.0.0.1:14550, ... or a log file.")],
     duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id, where there are several.")] = None,
+    profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
 ) -> None:
     """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
-    log = hear(source, duration, vehicle) if _is_address(source) else read_log(Path(source), vehicle)
-    _print(log)
+    if _is_address(source):
+        with open_link(source, vehicle, profile) as link:
+            _print(link.record(duration))
+    else:
+        _print(read_log(Path(source), vehicle, profile))
 
 
 def _is_address(source: str) -> bool:
@@ -37,7 +42,10 @@ def _print(log: Log) -> None:
     for series in log.telemetry.series:
         if len(series):
             table.add_row(series.signal, str(len(series)), *_timing(series), _extent(series))
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    for note in log.notes:
+        console.print(f"note: {note}")
 
 
 def _timing(series: Series) -> tuple[str, str, str]:
@@ -51,5 +59,5 @@ def _timing(series: Series) -> tuple[str, str, str]:
 
 
 def _extent(series: Series) -> str:
-    low, high = np.nanmin(series.values, axis=0), np.nanmax(series.values, axis=0)
-    return ", ".join(f"{a:.3g}..{b:.3g}" for a, b in zip(low, high, strict=True))
+    columns = (column[np.isfinite(column)] for column in series.values.T)
+    return ", ".join(f"{known.min():.3g}..{known.max():.3g}" if len(known) else "-" for known in columns)

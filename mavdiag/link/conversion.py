@@ -1,12 +1,12 @@
-"""Messages to SI, a block at a time: one converter for each message, in one table.
+"""Messages to SI, a block at a time: one conversion for each message, in one table.
 
-A converter sees the payloads of one message as a record array with the columns that it asked for, and returns one part
-for each signal in them. Everything is in the body frame FRD already: MAVLink has it so.
+A conversion sees the payloads of one message as a record array with the columns that it asked for, and returns one part
+for each signal in them. Everything is in the body frame FRD already: MAVLink has it so. A new message is a row of
+`SOURCES`, and its number in `mavdiag.link.messages.MessageId`.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from math import pi
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,44 +17,58 @@ from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import Profile
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.units import RPM
 
-__all__ = ["Part", "Source", "euler_angles", "is_vehicle", "sources"]
+__all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "source", "sources"]
 
 Record: TypeAlias = NDArray[Any]
 
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
-RADS_PER_RPM = 2 * pi / 60
+ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
+ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
 class Part(NamedTuple):
     """One signal of a block.
 
-    values: (n, k), in the signal's unit. meant: (n,) which rows carry it, None for all. finite: surely without NaN.
+    signal: what it measures.
+    values: (n, k), in the signal's unit.
+    meant: (n,) which rows carry it, None for all.
+    finite: surely without NaN.
+    held: a NaN stands for "not in this message": the column keeps its last value.
     """
 
     signal: Signal
     values: FloatArray
     meant: BoolArray | None = None
     finite: bool = False
+    held: bool = False
 
 
-Converter: TypeAlias = Callable[[Profile, Record], tuple[Part, ...]]
+Conversion: TypeAlias = Callable[[Profile, Record], tuple[Part, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """One message that a profile listens to, and the signals in it.
+    """One message that is read, and the signals in it.
 
-    counter: how it counts time in the column `time`, None for no time. dtype: the columns that `convert` reads.
+    message: its number.
+    signals: what it carries.
+    counter: how it counts time in the column `time`, None for no time.
+    time: name of that column.
+    dtype: the columns that `convert` reads.
+    convert: from a profile and a block of records to the parts.
+    chosen_by: it is read by the profiles that use this message; None for all profiles.
     """
 
-    message: MessageId
+    message: int
     signals: frozenset[Signal]
     counter: Counter | None
     time: str
     dtype: np.dtype[np.void]
-    convert: Converter
+    convert: Conversion
+    chosen_by: int | None
 
 
 def _angle_terms() -> FloatArray:
@@ -91,10 +105,6 @@ def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
     return angles, False
 
 
-def _has(record: Record, column: str) -> bool:
-    return column in (record.dtype.names or ())
-
-
 def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
     target = record["q"].astype(np.float64)  # q, body rates and thrust lie side by side
     finite = bool(np.isfinite(target).all())
@@ -113,7 +123,8 @@ def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 def _imu(profile: Profile, record: Record) -> tuple[Part, ...]:
     rate, force = record["xgyro"] * profile.gyro_unit, record["xacc"] * profile.accel_unit
-    first = record["id"] == 0 if _has(record, "id") and record["id"].any() else None
+    names = record.dtype.names or ()
+    first = record["id"] == 0 if "id" in names and record["id"].any() else None
     finite = record["xacc"].dtype.kind == "i"
     return Part(Signal.BODY_RATE, rate, first, finite), Part(Signal.SPECIFIC_FORCE, force, first, finite)
 
@@ -132,27 +143,25 @@ def _sys_status(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 
 def _heartbeat(profile: Profile, record: Record) -> tuple[Part, ...]:
+    vehicle = (record["type"] != MavType.GCS) & (record["type"] != MavType.ONBOARD_CONTROLLER)
     armed = (record["base_mode"] & ModeFlag.SAFETY_ARMED != 0).astype(np.float64)
-    return (Part(Signal.ARMED, armed[:, None], is_vehicle(record["type"]), finite=True),)
-
-
-def is_vehicle(mav_type: NDArray[np.integer[Any]]) -> BoolArray:
-    """Which HEARTBEAT.type are of a vehicle, not of a ground station or an on-board computer."""
-    vehicle: BoolArray = (mav_type != MavType.GCS) & (mav_type != MavType.ONBOARD_CONTROLLER)
-    return vehicle
+    return (Part(Signal.ARMED, armed[:, None], vehicle, finite=True),)
 
 
 def _servo_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
-    return (Part(Signal.ACTUATOR, _span(profile, record["servo1_raw"]), record["port"] == 0, finite=True),)
+    raw = np.column_stack((record["servo1_raw"], record["servo9_raw"]))
+    return (Part(Signal.ACTUATOR, _share(profile, raw), record["port"] == 0, finite=True),)
 
 
 def _actuator_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
-    return (Part(Signal.ACTUATOR, _span(profile, record["actuator"])),)
+    raw = record["actuator"][:, :ACTUATORS]
+    return (Part(Signal.ACTUATOR, _share(profile, np.where(np.isnan(raw), profile.actuator_span[0], raw))),)
 
 
-def _span(profile: Profile, raw: Record) -> FloatArray:
+def _share(profile: Profile, raw: Record) -> FloatArray:
+    """Outputs as shares of the full one, 0..1; one that is not in use (0 us, or NaN) becomes 0."""
     low, high = profile.actuator_span
-    share: FloatArray = (raw[:, : profile.rotors] - low) * (1.0 / (high - low))
+    share: FloatArray = (raw - low) * (1.0 / (high - low))
     return np.minimum(np.maximum(share, 0.0), 1.0)
 
 
@@ -160,63 +169,86 @@ def _vibration(profile: Profile, record: Record) -> tuple[Part, ...]:
     return (Part(Signal.VIBRATION, record["vibration_x"].astype(np.float64)),)
 
 
-def _rotor_speed(profile: Profile, record: Record) -> tuple[Part, ...]:
-    first = record["index"] == 0 if _has(record, "index") else None
-    return (Part(Signal.ROTOR_SPEED, RADS_PER_RPM * np.abs(record["rpm"], dtype=np.float64), first, finite=True),)
+def _esc_status(profile: Profile, record: Record) -> tuple[Part, ...]:
+    """Four rotors from `index` on. What the message leaves out keeps its last value."""
+    speed = np.full((len(record), ROTORS + 4), np.nan)
+    columns = np.minimum(record["index"].astype(np.intp), ROTORS)[:, None] + np.arange(4)
+    np.put_along_axis(speed, columns, RPM * np.abs(record["rpm"], dtype=np.float64), axis=1)
+    return (Part(Signal.ROTOR_SPEED, speed[:, :ROTORS], record["index"] < ROTORS, finite=True, held=True),)
 
 
-def _source(
-    message: MessageId,
-    convert: Converter,
+def _esc_telemetry(first: int) -> Conversion:
+    """Four rotors from `first` on."""
+
+    def convert(profile: Profile, record: Record) -> tuple[Part, ...]:
+        speed = np.full((len(record), ROTORS), np.nan)
+        speed[:, first : first + 4] = RPM * record["rpm"]
+        return (Part(Signal.ROTOR_SPEED, speed, finite=True, held=True),)
+
+    return convert
+
+
+def source(
+    message: int,
+    convert: Conversion,
     signals: tuple[Signal, ...],
     columns: tuple[tuple[str, int], ...],
     time: tuple[str, Counter] | None = None,
+    chosen_by: int | None = None,
 ) -> Source:
+    """One row of the table.
+
+    columns: (field, count) that `convert` reads, see `codec.record_dtype`.
+    time: the field that counts time, and how; None for no time.
+    chosen_by: see `Source`.
+    Raises UsageError if the message has no such fields.
+    """
     name, counter = time or ("", None)
     dtype = record_dtype(message, *((name, 1),) if counter else (), *columns)
-    return Source(message, frozenset(signals), counter, name, dtype, convert)
+    return Source(message, frozenset(signals), counter, name, dtype, convert, chosen_by)
 
 
 _BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
 _TARGET = (Signal.ATTITUDE_SETPOINT, Signal.RATE_SETPOINT, Signal.THRUST_SETPOINT)
 _MOTION = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE)
+_TARGET_COLUMNS = (("q", 8), ("type_mask", 1))
 _VECTORS = (("xacc", 3), ("xgyro", 3))
-_VECTORS_ID = (*_VECTORS, ("id", 1))
-_SERVOS = (("servo1_raw", 8), ("port", 1))
-_SOURCES = {
-    source.message: source
-    for source in (
-        _source(MessageId.ATTITUDE_TARGET, _attitude_target, _TARGET, (("q", 8), ("type_mask", 1)), _BOOT_MS),
-        _source(MessageId.RAW_IMU, _imu, _MOTION, _VECTORS_ID, _USEC),
-        _source(MessageId.SCALED_IMU, _imu, _MOTION, _VECTORS, _BOOT_MS),
-        _source(MessageId.SCALED_IMU2, _imu, _MOTION, _VECTORS, _BOOT_MS),
-        _source(MessageId.SCALED_IMU3, _imu, _MOTION, _VECTORS, _BOOT_MS),
-        _source(MessageId.HIGHRES_IMU, _imu, _MOTION, _VECTORS_ID, _USEC),
-        _source(MessageId.ATTITUDE, _attitude, (Signal.ATTITUDE,), (("roll", 3),), _BOOT_MS),
-        _source(MessageId.LOCAL_POSITION_NED, _local_position, (Signal.HEIGHT,), (("z", 1),), _BOOT_MS),
-        _source(MessageId.SYS_STATUS, _sys_status, (Signal.VOLTAGE,), (("voltage_battery", 1),)),
-        _source(MessageId.HEARTBEAT, _heartbeat, (Signal.ARMED,), (("type", 1), ("base_mode", 1))),
-        _source(MessageId.SERVO_OUTPUT_RAW, _servo_outputs, (Signal.ACTUATOR,), _SERVOS, _USEC_32),
-        _source(MessageId.ACTUATOR_OUTPUT_STATUS, _actuator_outputs, (Signal.ACTUATOR,), (("actuator", 32),), _USEC),
-        _source(MessageId.VIBRATION, _vibration, (Signal.VIBRATION,), (("vibration_x", 3),), _USEC),
-        _source(MessageId.ESC_STATUS, _rotor_speed, (Signal.ROTOR_SPEED,), (("rpm", 4), ("index", 1)), _USEC),
-        _source(MessageId.ESC_TELEMETRY_1_TO_4, _rotor_speed, (Signal.ROTOR_SPEED,), (("rpm", 4),)),
+_SERVOS = (("servo1_raw", 8), ("servo9_raw", 8), ("port", 1))
+_RPM = (("rpm", 4),)
+_ACTUATOR, _SPEED, _ESCS = (Signal.ACTUATOR,), (Signal.ROTOR_SPEED,), MessageId.ESC_TELEMETRY_1_TO_4
+_M = MessageId
+
+#: Every message that is read, in any profile.
+SOURCES: tuple[Source, ...] = (
+    source(_M.ATTITUDE_TARGET, _attitude_target, _TARGET, _TARGET_COLUMNS, _BOOT_MS, _M.ATTITUDE_TARGET),
+    source(_M.RAW_IMU, _imu, _MOTION, (*_VECTORS, ("id", 1)), _USEC, _M.RAW_IMU),
+    source(_M.SCALED_IMU, _imu, _MOTION, _VECTORS, _BOOT_MS, _M.SCALED_IMU),
+    source(_M.SCALED_IMU2, _imu, _MOTION, _VECTORS, _BOOT_MS, _M.SCALED_IMU2),
+    source(_M.SCALED_IMU3, _imu, _MOTION, _VECTORS, _BOOT_MS, _M.SCALED_IMU3),
+    source(_M.HIGHRES_IMU, _imu, _MOTION, (*_VECTORS, ("id", 1)), _USEC, _M.HIGHRES_IMU),
+    source(_M.ATTITUDE, _attitude, (Signal.ATTITUDE,), (("roll", 3),), _BOOT_MS),
+    source(_M.LOCAL_POSITION_NED, _local_position, (Signal.HEIGHT,), (("z", 1),), _BOOT_MS),
+    source(_M.SYS_STATUS, _sys_status, (Signal.VOLTAGE,), (("voltage_battery", 1),)),
+    source(_M.HEARTBEAT, _heartbeat, (Signal.ARMED,), (("type", 1), ("base_mode", 1))),
+    source(_M.SERVO_OUTPUT_RAW, _servo_outputs, _ACTUATOR, _SERVOS, _USEC_32, _M.SERVO_OUTPUT_RAW),
+    source(
+        _M.ACTUATOR_OUTPUT_STATUS, _actuator_outputs, _ACTUATOR, (("actuator", 32),), _USEC, _M.ACTUATOR_OUTPUT_STATUS
+    ),
+    source(_M.VIBRATION, _vibration, (Signal.VIBRATION,), (("vibration_x", 3),), _USEC, _M.VIBRATION),
+    source(_M.ESC_STATUS, _esc_status, _SPEED, (*_RPM, ("index", 1)), _USEC, _M.ESC_STATUS),
+    source(_ESCS, _esc_telemetry(0), _SPEED, _RPM, None, _ESCS),
+    source(_M.ESC_TELEMETRY_5_TO_8, _esc_telemetry(4), _SPEED, _RPM, None, _ESCS),
+    source(_M.ESC_TELEMETRY_9_TO_12, _esc_telemetry(8), _SPEED, _RPM, None, _ESCS),
+)
+
+
+def sources(
+    profile: Profile, signals: Collection[Signal] = tuple(Signal), table: Iterable[Source] = SOURCES
+) -> tuple[Source, ...]:
+    """The rows of the table that a profile reads for these signals."""
+    messages = profile.messages
+    return tuple(
+        row
+        for row in table
+        if (row.chosen_by is None or row.chosen_by in messages) and not row.signals.isdisjoint(signals)
     )
-}
-
-
-def sources(profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> tuple[Source, ...]:
-    """The messages that a profile listens to for these signals, each once."""
-    chosen = [
-        profile.setpoint,
-        profile.imu,
-        MessageId.ATTITUDE,
-        MessageId.LOCAL_POSITION_NED,
-        MessageId.SYS_STATUS,
-        MessageId.HEARTBEAT,
-        profile.actuator,
-        profile.rotor_speed,
-    ]
-    if profile.vibration:
-        chosen.append(MessageId.VIBRATION)
-    return tuple(_SOURCES[message] for message in chosen if not _SOURCES[message].signals.isdisjoint(signals))

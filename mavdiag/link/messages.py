@@ -54,6 +54,8 @@ class MessageId(IntEnum):
     ESC_STATUS = 291
     ACTUATOR_OUTPUT_STATUS = 375
     ESC_TELEMETRY_1_TO_4 = 11030
+    ESC_TELEMETRY_5_TO_8 = 11031
+    ESC_TELEMETRY_9_TO_12 = 11032
 
 
 class Severity(IntEnum):

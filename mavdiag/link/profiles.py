@@ -1,28 +1,55 @@
-"""Link profiles: how a kind of vehicle speaks of the same things, as one table.
+"""Link profiles: how a kind of vehicle sends the same things, as one table.
 
-A baseline is bound to a profile, because its filter, its rate and its stamps shape the identified model.
+A baseline is bound to a profile, because its filter, its rate and its stamps shape the identified model. A new
+autopilot is one row of `_ROWS`, and its number in `mavdiag.link.messages.Autopilot`.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import radians
+from math import isfinite
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame, field_index, record_dtype
-from mavdiag.link.messages import Autopilot, Component, MessageId
+from mavdiag.link.codec import Frame, field_index, message_name, record_dtype
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.rows.gate import GateSpec
+from mavdiag.units import DEG, G
 
-__all__ = ["PROFILES", "Profile", "Stamp", "detect_profile", "profile_named"]
+__all__ = [
+    "IMU_MESSAGES",
+    "PROFILES",
+    "Evidence",
+    "Profile",
+    "Recognised",
+    "Stamp",
+    "detect_profile",
+    "is_autopilot_heartbeat",
+    "profile_named",
+    "with_imu",
+]
 
-G = 9.80665  # standard gravity [m/s^2]
 MILLI = 1e-3
-WEIGHT_COUNTS = 1431  # geometric mean of 1000 (mG) and 2048 (IIM-42652)
+MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1000, about 2048; parted at their mean
+# Our choices: armed, more than idle thrust, and two seconds for take-off. Live, an alert must not wait for an end.
+LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=2.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
+SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
-_AUTOPILOT = field_index(MessageId.HEARTBEAT, "autopilot")
+_TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in ("type", "autopilot"))
 _RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
+
+#: Messages with a gyro and an accelerometer, in order of preference after a profile's own, and what one count is in
+#: m/s^2 and in rad/s.
+IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
+    MessageId.HIGHRES_IMU: (1.0, 1.0),
+    MessageId.RAW_IMU: None,  # without unit: the profile says
+    MessageId.SCALED_IMU: (MILLI * G, MILLI),
+    MessageId.SCALED_IMU2: (MILLI * G, MILLI),
+    MessageId.SCALED_IMU3: (MILLI * G, MILLI),
+}
 
 
 class Stamp(StrEnum):
@@ -33,16 +60,46 @@ class Stamp(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the frames of one vehicle's autopilot show of its profile.
+
+    autopilots: what its heartbeats name it, MAV_AUTOPILOT.
+    counts: how many frames of each message.
+    weight: median size of RAW_IMU's acceleration, in counts; NaN without RAW_IMU. A vehicle feels its own weight.
+    period_us: median period of RAW_IMU [us]; NaN if it is not known.
+    """
+
+    autopilots: frozenset[int]
+    counts: Mapping[int, int]
+    weight: float
+    period_us: float
+
+    def weighs(self, span: tuple[float, float]) -> bool:
+        """Whether one g is within this span of counts."""
+        return span[0] <= self.weight < span[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
     """How one kind of vehicle sends what the diagnosis needs.
 
-    setpoint, imu, actuator, rotor_speed: the messages to use. accel_unit [m/s^2] and gyro_unit [rad/s]: one count of
-    the IMU message. rate_hz: nominal rate of the pair of setpoint and IMU message. imu_corner_hz: corner of the
-    low-pass filter in the IMU stream, None if vibration passes. vibration: the VIBRATION message carries acceleration
-    per axis. actuator_span: the actuator message's values for 0 and for full output. rotors: how many columns count.
+    name: how users and baselines call it.
+    autopilot: MAV_AUTOPILOT of its heartbeat.
+    recognise: whether the frames of a vehicle are of this profile.
+    setpoint, imu, actuator, rotor_speed: the messages to use.
+    accel_unit: one count of the IMU message's acceleration [m/s^2].
+    gyro_unit: one count of its rate [rad/s].
+    rate_hz: nominal rate of the pair of set-point and IMU message.
+    imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
+    stamp: what the IMU message's own time tells.
+    vibration: whether its VIBRATION message carries acceleration per axis.
+    actuator_span: the actuator message's values for 0 and for full output.
+    gate: what counts as flying; the same live and in a .tlog.
     """
 
     name: str
+    autopilot: int
+    recognise: Callable[[Evidence], bool]
     imu: MessageId
     accel_unit: float
     gyro_unit: float
@@ -53,34 +110,47 @@ class Profile:
     actuator: MessageId
     actuator_span: tuple[float, float]
     rotor_speed: MessageId
-    autopilot: Autopilot
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
-    rotors: int = 4
+    gate: GateSpec = LIVE_GATE
+
+    @property
+    def messages(self) -> frozenset[int]:
+        """The messages of which another profile may use others."""
+        chosen = {self.setpoint, self.imu, self.actuator, self.rotor_speed}
+        return frozenset(chosen | {MessageId.VIBRATION} if self.vibration else chosen)
 
 
-_ALL = (
-    # The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
-    Profile(
-        name="qdrone2",
-        imu=MessageId.RAW_IMU,
-        accel_unit=MILLI * G,
-        gyro_unit=MILLI,
-        rate_hz=1000.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
-        rotor_speed=MessageId.ESC_STATUS,
-        autopilot=Autopilot.GENERIC,
-    ),
+def _is_spec(seen: Evidence) -> bool:
+    return seen.weighs(IIM_42652)
+
+
+def _is_ardupilot(seen: Evidence) -> bool:
+    """It says so; what sends RAW_IMU faster than its loop allows is another that borrows the name."""
+    raw = seen.counts.get(MessageId.RAW_IMU, 0) > 0
+    sound = not raw or (seen.weighs(MILLI_G) and not seen.period_us < ARDUPILOT_PERIOD_US)
+    return sound and Autopilot.ARDUPILOTMEGA in seen.autopilots
+
+
+def _is_px4(seen: Evidence) -> bool:
+    """It says so, or it sends HIGHRES_IMU and never RAW_IMU, which PX4 does not have."""
+    named = Autopilot.PX4 in seen.autopilots or seen.counts.get(MessageId.HIGHRES_IMU, 0) > 0
+    return named and not seen.counts.get(MessageId.RAW_IMU, 0)
+
+
+def _is_qdrone2(seen: Evidence) -> bool:
+    return seen.weighs(MILLI_G)
+
+
+_ROWS = (
     # RAW_IMU as its definition has it, without unit: the counts of the IIM-42652 at its full scale of 16 g and
     # 2000 deg/s (data sheet: 2048 LSB/g and 16.4 LSB/(deg/s)).
     Profile(
         name="spec",
+        autopilot=Autopilot.GENERIC,
+        recognise=_is_spec,
         imu=MessageId.RAW_IMU,
         accel_unit=G / 2048,
-        gyro_unit=radians(1) / 16.4,
+        gyro_unit=DEG / 16.4,
         rate_hz=1000.0,
         imu_corner_hz=None,
         stamp=Stamp.SAMPLE,
@@ -88,12 +158,13 @@ _ALL = (
         actuator=MessageId.SERVO_OUTPUT_RAW,
         actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_STATUS,
-        autopilot=Autopilot.GENERIC,
     ),
     # ArduPilot Copter: RAW_IMU is low-passed at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) and stamped when sent; 50 to
     # 200 Hz are met exactly.
     Profile(
         name="ardupilot",
+        autopilot=Autopilot.ARDUPILOTMEGA,
+        recognise=_is_ardupilot,
         imu=MessageId.RAW_IMU,
         accel_unit=MILLI * G,
         gyro_unit=MILLI,
@@ -104,12 +175,13 @@ _ALL = (
         actuator=MessageId.SERVO_OUTPUT_RAW,
         actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
-        autopilot=Autopilot.ARDUPILOTMEGA,
     ),
     # PX4: no RAW_IMU; HIGHRES_IMU is in SI and comes from the sensors before the controller's filter; its VIBRATION
     # mixes gyro and accelerometer metrics. Asked for 200 Hz it sends 160 to 170.
     Profile(
         name="px4",
+        autopilot=Autopilot.PX4,
+        recognise=_is_px4,
         imu=MessageId.HIGHRES_IMU,
         accel_unit=1.0,
         gyro_unit=1.0,
@@ -120,11 +192,26 @@ _ALL = (
         actuator=MessageId.ACTUATOR_OUTPUT_STATUS,
         actuator_span=(0.0, 1.0),
         rotor_speed=MessageId.ESC_STATUS,
-        autopilot=Autopilot.PX4,
+    ),
+    # The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
+    Profile(
+        name="qdrone2",
+        autopilot=Autopilot.GENERIC,
+        recognise=_is_qdrone2,
+        imu=MessageId.RAW_IMU,
+        accel_unit=MILLI * G,
+        gyro_unit=MILLI,
+        rate_hz=1000.0,
+        imu_corner_hz=None,
+        stamp=Stamp.SAMPLE,
+        vibration=False,
+        actuator=MessageId.SERVO_OUTPUT_RAW,
+        actuator_span=(1000.0, 2000.0),
+        rotor_speed=MessageId.ESC_STATUS,
     ),
 )
 
-PROFILES: Mapping[str, Profile] = {profile.name: profile for profile in _ALL}
+PROFILES: Mapping[str, Profile] = {profile.name: profile for profile in _ROWS}
 
 
 def profile_named(name: str) -> Profile:
@@ -134,21 +221,67 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def detect_profile(frames: Sequence[Frame]) -> str:
-    """The name of the profile that one vehicle's frames follow; `qdrone2` if nothing speaks against it.
+def is_autopilot_heartbeat(frame: Frame) -> bool:
+    """Whether a frame is the heartbeat of a vehicle's autopilot, not of a ground station or an on-board computer."""
+    if frame.msgid != MessageId.HEARTBEAT or frame.compid != Component.AUTOPILOT1:
+        return False
+    fields = frame.fields
+    invalid = fields[_AUTOPILOT] == Autopilot.INVALID
+    return not invalid and fields[_TYPE] not in (MavType.GCS, MavType.ONBOARD_CONTROLLER)
 
-    Without RAW_IMU it is PX4's. RAW_IMU in counts shows by its size, for a vehicle feels its own weight: 1000 mG or
-    2048 counts. ArduPilot says so in its HEARTBEAT; faster than its loop allows, it is another that borrows the name.
+
+@dataclass(frozen=True, slots=True)
+class Recognised:
+    """What a vehicle's frames say of its profile.
+
+    profile: None if it cannot be told.
+    reason: why not, one sentence; empty otherwise.
     """
+
+    profile: Profile | None
+    reason: str = ""
+
+
+def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
+    """The first of the profiles that one vehicle's frames fit; never a guess."""
     own = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
-    autopilots = {beat.fields[_AUTOPILOT] for beat in own if beat.msgid == MessageId.HEARTBEAT}
-    imu = [frame.payload for frame in own if frame.msgid == MessageId.RAW_IMU]
-    if not imu:
-        px4 = Autopilot.PX4 in autopilots or any(frame.msgid == MessageId.HIGHRES_IMU for frame in own)
-        return "px4" if px4 else "qdrone2"
-    record = np.frombuffer(b"".join(imu), _RAW_IMU)
-    weight = np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1))
-    if weight > WEIGHT_COUNTS:
-        return "spec"
-    slow = len(record) < 2 or np.median(np.diff(record["time_usec"].astype(np.int64))) >= ARDUPILOT_PERIOD_US
-    return "ardupilot" if slow and Autopilot.ARDUPILOTMEGA in autopilots else "qdrone2"
+    seen = _evidence(own)
+    found = next((profile for profile in profiles if profile.recognise(seen)), None)
+    if found is not None:
+        return Recognised(found)
+    imu = [message_name(message) for message in IMU_MESSAGES if seen.counts.get(message)]
+    if isfinite(seen.weight):
+        why = f"RAW_IMU counts {seen.weight:.0f} at rest, neither 1000 (milli-g) nor 2048 (IIM-42652)"
+    elif imu:
+        why = f"it sends {', '.join(imu)} and its autopilot is not known"
+    else:
+        why = "it sends no IMU message and its autopilot is not known"
+    return Recognised(None, f"its link profile is not clear: {why}; give --profile")
+
+
+def _evidence(own: Sequence[Frame]) -> Evidence:
+    beats = frozenset(int(frame.fields[_AUTOPILOT]) for frame in own if is_autopilot_heartbeat(frame))
+    raw = [frame.payload for frame in own if frame.msgid == MessageId.RAW_IMU]
+    weight = period_us = float("nan")
+    if raw:
+        record = np.frombuffer(b"".join(raw), _RAW_IMU)
+        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
+    if len(raw) > 1:
+        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
+    return Evidence(beats, Counter(frame.msgid for frame in own), weight, period_us)
+
+
+def with_imu(profile: Profile, frames: Iterable[Frame], least: int = 1) -> Profile:
+    """The profile with the one IMU message that these frames are best judged by; BODY_RATE never mixes two.
+
+    It is the profile's own, or else the first of `IMU_MESSAGES`, that comes at least `least` times and no fewer than a
+    quarter as often as the most frequent one. Where none does, the profile's own stays.
+    """
+    counts = Counter(frame.msgid for frame in frames if frame.compid == Component.AUTOPILOT1)
+    choice = (profile.imu, *(message for message, units in IMU_MESSAGES.items() if units and message != profile.imu))
+    enough = max(least, max(counts[message] for message in choice) / SELDOM)
+    chosen = next((message for message in choice if counts[message] >= enough), profile.imu)
+    units = IMU_MESSAGES[chosen]
+    if chosen == profile.imu or units is None:
+        return profile
+    return replace(profile, imu=chosen, accel_unit=units[0], gyro_unit=units[1])

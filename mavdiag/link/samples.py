@@ -1,28 +1,38 @@
 """Frames of one vehicle to telemetry in SI on one timeline, a block at a time.
 
     state = SampleState()
-    state, telemetry = converter.step(state, frames)
+    state, telemetry = decoder.step(state, frames)
 
 What a message means is in `conversion`, when it was is in `clock`; here they are put together. How the frames are cut
 into blocks does not matter.
 """
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.link.clock import Reading, Run, Timeline, changed_clock, place, rebooted, unwrap
+from mavdiag.link.clock import (
+    ClockReading,
+    Counter,
+    Run,
+    Timeline,
+    changed_clock,
+    place,
+    rebooted,
+    started_anew,
+    unwrap,
+)
 from mavdiag.link.codec import Frame
-from mavdiag.link.conversion import Part, Record, Source, sources
+from mavdiag.link.conversion import SOURCES, Part, Record, Source, sources
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
-from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 
-__all__ = ["Converter", "SampleState", "by_vehicle", "joined"]
+__all__ = ["SampleDecoder", "SampleState", "by_vehicle", "joined"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
@@ -36,11 +46,15 @@ _host_ns = itemgetter(5)  # of a Frame
 class SampleState:
     """What one vehicle's conversion carries from block to block.
 
-    readings: where each message's counter stands. dropped: rows with NaN, infinity or a zero quaternion so far.
+    timeline: where its time stands.
+    readings: where each message's counter stands.
+    held: last known row of the signals whose messages carry only some of the columns.
+    dropped: rows with NaN, infinity or a zero quaternion so far.
     """
 
     timeline: Timeline = field(default_factory=Timeline)
-    readings: Mapping[int, Reading] = field(default_factory=dict)
+    readings: Mapping[int, ClockReading] = field(default_factory=dict)
+    held: Mapping[Signal, FloatArray] = field(default_factory=dict, compare=False)
     dropped: int = 0
 
 
@@ -74,30 +88,51 @@ def joined(pieces: Sequence[Telemetry]) -> Telemetry:
 
 
 class _Group(NamedTuple):
-    """The frames of one message in a block, and what they become. run: None for a message without a time of its own."""
+    """The frames of one message in a block, and what they become.
+
+    source: the row of the table.
+    record: (n,) payloads that are in line.
+    host_ns: (n,) when they were received [ns].
+    run: None for a message without a time of its own.
+    first: frames of this message at the start of the block that cannot be placed in time and are left out.
+    total: frames of this message behind those.
+    """
 
     source: Source
     record: Record
     host_ns: IntArray
     run: Run | None
+    first: int
+    total: int
 
     @property
-    def regular(self) -> bool:
-        """Whether the message's counter went on to the end of the block."""
-        return self.run is None or len(self.run.clock_ns) == len(self.host_ns)
+    def broken_at(self) -> int | None:
+        """Where the message's counter broke off, as a number of its frames; None if it went on to the end."""
+        return None if self.run is None or self.run.used == self.total else self.first + self.run.used
+
+    def places(self, ids: IntArray) -> IntArray:
+        """(n,) where in the block the frames of `record` are; ids: message of each frame of the block."""
+        rows = np.flatnonzero(ids == self.source.message)[self.first :]
+        return rows if self.run is None or self.run.kept is None else rows[self.run.kept]
 
 
-class Converter:
+class SampleDecoder:
     """Turns one vehicle's frames into telemetry, by its profile. Holds nothing but the profile; the state is passed.
 
-    signals: the signals that are of interest, all unless told; messages without any of them are passed over.
-    wanted: the message ids that it reads, for the decoder. Only the autopilot's own frames (component 1) count.
-    A block costs some 100 us however short it is: convert 50 pairs of setpoint and IMU message or more at a time.
+    profile: how the vehicle sends.
+    signals: those of interest; messages without any of them are passed over.
+    table: the messages that are known.
+    wanted: the message ids that it reads, for the decoder of frames.
+    Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
+    has told the time since boot. A block costs some 100 us however short it is: convert 50 pairs of set-point and IMU
+    message or more at a time.
     """
 
-    def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
+    def __init__(
+        self, profile: Profile, signals: Collection[Signal] = tuple(Signal), table: Iterable[Source] = SOURCES
+    ) -> None:
         self.profile = profile
-        self._sources: dict[int, Source] = {source.message: source for source in sources(profile, signals)}
+        self._sources: dict[int, Source] = {row.message: row for row in sources(profile, signals, table)}
         self.wanted = frozenset(self._sources)
 
     def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
@@ -120,79 +155,166 @@ class Converter:
         for frame in frames:
             if frame[0] in wanted and frame[2] == autopilot:
                 members[frame[0]].append(frame)
-        groups = {msgid: self._group(state, msgid, own) for msgid, own in members.items()}
-        broken = [members[m][len(g.run.clock_ns)] for m, g in groups.items() if g.run and not g.regular]
+        groups = self._groups(state, frames, members)
+        broken = [members[m][at] for m, group in groups.items() if (at := group.broken_at) is not None]
         if not broken:
             return *self._converted(state, frames, groups), len(frames)
         first = next(k for k, frame in enumerate(frames) if any(frame is other for other in broken))
         if any(frame[0] in wanted and frame[2] == autopilot for frame in frames[:first]):
             return self._stretch(state, frames[:first])
-        return self._restarted(state, frames[first].msgid, groups[frames[first].msgid]), Telemetry(), first
+        state, stray = self._decided(state, frames[first])
+        return state, Telemetry(), first + stray
 
-    def _group(self, state: SampleState, msgid: int, members: list[Frame]) -> _Group:
-        source = self._sources[msgid]
-        record = np.frombuffer(b"".join([frame[4] for frame in members]), source.dtype)
-        host_ns = np.fromiter(map(_host_ns, members), np.int64, len(members))
+    def _groups(
+        self, state: SampleState, frames: Sequence[Frame], members: Mapping[int, list[Frame]]
+    ) -> dict[int, _Group]:
+        """The messages in order of arrival, but those whose counter needs another's time come last."""
+        groups: dict[int, _Group] = {}
+        ambiguous: list[int] = []
+        for msgid, own in members.items():
+            counter = self._sources[msgid].counter
+            if counter is not None and counter.ambiguous:
+                ambiguous.append(msgid)
+            else:
+                groups[msgid] = self._group(state, msgid, own)
+        for msgid in ambiguous:
+            own, first, since_boot_ns = members[msgid], 0, None
+            if msgid not in state.readings:
+                first, since_boot_ns = _first_placed(state.timeline, frames, own, groups)
+            if own[first:]:
+                groups[msgid] = self._group(state, msgid, own, first, since_boot_ns)
+        return groups
+
+    def _group(
+        self, state: SampleState, msgid: int, members: list[Frame], first: int = 0, since_boot_ns: int | None = None
+    ) -> _Group:
+        source, own = self._sources[msgid], members[first:]
+        record = np.frombuffer(b"".join([frame[4] for frame in own]), source.dtype)
+        host_ns = np.fromiter(map(_host_ns, own), np.int64, len(own))
         run = None
         if source.counter:
-            run = unwrap(source.counter, state.readings.get(msgid), record[source.time].astype(np.int64), host_ns)
-        return _Group(source, record, host_ns, run)
+            raw = record[source.time].astype(np.int64)
+            run = unwrap(source.counter, state.readings.get(msgid), raw, host_ns, since_boot_ns)
+            if run.kept is not None:
+                record, host_ns = record[: run.used][run.kept], run.host_ns
+        return _Group(source, record, host_ns, run, first, len(own))
 
-    def _restarted(self, state: SampleState, msgid: int, group: _Group) -> SampleState:
-        """A reboot, unless the message only went over to the vehicle's other clock."""
-        source, last = group.source, state.readings[msgid]
-        if source.counter and changed_clock(source.counter, last, int(group.record[source.time][0])):
-            return replace(state, readings={m: reading for m, reading in state.readings.items() if m != msgid})
-        return replace(state, timeline=rebooted(state.timeline), readings={})
+    def _decided(self, state: SampleState, frame: Frame) -> tuple[SampleState, bool]:
+        """A frame out of line: a change of clock, a reboot, or (True) a stray to leave out."""
+        source, last = self._sources[frame.msgid], state.readings[frame.msgid]
+        counter = source.counter or Counter(1, 0)
+        raw = max(0, int(np.frombuffer(frame.payload, source.dtype)[source.time].astype(np.int64)[0]))
+        if changed_clock(counter, last, raw):
+            return replace(
+                state, readings={m: reading for m, reading in state.readings.items() if m != frame.msgid}
+            ), False
+        if started_anew(state.timeline, counter, raw, frame.host_ns):
+            return SampleState(rebooted(state.timeline), dropped=state.dropped), False
+        patience = last._replace(host_ns=frame.host_ns)  # the next decision is due after another second
+        return replace(state, readings={**state.readings, frame.msgid: patience}), True
 
     def _converted(
         self, state: SampleState, frames: Sequence[Frame], groups: Mapping[int, _Group]
     ) -> tuple[SampleState, Telemetry]:
-        runs = {msgid: group.run for msgid, group in groups.items() if group.run is not None}
+        runs = {m: group.run for m, group in groups.items() if group.run is not None and len(group.record)}
         timeline, times = place(state.timeline, list(runs.values())) if runs else (state.timeline, [])
         when = dict(zip(runs, times, strict=True))
-        if len(runs) < len(groups):
-            when |= _times_without_stamp(state.timeline.t_ns, frames, when, groups.keys() - runs.keys())
-        series, dropped = [], state.dropped
+        missing = {m for m, group in groups.items() if group.run is None}
+        signals = [signal for m in when.keys() | missing for signal in groups[m].source.signals]
+        ids = np.empty(0, np.int64)
+        if missing or len(set(signals)) < len(signals):
+            own = (frame[0] if frame[2] == AUTOPILOT else -1 for frame in frames)
+            ids = np.fromiter(own, np.int64, len(frames))
+        if missing:
+            when |= _times_without_stamp(state.timeline.t_ns, ids, when, groups, missing)
+        found: dict[Signal, list[tuple[int, Part, Series, IntArray]]] = {}
+        dropped = state.dropped
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
-            for msgid, group in groups.items():
+            for msgid, t_ns in when.items():
+                group = groups[msgid]
                 for part in group.source.convert(self.profile, group.record):
-                    one, unsound = _series(part, when[msgid], group.host_ns)
+                    one, rows, unsound = _series(part, t_ns, group.host_ns)
                     dropped += unsound
                     if len(one):
-                        series.append(one)
-        readings = {**state.readings, **{msgid: run.reading for msgid, run in runs.items()}}
-        return SampleState(timeline, readings, dropped), Telemetry(tuple(series))
+                        found.setdefault(part.signal, []).append((msgid, part, one, rows))
+        series, held = [], dict(state.held)
+        for signal, parts in found.items():
+            one = (
+                parts[0][2]
+                if len(parts) == 1
+                else _merged(signal, [(s, groups[m].places(ids)[r]) for m, _, s, r in parts])
+            )
+            if parts[0][1].held:
+                one = replace(one, values=_filled(one.values, held.get(signal)))
+                held[signal] = one.values[-1]
+            series.append(one)
+        readings = dict(state.readings)
+        readings.update((msgid, group.run.reading) for msgid, group in groups.items() if group.run is not None)
+        return SampleState(timeline, readings, held, dropped), Telemetry(tuple(series))
+
+
+def _first_placed(
+    timeline: Timeline, frames: Sequence[Frame], own: Sequence[Frame], groups: Mapping[int, _Group]
+) -> tuple[int, int | None]:
+    """From which of its frames on a message can be placed by another's time since boot, and that time there [ns]."""
+    known_ns = timeline.since_boot_ns(own[0].host_ns)
+    if known_ns is not None:
+        return 0, known_ns
+    for msgid, group in groups.items():
+        if group.run is not None and len(group.record) and not group.run.on_epoch:
+            known_from = next(k for k, frame in enumerate(frames) if frame[0] == msgid and frame[2] == AUTOPILOT)
+            first = sum(frame[0] == own[0][0] and frame[2] == AUTOPILOT for frame in frames[:known_from])
+            since_ns = int(group.run.clock_ns[0]) - int(group.run.host_ns[0])
+            return first, since_ns + own[first].host_ns if first < len(own) else None
+    return len(own), None
 
 
 def _times_without_stamp(
-    known_ns: int | None, frames: Sequence[Frame], when: Mapping[int, IntArray], missing: Set[int]
+    known_ns: int | None, ids: IntArray, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
 ) -> dict[int, IntArray]:
     """For messages without a time of their own the latest vehicle time at their arrival; none before the first stamp.
 
     known_ns: the latest time before the block. when: the times of its other messages. missing: the messages to place.
     """
-    own = (frame[0] if frame[2] == AUTOPILOT else -1 for frame in frames)
-    ids = np.fromiter(own, np.int64, len(frames))
-    latest = np.full(len(frames), UNSTAMPED if known_ns is None else known_ns)
+    latest = np.full(len(ids), UNSTAMPED if known_ns is None else known_ns)
     for msgid, t_ns in when.items():
-        rows = np.flatnonzero(ids == msgid)
+        rows = groups[msgid].places(ids)
         latest[rows[len(rows) - len(t_ns) :]] = t_ns
     latest = np.maximum.accumulate(latest)
     return {msgid: (t_ns := latest[ids == msgid])[t_ns > UNSTAMPED] for msgid in missing}
 
 
-def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, int]:
-    """The sound rows of a part, and how many were not. t_ns: times of the last rows; those before have none."""
-    values, keep, unsound = part.values, part.meant, 0
+def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray, int]:
+    """The sound rows of a part, which they are, and how many were not.
+
+    t_ns: times of the last rows; those before have none.
+    """
+    values, untimed = part.values, len(host_ns) - len(t_ns)
+    keep: BoolArray | None = part.meant
+    unsound = 0
     if not part.finite and not np.isfinite(values).all():
         sound = np.logical_and.reduce(np.isfinite(values), axis=1)
         meant = sound | True if keep is None else keep
         unsound = int(np.count_nonzero(meant & ~sound))
         keep = meant & sound
-    untimed = len(host_ns) - len(t_ns)
-    if untimed:
-        host_ns, values, keep = host_ns[untimed:], values[untimed:], None if keep is None else keep[untimed:]
-    if keep is not None:
-        t_ns, host_ns, values = t_ns[keep], host_ns[keep], values[keep]
-    return Series(part.signal, t_ns, host_ns, values), unsound
+    rows = np.arange(untimed, len(host_ns)) if keep is None else untimed + np.flatnonzero(keep[untimed:])
+    if keep is None and not untimed:
+        return Series(part.signal, t_ns, host_ns, values), rows, unsound
+    return Series(part.signal, t_ns[rows - untimed], host_ns[rows], values[rows]), rows, unsound
+
+
+def _merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:
+    """One series of a signal that several messages carry, in order of arrival. parts: each with its places."""
+    order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
+    columns = [
+        np.concatenate([getattr(one, name) for one, _ in parts])[order] for name in ("t_ns", "host_ns", "values")
+    ]
+    return Series(signal, *columns)
+
+
+def _filled(values: FloatArray, before: FloatArray | None) -> FloatArray:
+    """The values with each NaN replaced by the last number in its column. before: the row before them, if any."""
+    stacked = values if before is None else np.vstack((before, values))
+    rows = np.where(np.isnan(stacked), 0, np.arange(len(stacked))[:, None])
+    filled = np.take_along_axis(stacked, np.maximum.accumulate(rows, axis=0), axis=0)
+    return filled if before is None else filled[1:]

@@ -12,7 +12,6 @@ signs of y and z. The recorded flights agree: over 77 of them d(setpoint)/dt and
 roll and pitch, and the vehicle accelerates by -7.7 m/s^2 along x for 1 rad of pitch (nose up brakes).
 """
 
-import math
 import re
 import zlib
 from dataclasses import dataclass
@@ -22,20 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import as_floats, gather, recorded
-from mavdiag.telemetry import IntArray, Series, Signal, Telemetry
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import DEG, G
 
-__all__ = ["read_crazyflie"]
+__all__ = ["KIND", "read_crazyflie"]
 
+PROFILE = "crazyflie"
 TOKEN = 0xBC
 VERSION = 2
 FIXED_HEADER_BYTES = 5
 CRC_BYTES = 4
 MAX_TIME_US = 2**53  # 285 years: anything later is damage, and would not fit in nanoseconds
 
-DEG = math.pi / 180
-STANDARD_GRAVITY = 9.80665  # [m/s^2] the firmware's unit of acceleration is the g
 TORQUE_FULL_SCALE = 32767  # the firmware's control_t is int16
 THRUST_FULL_SCALE = 65535  # and its thrust and motor ratios are uint16
 
@@ -67,9 +67,9 @@ _ROWS = (
     _Row(
         Signal.SPECIFIC_FORCE,
         ("acc.x", "acc.y", "acc.z"),
-        (STANDARD_GRAVITY, -STANDARD_GRAVITY, -STANDARD_GRAVITY),
+        (G, -G, -G),  # the firmware's unit of acceleration is the g
     ),
-    _Row(Signal.SPECIFIC_FORCE, (None, None, "controller.accelz"), (1.0, 1.0, -STANDARD_GRAVITY)),
+    _Row(Signal.SPECIFIC_FORCE, (None, None, "controller.accelz"), (1.0, 1.0, -G)),
     _Row(Signal.ATTITUDE, ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw"), (DEG, DEG, -DEG)),
     _Row(Signal.HEIGHT, ("stateEstimate.z",), (1.0,)),
     _Row(Signal.VOLTAGE, ("pm.vbat",), (1.0,)),
@@ -131,7 +131,24 @@ def read_crazyflie(path: Path) -> Log:
         series = _series(_events(_checked(data)))
     except InputError as error:
         raise InputError(f"{path}: not a usable Crazyflie log: {error}") from error
-    return Log(path.name, sha256_of(data), "crazyflie", Telemetry(series), started_ns=0)
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series))
+
+
+def _recognise(head: bytes) -> bool:
+    """A uSD-card log starts with its token."""
+    return head[:1] == bytes([TOKEN])
+
+
+# It has no arming state; the limits are those that the recorded flights were found to need (height 0.38 m, thrust 25000
+# of 65535, 0.5 s and 0.6 s off the ends).
+KIND = LogKind(
+    "Crazyflie",
+    _recognise,
+    lambda path, vehicle, profile: read_crazyflie(path),
+    PROFILE,
+    GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
+    airframe_name="crazyflie",
+)
 
 
 def _checked(data: bytes) -> bytes:

@@ -13,13 +13,15 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.logs.dataflash_format import INTEGERS, Table, read_tables
-from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import recorded
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
 
-__all__ = ["read_dataflash"]
+__all__ = ["KIND", "read_dataflash"]
 
-DEG = math.pi / 180
+PROFILE = "ardupilot-log"
+SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
 CENTIDEGREE_OUTPUT = 4500.0  # full scale of ROut, POut, YOut up to Copter 3.3
 THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
 CENTIVOLT = 0.01  # CURR.Volt where it is an integer
@@ -72,11 +74,11 @@ def read_dataflash(path: Path) -> Log:
     for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
     """
     data = read_bytes(path)
-    tables = read_tables(data, _WANTED)
+    tables, notes = read_tables(data, _WANTED)
     series = _series(tables)
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
-    return Log(path.name, sha256_of(data), "ardupilot-log", Telemetry(series), _started_ns(tables, series))
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(tables, series), notes)
 
 
 def _series(tables: Mapping[str, Table]) -> tuple[Series, ...]:
@@ -191,9 +193,9 @@ def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     if table is None or not table.has(("Status",)):
         return 0
     if table.has(("GMS", "GWk", "TimeUS"), INTEGERS):
-        week, tow_ms, boot_ns = table.raw("GWk"), table.raw("GMS"), table.raw("TimeUS").astype(np.int64) * 1_000
+        week, tow_ms, boot_ns = table.raw("GWk"), table.raw("GMS"), table.raw("TimeUS").astype(np.int64) * NS_PER_US
     elif table.has(("TimeMS", "Week", "T"), INTEGERS):  # here TimeMS is the time of the week, and T the time since boot
-        week, tow_ms, boot_ns = table.raw("Week"), table.raw("TimeMS"), table.raw("T").astype(np.int64) * 1_000_000
+        week, tow_ms, boot_ns = table.raw("Week"), table.raw("TimeMS"), table.raw("T").astype(np.int64) * NS_PER_MS
     else:
         return 0
     fixed = np.flatnonzero((table.column("Status") >= GPS_FIX_3D) & (week.astype(np.int64) >= LEAP_SECONDS[-1][0]))
@@ -201,5 +203,14 @@ def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
         return 0
     weeks = int(week[fixed[0]])
     leap_s = next(seconds for since, seconds in LEAP_SECONDS if weeks >= since)
-    fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * 1_000_000_000 + int(tow_ms[fixed[0]]) * 1_000_000
+    fix_ns = (GPS_EPOCH_UNIX_S + weeks * WEEK_S - leap_s) * NS_PER_S + int(tow_ms[fixed[0]]) * NS_PER_MS
     return fix_ns - int(boot_ns[fixed[0]]) + min(int(s.t_ns[0]) for s in series)
+
+
+KIND = LogKind(
+    "DataFlash",
+    lambda head: head.startswith(SIGNATURE),
+    lambda path, vehicle, profile: read_dataflash(path),
+    PROFILE,
+    RECORDED_GATE,
+)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mavdiag.logs.records import as_floats, gather
 from mavdiag.telemetry import FloatArray, IntArray
+from mavdiag.units import NS_PER_MS, NS_PER_US
 
 __all__ = ["INTEGERS", "Table", "read_tables"]
 
@@ -33,15 +34,19 @@ _LAYOUTS = {
 _MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
 INTEGERS = "bBhHiIqQ"
 _NUMBERS = INTEGERS + "fdgMcCeEL"  # the rest are texts and arrays
-_TIMES = (("TimeUS", 1_000), ("TimeMS", 1_000_000))  # label, nanoseconds
+_TIMES = (("TimeUS", NS_PER_US), ("TimeMS", NS_PER_MS))  # label, nanoseconds
 _INSTANCES = ("I", "IMU", "Inst", "Instance")
 
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """One message type: its length with header, name, and one character and label per field.
+    """One message type.
 
-    layout is None where the characters do not add up to the length: such records are stepped over, not read.
+    length: of a record, with its header.
+    name: of the message.
+    characters: one per field.
+    labels: one per field.
+    layout: None where the characters do not add up to the length: such records are stepped over, not read.
     """
 
     length: int
@@ -53,7 +58,12 @@ class _Format:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """All records of one type. starts: (n,) their places in the file; records: (n,), fields f0, f1, … by label."""
+    """All records of one type.
+
+    format: what its FMT record says.
+    starts: (n,) their places in the file.
+    records: (n,), fields f0, f1, … by label.
+    """
 
     format: _Format
     starts: IntArray
@@ -88,7 +98,13 @@ class Table:
 
 @dataclass(slots=True)
 class _Walk:
-    """What the walk has learnt so far. lengths: by type, 0 for unknown. starts: by type, of the wanted types only."""
+    """What the walk has learnt so far.
+
+    wanted: names of the messages to gather.
+    formats: by type.
+    lengths: by type, 0 for unknown.
+    starts: by type, of the wanted types only.
+    """
 
     wanted: Collection[str]
     formats: dict[int, _Format] = field(default_factory=dict)
@@ -108,19 +124,21 @@ class _Walk:
             self.starts[kind] = []
 
 
-def read_tables(data: bytes, wanted: Collection[str]) -> Mapping[str, Table]:
+def read_tables(data: bytes, wanted: Collection[str]) -> tuple[Mapping[str, Table], tuple[str, ...]]:
     """Walk the file once and gather the wanted messages by name; absent ones are left out. Never raises on content.
 
-    Of a message that comes from several instances of a sensor, only the first instance is kept.
+    Of a message that comes from several instances of a sensor, only the first instance is kept. Returns what is wrong
+    with the file, too, one sentence each.
     """
     walk = _Walk(wanted)
     lengths, starts = walk.lengths, walk.starts
-    position = data.find(HEADER)
+    position, sound_end = data.find(HEADER), 0
     while 0 <= position <= len(data) - HEADER_BYTES:
         kind = data[position + 2]
         length = lengths[kind]
         if position + length > len(data):
             break
+        sound_end = position + length if length else sound_end
         if kind == FMT_TYPE:
             walk.learn(data, position)
         elif kind in starts:
@@ -131,7 +149,14 @@ def read_tables(data: bytes, wanted: Collection[str]) -> Mapping[str, Table]:
         form = walk.formats[kind]
         if at and form.layout is not None and form.name not in found:
             found[form.name] = _first_instance(Table(form, np.asarray(at), gather(data, form.layout, at)))
-    return found
+    return found, _notes(data[sound_end:])
+
+
+def _notes(rest: bytes) -> tuple[str, ...]:
+    """What the bytes behind the last whole record mean; padding means nothing."""
+    if not rest.strip(b"\0\xff"):
+        return ()
+    return (f"it ends within a record, {len(rest)} bytes are lost: the recording was cut off",)
 
 
 def _format(length: int, name: str, characters: str, labels: str) -> _Format:

@@ -1,30 +1,41 @@
-"""What every log reader returns, and the two helpers that all of them need."""
+"""What a kind of log is, and the two helpers that all readers need."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from mavdiag.errors import InputError
-from mavdiag.telemetry import Telemetry
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import Log
 
-__all__ = ["Log", "read_bytes", "sha256_of"]
+__all__ = ["RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
+
+#: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
+RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=2.0, trim_end_s=0.6)
+
+#: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not told.
+Reader = Callable[[Path, int | None, str | None], Log]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Log:
-    """One vehicle's flight as a file tells it.
+@dataclass(frozen=True, slots=True)
+class LogKind:
+    """One kind of log; every reader module exposes its own as KIND.
 
-    name: what to call it in a report (the file's name). sha256: of the whole file, hexadecimal.
-    profile: the link profile that its signals follow, a key of `mavdiag.link.profiles.PROFILES`, or the reader's own
-    name for a kind of log that is no link.
-    started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
+    name: for messages.
+    recognise: whether a file's first bytes are of this kind.
+    read: the reader.
+    profile: the profile of every such log; None where the file's messages tell.
+    gate: what counts as flying in it; None where the profile's holds.
+    airframe_name: name of the one airframe that writes such logs; None if it may be any.
     """
 
     name: str
-    sha256: str
-    profile: str
-    telemetry: Telemetry
-    started_ns: int
+    recognise: Callable[[bytes], bool]
+    read: Reader
+    profile: str | None = None
+    gate: GateSpec | None = None
+    airframe_name: str | None = None
 
 
 def sha256_of(data: bytes) -> str:

@@ -6,7 +6,6 @@ Damaged parts are skipped as pyulog skips them.
 """
 
 import io
-import math
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
@@ -18,21 +17,24 @@ from numpy.typing import NDArray
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
-from mavdiag.logs.log import Log, read_bytes, sha256_of
+from mavdiag.link.conversion import euler_angles
+from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import as_floats, recorded
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_US, RPM
 
-__all__ = ["read_ulog"]
+__all__ = ["KIND", "read_ulog"]
 
-NS_PER_US = 1_000
+PROFILE = "px4-log"
+SIGNATURE = b"ULog\x01\x12\x35"
 MAX_TIME_US = 2**53  # anything later is damage, and would not fit in nanoseconds
 NO_ACCELEROMETER = 2**31 - 1  # of accelerometer_timestamp_relative (PX4, SensorCombined.msg)
 ARMED_STATE = 2  # of arming_state (PX4, VehicleStatus.msg; the same number in all versions)
 PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
-RAD_S_PER_RPM = math.pi / 30
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
+HEADER_BYTES = 3  # of a message; nothing more at the end of a sound file
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
 
@@ -49,15 +51,6 @@ def _as_is(values: FloatArray) -> FloatArray:
     return values
 
 
-def _euler(q: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (n, 3) of quaternions w, x, y, z (n, 4), body to earth."""
-    w, x, y, z = q.T
-    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.column_stack([roll, pitch, yaw])
-
-
 def _norm(values: FloatArray) -> FloatArray:
     length: FloatArray = np.linalg.norm(values, axis=1, keepdims=True)
     return length
@@ -65,17 +58,24 @@ def _norm(values: FloatArray) -> FloatArray:
 
 def _pulses(output: FloatArray) -> FloatArray:
     """Outputs that carry a pulse, (pulse - 1000 us) / 1000 us and not below 0; the others are left out."""
-    return np.maximum(output[:, (output >= PWM_LEAST_US).any(axis=0)] - PWM_ZERO_US, 0.0) / PWM_SPAN_US
+    pulses = output[:, (output >= PWM_LEAST_US).any(axis=0)]
+    return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
 def _in_use(values: FloatArray) -> FloatArray:
     """Columns that are ever a number: PX4 fills unused outputs with NaN."""
-    return values[:, np.isfinite(values).any(axis=0)]
+    return _moving(values[:, np.isfinite(values).any(axis=0)])
+
+
+def _moving(values: FloatArray) -> FloatArray:
+    """The columns up to the last that ever changes: what stands still behind the motors is none (all, if none does)."""
+    moves = np.flatnonzero((values[1:] != values[:-1]).any(axis=0))
+    return values[:, : int(moves[-1]) + 1] if len(moves) else values
 
 
 def _turning(values: FloatArray) -> FloatArray:
     """Columns that ever turn, from rpm of either sign to rad/s."""
-    return np.abs(values[:, (values != 0).any(axis=0)]) * RAD_S_PER_RPM
+    return np.abs(values[:, (values != 0).any(axis=0)]) * RPM
 
 
 def _armed(state: FloatArray) -> FloatArray:
@@ -84,7 +84,13 @@ def _armed(state: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """How one signal is made from one topic. delay: a field with the sample's time after the time stamp [us]."""
+    """How one signal is made from one topic.
+
+    signal: what is made.
+    topic, fields: of what.
+    convert: from the fields (n, k) to SI and FRD.
+    delay: a field with the sample's time after the time stamp [us].
+    """
 
     signal: Signal
     topic: str
@@ -101,7 +107,7 @@ def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
 # The first row of a signal whose topic and fields are in the log is taken. Later rows are other versions' topics.
 _ROWS = (
     _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
-    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), _euler),
+    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), euler_angles),
     _Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
     _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
     _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
@@ -117,7 +123,7 @@ _ROWS = (
         delay="accelerometer_timestamp_relative",
     ),
     _Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
-    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), _euler),
+    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
     _Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
     _Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
     _Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
@@ -137,41 +143,53 @@ def read_ulog(path: Path) -> Log:
     """
     data = read_bytes(path)
     try:
-        topics = _topics(data)
+        topics, notes = _topics(data)
         series = _series(topics)
     except InputError as error:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
-    return Log(path.name, sha256_of(data), "px4-log", Telemetry(series), _started_ns(topics, series))
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(topics, series), notes)
 
 
 class _Metered(io.BytesIO):
-    """A file in memory that may be read only so much: after some damage pyulog steps back for ever."""
+    """A file in memory that may be read only so much: after some damage pyulog steps back for ever.
+
+    cut_short: whether more was asked for at the end than there was: a message that the file has no room for.
+    """
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self._left = READ_ALLOWANCE * len(data)
+        self.cut_short = False
 
     def read(self, size: int | None = -1, /) -> bytes:
         """As of any file. Raises InputError when the allowance is used up."""
         chunk = super().read(size)
+        if size is not None and len(chunk) < size and (chunk or size != HEADER_BYTES):
+            self.cut_short = True
         self._left -= len(chunk) + 1
         if self._left < 0:
             raise InputError("it is damaged beyond use; download the log again")
         return chunk
 
 
-def _topics(data: bytes) -> Mapping[str, ULog.Data]:
-    """The topics of interest by name. Raises InputError if pyulog cannot make sense of the file."""
+def _topics(data: bytes) -> tuple[Mapping[str, ULog.Data], tuple[str, ...]]:
+    """The topics of interest by name, and what is wrong with the file, one sentence each.
+
+    Raises InputError if pyulog cannot make sense of the file.
+    """
+    file = _Metered(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
             _check_definitions(ULog(_Metered(data), parse_header_only=True))
-            log = ULog(_Metered(data), list(_TOPICS))
+            log = ULog(file, list(_TOPICS))
     except _PARSER_ERRORS as error:
         raise InputError(f"it is damaged ({' '.join(str(error).split())}); download the log again") from error
     found: dict[str, ULog.Data] = {}
     for item in log.data_list:  # sorted by name and instance
         found.setdefault(item.name, item)
-    return found
+    damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
+    cut = "it ends within a message: the recording was cut off" if file.cut_short else ""
+    return found, tuple(note for note in (damaged, cut) if note)
 
 
 def _check_definitions(log: ULog) -> None:
@@ -241,3 +259,12 @@ def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> 
         return 0
     first = known[0]
     return (int(utc[first]) - int(boot[first])) * NS_PER_US + min(int(s.t_ns[0]) for s in series)
+
+
+KIND = LogKind(
+    "ULog",
+    lambda head: head.startswith(SIGNATURE),
+    lambda path, vehicle, profile: read_ulog(path),
+    PROFILE,
+    RECORDED_GATE,
+)

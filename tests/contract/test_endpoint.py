@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from memory_port import memory_pair
 
-from mavdiag.link.ports import Chunk, Endpoint, memory_pair, open_endpoint, wait
+from mavdiag.link.ports import Chunk, Endpoint, open_endpoint, wait
 
 PATIENCE_S = 5.0
 FRAME = bytes.fromhex("fd01000007010100000005abcd")  # a MAVLink 2 frame's outline: 1 byte of payload, 13 in all

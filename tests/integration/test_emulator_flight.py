@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
+from memory_port import MemoryEndpoint, memory_pair
 
 from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import MavCmd, MessageId, Severity
-from mavdiag.link.ports import MemoryEndpoint, memory_pair
 from sitl_plant.autopilot.dialect import FLAVOURS
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples

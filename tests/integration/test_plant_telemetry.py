@@ -8,7 +8,7 @@ import pytest
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.samples import Converter, SampleState, joined
+from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import flavour
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
@@ -41,7 +41,7 @@ def cut(samples: PlantSamples, first: int, last: int) -> PlantSamples:
 def over_the_wire(profile: str, rate_hz: float) -> Telemetry:
     decoder, plan = Decoder(), FlightPlan(CONFIG, flavour(profile), rate_hz)
     frames = [frame for t_ns, data in recorded(plan, SECONDS, lambda _: None) for frame in decoder.feed(data, t_ns)]
-    return Converter(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
 
 
 @pytest.mark.parametrize(("profile", "rate_hz"), LINKS)

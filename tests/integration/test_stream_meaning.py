@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.samples import Converter, SampleState
+from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 from sitl_plant.autopilot.dialect import FLAVOURS
 from sitl_plant.autopilot.imu_filters import Sensing
@@ -53,7 +53,7 @@ def decoded(profile: str) -> list[Frame]:
 
 
 def telemetry(profile: str) -> Telemetry:
-    return Converter(PROFILES[profile]).step(SampleState(), decoded(profile))[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), decoded(profile))[1]
 
 
 def values_of(frames: Sequence[Frame], msgid: int, *names: str) -> FloatArray:

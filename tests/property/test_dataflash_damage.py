@@ -9,7 +9,7 @@ from made_logs import DataFlashMessage, dataflash
 
 from mavdiag.errors import InputError
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.log import Log
+from mavdiag.telemetry import Log
 from mavdiag.telemetry import Signal
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")

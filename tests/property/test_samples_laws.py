@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.profiles import PROFILES, detect_profile
-from mavdiag.link.samples import Converter, SampleState, joined
-from mavdiag.telemetry import Telemetry
+from mavdiag.link.samples import SampleDecoder, SampleState, joined
+from mavdiag.telemetry import Signal, Telemetry
 
 EPOCH_US = 1_763_000_000_000_000
 WRAP_US = 1 << 32
@@ -21,7 +21,7 @@ def flight(seed: int, epoch_imu: bool) -> list[Frame]:
     for k in range(500):
         boot_us = WRAP_US - 2_000_000 + 10_000 * k if k < reboot else 4_000_000 + 10_000 * (k - reboot)
         late_us = int(rng.integers(0, 3)) * 10_000
-        host_ns += int(rng.integers(1_000_000, 19_000_000))
+        host_ns += int(rng.integers(1_000_000, 19_000_000)) + (3_000_000_000 if k == reboot else 0)
         data = b""
         if rng.random() < 0.95:
             data += encoder.encode(MessageId.ATTITUDE_TARGET, (boot_us - late_us) // 1000, 0, (1.0, 0.1, 0.0, 0.0))
@@ -46,7 +46,7 @@ def same(one: Telemetry, other: Telemetry) -> bool:
 
 @given(st.integers(0, 10**6), st.booleans(), st.lists(st.integers(1, 300), min_size=1, max_size=8))
 def test_how_frames_are_cut_does_not_matter(seed: int, epoch_imu: bool, sizes: list[int]) -> None:
-    frames, converter = flight(seed, epoch_imu), Converter(PROFILES["qdrone2"])
+    frames, converter = flight(seed, epoch_imu), SampleDecoder(PROFILES["qdrone2"])
     whole_state, whole = converter.step(SampleState(), frames)
     state, pieces, at, k = SampleState(), [], 0, 0
     while at < len(frames):
@@ -59,7 +59,7 @@ def test_how_frames_are_cut_does_not_matter(seed: int, epoch_imu: bool, sizes: l
     assert same(joined(pieces), whole)
 
 
-ids = st.sampled_from(sorted(frozenset().union(*(Converter(profile).wanted for profile in PROFILES.values()))))
+ids = st.sampled_from(sorted(frozenset().union(*(SampleDecoder(profile).wanted for profile in PROFILES.values()))))
 
 
 @settings(max_examples=300)
@@ -70,7 +70,8 @@ def test_no_payload_raises(messages: list[int], seed: int) -> None:
     hosts = np.sort(rng.integers(0, 1 << 62, len(messages))).tolist()
     frames = [Frame(m, 1, 1, 0, rng.bytes(sizes[m]), host_ns) for m, host_ns in zip(messages, hosts, strict=True)]
     for profile in PROFILES.values():
-        state, telemetry = Converter(profile).step(SampleState(), frames)
+        state, telemetry = SampleDecoder(profile).step(SampleState(), frames)
         assert state.dropped >= 0
-        assert all(np.isfinite(series.values).all() for series in telemetry.series)
-    assert detect_profile(frames) in PROFILES
+        assert all(np.isfinite(s.values).all() for s in telemetry.series if s.signal is not Signal.ROTOR_SPEED)
+    found = detect_profile(frames)
+    assert (found.profile is None) == (found.reason != "")

@@ -41,7 +41,7 @@ def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArra
 def test_counts_and_values_are_those_of_pymavlink(file: str, name: str) -> None:
     path = shared(file)
     expected = oracle(path, CHECKED[file])[name]
-    table = read_tables(path.read_bytes(), CHECKED[file])[name]
+    table = read_tables(path.read_bytes(), CHECKED[file])[0][name]
     assert len(table.records) == len(next(iter(expected.values())))
     for label, values in expected.items():
         np.testing.assert_allclose(table.column(label), values, rtol=1e-12, atol=1e-12, err_msg=label)
@@ -61,7 +61,7 @@ def test_the_upset_of_the_real_flight_is_where_it_was() -> None:
 
 def test_the_old_rate_message_agrees_with_the_gyro() -> None:
     path = shared(REAL)
-    table = read_tables(path.read_bytes(), ["RATE"])["RATE"]
+    table = read_tables(path.read_bytes(), ["RATE"])[0]["RATE"]
     telemetry, t_ns = real(), table.t_ns()
     assert t_ns is not None
     loiter = (t_ns > 80e9) & (t_ns < 215e9)

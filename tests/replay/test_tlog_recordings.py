@@ -67,6 +67,8 @@ def test_a_recorded_flight_makes_sense(name: str) -> None:
     assert np.corrcoef(setpoint.values[:, 0], followed)[0, 1] > 0.5
     assert np.median(telemetry.need(Signal.HEIGHT).values) == pytest.approx(5.0, abs=0.1)
     assert np.median(telemetry.need(Signal.SPECIFIC_FORCE).values[:, 2]) == pytest.approx(-G, rel=0.02)
-    assert telemetry.need(Signal.ACTUATOR).values.shape[1] == 4
+    outputs = telemetry.need(Signal.ACTUATOR).values
+    assert outputs.shape[1] == 16
+    assert (outputs.mean(axis=0)[:4] > 0.3).all()
     assert telemetry.need(Signal.ARMED).values.min() == 1.0
     assert telemetry.need(Signal.VIBRATION).values.max() < 5.0

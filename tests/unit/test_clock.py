@@ -5,7 +5,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mavdiag.link.clock import MS_32, US_32, US_64, Counter, Reading, Run, Timeline, place, rebooted, unwrap
+from mavdiag.link.clock import (
+    MS_32,
+    US_32,
+    US_64,
+    ClockReading,
+    Counter,
+    Run,
+    Timeline,
+    place,
+    rebooted,
+    started_anew,
+    unwrap,
+)
 from mavdiag.telemetry import IntArray
 
 S = 1_000_000_000
@@ -28,7 +40,7 @@ def test_a_wrap_is_undone_wherever_the_samples_are_cut(counter: Counter, split: 
     first = unwrap(counter, None, raw[:split], host[:split])
     second = unwrap(counter, first.reading, raw[split:], host[split:])
     assert np.concatenate([first.clock_ns, second.clock_ns]).tolist() == (true * counter.tick_ns).tolist()
-    assert second.reading == Reading(4, 1, int(host[-1]))
+    assert second.reading == ClockReading(4, 1, int(host[-1]))
 
 
 def test_a_late_frame_across_the_wrap_keeps_its_place() -> None:
@@ -100,7 +112,7 @@ def test_unix_stamps_are_laid_over_boot_stamps(pieces: int) -> None:
     _, other_host = delayed(2)
     boot_raw, epoch_raw = 3_000 + true // 1_000_000, EPOCH_US + true // 1000
     timeline, placed = Timeline(), []
-    last: tuple[Reading | None, Reading | None] = (None, None)
+    last: tuple[ClockReading | None, ClockReading | None] = (None, None)
     cuts = np.linspace(0, 500, pieces + 1).astype(int)
     for a, b in pairwise(cuts.tolist()):
         boot = unwrap(MS_32, last[0], boot_raw[a:b], host[a:b])
@@ -134,3 +146,31 @@ def test_a_reboot_takes_a_second_at_least() -> None:
 def test_a_clock_never_seen_together_with_another_is_the_timeline() -> None:
     _, times = place(Timeline(), [run_of(US_64, [EPOCH_US, EPOCH_US + 1], [0, 1])])
     assert times[0].tolist() == [EPOCH_US * 1000, EPOCH_US * 1000 + 1000]
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 7])
+@pytest.mark.parametrize("error_s", [-1800, 0, 1800])
+def test_b7_the_turns_of_a_first_reading_are_chosen_by_the_time_since_boot(turns: int, error_s: int) -> None:
+    true_us = turns * (1 << 32) + 2_000_000_000
+    since_boot_ns = true_us * 1000 + error_s * S
+    run = unwrap(US_32, None, ints([true_us % (1 << 32)]), ints([0]), since_boot_ns)
+    assert run.clock_ns.tolist() == [true_us * 1000]
+    assert run.reading.turns == turns
+
+
+def test_b9_what_is_out_of_line_while_others_go_on_is_left_out() -> None:
+    raw, host = ints([10_000, 8_000, 10_010, 8_010, 90_000_000, 10_020]), ints(range(6)) * 10_000_000
+    run = unwrap(MS_32, None, raw, host)
+    assert (run.clock_ns // 1_000_000).tolist() == [10_000, 10_010, 10_020]
+    assert run.used == 6
+    assert run.kept is not None
+    assert run.kept.tolist() == [True, False, True, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "uptime_s", "anew"),
+    [(0.5, 0, False), (1.0, 0, True), (1.0, 11, True), (1.0, 12, False), (9.0, 500, False), (10.0, 500, True)],
+)
+def test_b9_a_vehicle_starts_anew_after_silence(silent_s: float, uptime_s: float, anew: bool) -> None:
+    timeline, _ = place(Timeline(), [run_of(MS_32, [900_000], [5 * S])])
+    assert started_anew(timeline, MS_32, int(1000 * uptime_s), 5 * S + int(silent_s * S)) is anew

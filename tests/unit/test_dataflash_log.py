@@ -10,8 +10,7 @@ from made_logs import DataFlashMessage, dataflash
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.log import Log
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import Log, Signal
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
@@ -156,3 +155,12 @@ def test_it_is_recognised_by_content(tmp_path: Path) -> None:
     path = tmp_path / "no-suffix"
     path.write_bytes(dataflash([IMU], [imu(1)]))
     assert read_log(path).profile == "ardupilot-log"
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int) -> None:
+    content = dataflash([IMU], [imu(1_000 * k) for k in range(1, 9)])
+    log = read(tmp_path, content[: len(content) - lost])
+    assert len(log.notes) == notes
+    assert all("ends within a record" in note for note in log.notes)
+    assert read(tmp_path, content + bytes(100)).notes == ()

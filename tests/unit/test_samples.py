@@ -1,17 +1,18 @@
 """Frames become SI samples: scales to the quantum, masks, clocks, and no dependence on how the frames are cut."""
 
-from itertools import count
+from dataclasses import replace
 from math import pi, radians
 
 import numpy as np
 import pytest
 
 from mavdiag.errors import UsageError
+from mavdiag.link.clock import MS_32
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.conversion import euler_angles
+from mavdiag.link.conversion import SOURCES, Part, Record, euler_angles, source
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
-from mavdiag.link.profiles import PROFILES, Profile, detect_profile, profile_named
-from mavdiag.link.samples import Converter, SampleState, by_vehicle, joined
+from mavdiag.link.profiles import PROFILES, Evidence, Profile, detect_profile, profile_named, with_imu
+from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 G = 9.80665
@@ -23,15 +24,16 @@ class Vehicle:
     """Encodes messages and receives them, a millisecond of host time apart."""
 
     def __init__(self, sysid: int = 1, compid: int = 1) -> None:
-        self._encoder, self._decoder, self._host = Encoder(sysid, compid), Decoder(), count(10**9, 10**6)
+        self._encoder, self._decoder, self.host_ns = Encoder(sysid, compid), Decoder(), 10**9
 
     def frame(self, msgid: int, *fields: object) -> Frame:
-        (frame,) = self._decoder.feed(self._encoder.encode(msgid, *fields), next(self._host))  # type: ignore[arg-type]  # test values
+        (frame,) = self._decoder.feed(self._encoder.encode(msgid, *fields), self.host_ns)  # type: ignore[arg-type]  # test values
+        self.host_ns += 10**6
         return frame
 
 
 def telemetry_of(frames: list[Frame], profile: str = "qdrone2") -> Telemetry:
-    return Converter(PROFILES[profile]).step(SampleState(), frames)[1]
+    return SampleDecoder(PROFILES[profile]).step(SampleState(), frames)[1]
 
 
 def values_of(telemetry: Telemetry, signal: Signal) -> FloatArray:
@@ -136,7 +138,7 @@ def test_unsound_numbers_are_dropped_and_counted() -> None:
         vehicle.frame(MessageId.ATTITUDE_TARGET, 3, TargetMask.ATTITUDE, (nan,) * 4, 0, 0, 0, float("inf")),
         vehicle.frame(MessageId.ATTITUDE_TARGET, 4, 0, LEVEL, 0, 0, 0, 0.5),
     ]
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), frames)
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
     assert telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns.tolist() == [2_000_000, 4_000_000]
     assert telemetry.need(Signal.RATE_SETPOINT).t_ns.tolist() == [1_000_000, 3_000_000, 4_000_000]
     assert telemetry.need(Signal.THRUST_SETPOINT).t_ns.tolist() == [1_000_000, 2_000_000, 4_000_000]
@@ -163,8 +165,8 @@ def test_slow_signals() -> None:
     assert values_of(telemetry, Signal.HEIGHT).tolist() == [[3.0]]
     voltage = telemetry.need(Signal.VOLTAGE)
     assert (voltage.t_ns.tolist(), voltage.values.tolist()) == ([4_010_000_000], [[14.8]])
-    assert values_of(telemetry, Signal.ACTUATOR).tolist() == [[0.0, 0.25, 1.0, 0.0]]
-    np.testing.assert_allclose(values_of(telemetry, Signal.ROTOR_SPEED), [[20 * pi, 20 * pi, 0.0, 2 * pi]])
+    assert values_of(telemetry, Signal.ACTUATOR).tolist() == [[0.0, 0.25, 1.0, 0.0] + [0.0] * 12]
+    np.testing.assert_allclose(values_of(telemetry, Signal.ROTOR_SPEED)[:, :4], [[20 * pi, 20 * pi, 0.0, 2 * pi]])
     np.testing.assert_allclose(values_of(telemetry, Signal.ATTITUDE), [[0.1, 0.2, 0.3]], atol=1e-7)
     assert telemetry.get(Signal.VIBRATION) is None  # means something only with ArduPilot
     assert values_of(telemetry_of(frames, "ardupilot"), Signal.VIBRATION).tolist() == [[1.0, 2.0, 3.0]]
@@ -172,7 +174,50 @@ def test_slow_signals() -> None:
 
 def test_px4_actuators() -> None:
     frame = Vehicle().frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 4, (0.5, 0.25, 1.0, 0.0) + (float("nan"),) * 28)
-    assert values_of(telemetry_of([frame], "px4"), Signal.ACTUATOR).tolist() == [[0.5, 0.25, 1.0, 0.0]]
+    assert values_of(telemetry_of([frame], "px4"), Signal.ACTUATOR).tolist() == [[0.5, 0.25, 1.0, 0.0] + [0.0] * 12]
+
+
+def test_more_than_four_rotors_are_one_series() -> None:
+    """ESC_STATUS tells four rotors a message, from its index on; what one leaves out keeps its last value."""
+    vehicle, zeros = Vehicle(), (0,) * 4
+    frames = [
+        vehicle.frame(MessageId.ESC_STATUS, 0, 4_000_000, (60, 120, 180, 240), zeros, zeros),
+        vehicle.frame(MessageId.ESC_STATUS, 4, 4_000_000, (300, 360, 0, 0), zeros, zeros),
+        vehicle.frame(MessageId.ESC_STATUS, 0, 4_100_000, (600, 660, 720, 780), zeros, zeros),
+        vehicle.frame(MessageId.ESC_STATUS, 200, 4_100_000, (600, 660, 720, 780), zeros, zeros),
+    ]
+    decoder, state = SampleDecoder(PROFILES["qdrone2"]), SampleState()
+    pieces = []
+    for frame in frames:
+        state, piece = decoder.step(state, [frame])
+        pieces.append(piece)
+    for telemetry in (joined(pieces), telemetry_of(frames)):
+        speed = values_of(telemetry, Signal.ROTOR_SPEED) / (2 * pi)
+        assert speed.shape == (3, 16)
+        np.testing.assert_allclose(
+            speed[:, :6], [[1, 2, 3, 4] + [np.nan] * 2, [1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 5, 6]]
+        )
+
+
+def test_eight_rotors_of_ardupilot_are_one_series() -> None:
+    """ESC_TELEMETRY_5_TO_8 joins the first four, in order of arrival."""
+    vehicle, zeros, frames = Vehicle(), (0,) * 4, []
+    for k in range(3):
+        frames.append(vehicle.frame(MessageId.ATTITUDE, 1000 + k))
+        for msgid, rpm in ((MessageId.ESC_TELEMETRY_1_TO_4, 60), (MessageId.ESC_TELEMETRY_5_TO_8, 120)):
+            frames.append(vehicle.frame(msgid, zeros, zeros, zeros, zeros, (rpm * (k + 1),) * 4, zeros))
+    speed = telemetry_of(frames, "ardupilot").need(Signal.ROTOR_SPEED)
+    assert speed.t_ns.tolist() == [10**9 + 10**6 * (k // 2) for k in range(6)]
+    np.testing.assert_allclose(speed.values[1:, [0, 4]] / (2 * pi), [[1, 2], [2, 2], [2, 4], [3, 4], [3, 6]])
+
+
+def test_sixteen_outputs_are_read() -> None:
+    frames = [Vehicle().frame(MessageId.ATTITUDE, 4_000)]
+    frames += [
+        Vehicle().frame(MessageId.SERVO_OUTPUT_RAW, 4_000_000, 0, *[1000 + 50 * k for k in range(8)], *[1500] * 8)
+    ]
+    outputs = values_of(telemetry_of(frames), Signal.ACTUATOR)
+    np.testing.assert_allclose(outputs, [[0.05 * k for k in range(8)] + [0.5] * 8])
 
 
 def test_only_the_autopilot_of_a_vehicle_counts() -> None:
@@ -199,6 +244,7 @@ def flight(reboot: bool = False) -> list[Frame]:
     vehicle, frames = Vehicle(), []
     for k in range(200):
         ms = 60_000 + 10 * k if not reboot or k < 110 else 3_000 + 10 * (k - 110)
+        vehicle.host_ns += 3 * 10**9 if reboot and k == 110 else 0
         frames.append(vehicle.frame(MessageId.ATTITUDE_TARGET, ms, 0, LEVEL, 0, 0, 0, 0.5))
         frames.append(vehicle.frame(MessageId.RAW_IMU, ms * 1000 + 7, k, -k, 3, 4, 5, 6, 0, 0, 0))
         if k % 10 == 0:
@@ -212,7 +258,7 @@ def flight(reboot: bool = False) -> list[Frame]:
 @pytest.mark.parametrize("size", [1, 7, 100])
 def test_how_frames_are_cut_does_not_matter(reboot: bool, size: int) -> None:
     frames = flight(reboot)
-    converter = Converter(PROFILES["qdrone2"])
+    converter = SampleDecoder(PROFILES["qdrone2"])
     whole_state, whole = converter.step(SampleState(), frames)
     state, pieces = SampleState(), []
     for k in range(0, len(frames), size):
@@ -229,7 +275,7 @@ def test_how_frames_are_cut_does_not_matter(reboot: bool, size: int) -> None:
 
 
 def test_all_streams_pass_a_reboot_together() -> None:
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), flight(reboot=True))
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), flight(reboot=True))
     assert state.timeline.reboots == 1
     setpoint, imu = telemetry.need(Signal.ATTITUDE_SETPOINT), telemetry.need(Signal.BODY_RATE)
     assert len(setpoint) == len(imu) == 200
@@ -239,14 +285,108 @@ def test_all_streams_pass_a_reboot_together() -> None:
     assert steps[109] >= 1_000_000_000
 
 
-def test_two_vehicles_of_one_name_cost_no_more_than_their_frames() -> None:
+def test_b9_two_vehicles_of_one_name_are_one_and_strays() -> None:
     one, other, frames = Vehicle(), Vehicle(), []
     for k in range(3000):
         frames.append(one.frame(MessageId.ATTITUDE, 90_000_000 + k))
         frames.append(other.frame(MessageId.ATTITUDE, k))
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), frames)
-    assert state.timeline.reboots >= 2999
-    assert len(telemetry.need(Signal.ATTITUDE)) == 6000
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
+    assert state.timeline.reboots == 0
+    assert len(telemetry.need(Signal.ATTITUDE)) == 3000
+
+
+def two_paths(behind_s: float, seconds: float = 10.0, uptime_ms: int = 60_000, near_s: float = 99.0) -> list[Frame]:
+    """A vehicle at 100 Hz over one path, for so long, and over another that is behind."""
+    near, far = Vehicle(), Vehicle()
+    arrivals: list[tuple[int, int, Vehicle]] = []
+    for k in range(int(100 * seconds)):
+        sent_ns = 10_000_000 * k
+        if k < 100 * near_s:
+            arrivals.append((sent_ns, uptime_ms + 10 * k, near))
+        arrivals.append((sent_ns + round(1e9 * behind_s), uptime_ms + 10 * k, far))
+    frames = []
+    for host_ns, ms, path in sorted(arrivals, key=lambda one: one[0]):
+        path.host_ns = 10**9 + host_ns
+        frames.append(path.frame(MessageId.ATTITUDE_TARGET, ms, 0, LEVEL, 0, 0, 0, 0.5))
+        frames.append(path.frame(MessageId.RAW_IMU, 1000 * ms, 1, 2, 3))
+    return frames
+
+
+@pytest.mark.parametrize("behind_s", [0.3, 1.2, 5.0])
+def test_b9_a_second_path_is_no_reboot(behind_s: float) -> None:
+    """Over a router and a radio 1.2 s apart a vehicle was said to reboot 881 times in 10 s."""
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), two_paths(behind_s))
+    assert state.timeline.reboots == 0
+    assert state.timeline.t_ns == 69_990_000_000
+    assert len(telemetry.need(Signal.BODY_RATE)) >= 1000
+
+
+@pytest.mark.parametrize("size", [1, 50, 777])
+def test_b9_how_the_frames_of_two_paths_are_cut_does_not_matter(size: int) -> None:
+    frames, decoder = two_paths(1.2, 4.0), SampleDecoder(PROFILES["qdrone2"])
+    whole_state, whole = decoder.step(SampleState(), frames)
+    state, pieces = SampleState(), []
+    for k in range(0, len(frames), size):
+        state, piece = decoder.step(state, frames[k : k + size])
+        pieces.append(piece)
+    assert state == whole_state
+    assert joined(pieces).need(Signal.BODY_RATE).t_ns.tolist() == whole.need(Signal.BODY_RATE).t_ns.tolist()
+
+
+def test_b9_the_late_path_goes_on_alone_without_a_reboot() -> None:
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), two_paths(1.2, near_s=5.0))
+    assert state.timeline.reboots == 0
+    assert state.timeline.t_ns == 69_990_000_000
+    assert len(telemetry.need(Signal.BODY_RATE)) >= 1000
+
+
+@pytest.mark.parametrize("old_ms", [500, 20_000])
+def test_b9_old_frames_sent_again_beside_the_stream_are_no_reboot(old_ms: int) -> None:
+    genuine = two_paths(0.0, 5.0, uptime_ms=900_000)
+    replay = two_paths(0.0, 5.0, uptime_ms=old_ms)
+    frames = sorted(genuine + replay, key=lambda frame: frame.host_ns)
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
+    assert state.timeline.reboots == 0
+    assert telemetry.need(Signal.BODY_RATE).t_ns.min() >= 900_000_000_000
+
+
+def test_b9_random_stamps_are_at_most_one_reboot_a_second() -> None:
+    rng, vehicle, frames = np.random.default_rng(3), Vehicle(), []
+    for _ in range(4000):
+        vehicle.host_ns += 9_000_000
+        frames.append(vehicle.frame(MessageId.ATTITUDE, int(rng.integers(0, 1 << 32))))
+    state, _ = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
+    assert state.timeline.reboots <= 40
+
+
+def test_b7_outputs_lie_on_the_time_of_the_imu_after_80_minutes() -> None:
+    """SERVO_OUTPUT_RAW counts 32 bits of microseconds: after 71.6 minutes they lay 71.6 minutes in the past."""
+    vehicle, frames = Vehicle(), []
+    for k in range(50):
+        ms = 4_800_000 + 10 * k
+        frames.append(vehicle.frame(MessageId.SERVO_OUTPUT_RAW, 1000 * ms % (1 << 32), 0, 1500 + k))
+        frames.append(vehicle.frame(MessageId.RAW_IMU, 1000 * ms, 1, 2, 3))
+    for size in (1, 2, 7, 100):
+        decoder, state, pieces = SampleDecoder(PROFILES["qdrone2"]), SampleState(), []
+        for k in range(0, len(frames), size):
+            state, piece = decoder.step(state, frames[k : k + size])
+            pieces.append(piece)
+        imu, outputs = (joined(pieces).need(signal) for signal in (Signal.BODY_RATE, Signal.ACTUATOR))
+        assert outputs.t_ns.tolist() == imu.t_ns[1:].tolist()  # the first came before any time was known
+        np.testing.assert_allclose(outputs.values[:, 0], 0.5 + 1e-3 * np.arange(1, 50))
+
+
+def test_b7_the_turns_are_chosen_anew_after_a_reboot() -> None:
+    vehicle, frames = Vehicle(), []
+    for base_ms in (4_800_000, 3_000):
+        for k in range(20):
+            ms = base_ms + 10 * k
+            frames.append(vehicle.frame(MessageId.RAW_IMU, 1000 * ms, 1, 2, 3))
+            frames.append(vehicle.frame(MessageId.SERVO_OUTPUT_RAW, 1000 * ms % (1 << 32), 0, 1500))
+        vehicle.host_ns += 5 * 10**9
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
+    assert state.timeline.reboots == 1
+    assert telemetry.need(Signal.ACTUATOR).t_ns.tolist() == telemetry.need(Signal.BODY_RATE).t_ns.tolist()
 
 
 def test_frames_of_several_vehicles_are_told_apart() -> None:
@@ -256,14 +396,14 @@ def test_frames_of_several_vehicles_are_told_apart() -> None:
 
 
 def test_only_the_signals_of_interest_are_read() -> None:
-    converter = Converter(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
+    converter = SampleDecoder(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
     assert converter.wanted == {MessageId.RAW_IMU, MessageId.VIBRATION}
     _, telemetry = converter.step(SampleState(), flight())
     assert {series.signal for series in telemetry.series} == {Signal.BODY_RATE, Signal.SPECIFIC_FORCE}
 
 
 def test_nothing_in_nothing_out() -> None:
-    state, telemetry = Converter(PROFILES["qdrone2"]).step(SampleState(), [])
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), [])
     assert state == SampleState()
     assert telemetry.series == ()
 
@@ -277,18 +417,85 @@ def test_nothing_in_nothing_out() -> None:
         (3, MessageId.RAW_IMU, 2048, 10_000, "spec"),
         (12, MessageId.HIGHRES_IMU, 10, 5_000, "px4"),
         (0, MessageId.HIGHRES_IMU, 10, 5_000, "px4"),
-        (0, MessageId.ATTITUDE, 0, 5_000, "qdrone2"),
+        (3, MessageId.ATTITUDE, 0, 5_000, "ardupilot"),
+        (12, MessageId.SCALED_IMU, 1000, 5_000, "px4"),
     ],
 )
 def test_profile_by_what_is_sent(autopilot: int, imu: MessageId, weight: int, period_us: int, name: str) -> None:
     vehicle = Vehicle()
     frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, autopilot, 0, 0, 4, 3)]
     frames += [vehicle.frame(imu, period_us * k, 30, -20, -weight) for k in range(20)]
-    assert detect_profile(frames) == name
+    found = detect_profile(frames)
+    assert found.profile is PROFILES[name]
+    assert found.reason == ""
+
+
+@pytest.mark.parametrize(
+    ("imu", "weight", "words"),
+    [
+        (MessageId.ATTITUDE, 0, "sends no IMU message"),
+        (MessageId.RAW_IMU, 16_384, "RAW_IMU counts 16384 at rest"),
+        (MessageId.RAW_IMU, 0, "RAW_IMU counts"),
+        (MessageId.SCALED_IMU, 1000, "sends SCALED_IMU"),
+    ],
+)
+def test_b18_an_unknown_vehicle_is_not_a_qdrone2(imu: MessageId, weight: int, words: str) -> None:
+    vehicle = Vehicle()
+    frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 0, 0, 0, 4, 3)]
+    frames += [vehicle.frame(imu, 1000 * k, 3, -2, -weight) for k in range(20)]
+    found = detect_profile(frames)
+    assert found.profile is None
+    assert words in found.reason
+    assert found.reason.endswith("give --profile")
+
+
+@pytest.mark.parametrize("message", [MessageId.SCALED_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3])
+def test_b19_scaled_imu_is_converted(message: MessageId) -> None:
+    vehicle = Vehicle()
+    frames = [vehicle.frame(message, 5_000 + k, 1, -2, -1000, 4, -5, 6) for k in range(30)]
+    telemetry = SampleDecoder(with_imu(PROFILES["px4"], frames)).step(SampleState(), frames)[1]
+    np.testing.assert_allclose(values_of(telemetry, Signal.SPECIFIC_FORCE)[0], 1e-3 * G * np.array([1, -2, -1000]))
+    np.testing.assert_allclose(values_of(telemetry, Signal.BODY_RATE)[0], 1e-3 * np.array([4, -5, 6]))
+
+
+def test_b19_one_imu_message_is_chosen_and_never_two() -> None:
+    vehicle, ardupilot, frames = Vehicle(), PROFILES["ardupilot"], []
+    for k in range(100):
+        frames.append(vehicle.frame(MessageId.RAW_IMU, 1000 * k, 1))
+        frames += [vehicle.frame(m, k, 7) for m in (MessageId.SCALED_IMU2, MessageId.SCALED_IMU3)]
+    assert with_imu(ardupilot, frames) is ardupilot
+    assert len(telemetry_of(frames, "ardupilot").need(Signal.BODY_RATE)) == 100
+    scaled = [frame for frame in frames if frame.msgid != MessageId.RAW_IMU]
+    assert with_imu(ardupilot, scaled).imu is MessageId.SCALED_IMU2
+    seldom_raw = [*scaled, *(frame for frame in frames[:9] if frame.msgid == MessageId.RAW_IMU)]
+    assert with_imu(ardupilot, seldom_raw).imu is MessageId.SCALED_IMU2
+    assert with_imu(ardupilot, scaled[:4], least=20) is ardupilot
+
+
+def test_a_message_is_added_by_one_row() -> None:
+    def convert(profile: Profile, record: Record) -> tuple[Part, ...]:
+        return (Part(Signal.ATTITUDE, euler_angles(record["q1"].astype(np.float64))),)
+
+    row = source(MessageId.ATTITUDE_QUATERNION, convert, (Signal.ATTITUDE,), (("q1", 4),), ("time_boot_ms", MS_32))
+    frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
+    decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
+    _, telemetry = decoder.step(SampleState(), [frame])
+    np.testing.assert_allclose(telemetry["attitude"].values, [[0.1, 0.2, 0.3]], atol=1e-6)
+
+
+def test_an_autopilot_is_added_by_one_row() -> None:
+    def recognise(seen: Evidence) -> bool:
+        return 99 in seen.autopilots
+
+    row = replace(PROFILES["px4"], name="made", autopilot=99, recognise=recognise, imu=MessageId.SCALED_IMU)
+    vehicle = Vehicle()
+    frames = [vehicle.frame(MessageId.HEARTBEAT, MavType.QUADROTOR, 99, 0, 0, 4, 3)]
+    assert detect_profile(frames, (row, *PROFILES.values())).profile is row
+    assert detect_profile(frames).profile is None
 
 
 def test_profiles_by_name() -> None:
     chosen: Profile = profile_named("spec")
     assert chosen is PROFILES["spec"]
-    with pytest.raises(UsageError, match="qdrone2, spec, ardupilot, px4"):
+    with pytest.raises(UsageError, match="spec, ardupilot, px4, qdrone2"):
         profile_named("betaflight")

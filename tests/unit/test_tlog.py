@@ -116,3 +116,24 @@ def test_one_vehicle_of_several_is_chosen(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_log(tmp_path / "absent.tlog")
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int) -> None:
+    data = b"".join(records())
+    log = read_log(written(tmp_path, data[: len(data) - lost]))
+    assert len(log.notes) == notes
+    assert all("ends within a record" in note for note in log.notes)
+
+
+def test_damage_is_noted(tmp_path: Path) -> None:
+    pieces = records()
+    log = read_log(written(tmp_path, b"".join(pieces[:100]) + b"\xff" * 77 + b"".join(pieces[100:])))
+    assert log.notes == ("77 bytes are damaged and were skipped",)
+
+
+def test_b18_a_log_of_an_unknown_vehicle_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, b"".join(records(scale=16_384)))
+    with pytest.raises(InputError, match=r"vehicle 1: its link profile is not clear.*give --profile"):
+        read_log(path)
+    assert read_log(path, profile="ardupilot").profile == "ardupilot"

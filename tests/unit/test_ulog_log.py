@@ -10,9 +10,8 @@ from made_logs import ULOG_HEAD, ULogTopic, ulog, ulog_message
 
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
-from mavdiag.logs.log import Log
 from mavdiag.logs.ulog import read_ulog
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import Log, Signal
 
 STAMP = ("uint64_t", "timestamp")
 SENSORS = ULogTopic(
@@ -161,3 +160,18 @@ def test_it_is_recognised_by_content(tmp_path: Path) -> None:
     path = tmp_path / "no-suffix"
     path.write_bytes(ulog([SENSORS], [sensors(1)]))
     assert read_log(path).profile == "px4-log"
+
+
+@pytest.mark.parametrize(("lost", "notes"), [(0, 0), (1, 1), (20, 1)])
+def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int) -> None:
+    content = ulog([SENSORS], [sensors(1_000 * k) for k in range(1, 9)])
+    log = read(tmp_path, content[: len(content) - lost])
+    assert len(log.notes) == notes
+    assert all("ends within a message" in note for note in log.notes)
+
+
+def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
+    still = (1500.0,) * 2
+    rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
+    log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
+    assert log["actuator"].values.shape == (8, 3)

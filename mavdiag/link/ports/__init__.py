@@ -1,6 +1,6 @@
-"""Open one end of a link by its address: UDP, TCP, serial, or a pair in memory.
+"""Open one end of a link by its address: UDP, TCP or serial.
 
-    udpin:HOST:PORT         listen; answer the peers that were heard in the last 10 s (at most 32)
+    udpin:HOST:PORT         listen; answer the peers that sent in the last 10 s (at most 32)
     udpout:HOST:PORT        talk to one peer
     tcp:HOST:PORT           connect to a server, and again when the connection ends
     tcpin:HOST:PORT         serve up to 16 clients
@@ -18,7 +18,6 @@ from enum import StrEnum
 
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, wait
-from mavdiag.link.ports.memory import MemoryEndpoint, memory_pair
 from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
@@ -27,9 +26,7 @@ __all__ = [
     "Chunk",
     "Endpoint",
     "Kind",
-    "MemoryEndpoint",
     "Traffic",
-    "memory_pair",
     "open_endpoint",
     "parse_address",
     "wait",
@@ -40,7 +37,7 @@ _SERIAL = re.compile(r"(?P<device>/[^,\s]+),(?P<baud>[1-9]\d{0,7})")
 
 
 class Kind(StrEnum):
-    """What an address speaks of."""
+    """What an address is of."""
 
     UDP_IN = "udpin"
     UDP_OUT = "udpout"
@@ -51,7 +48,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address taken apart. place: host or device; number: port or baud."""
+    """An address taken apart.
+
+    kind: what it is of.
+    place: host or device.
+    number: port or baud.
+    """
 
     kind: Kind
     place: str

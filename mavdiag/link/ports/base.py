@@ -1,6 +1,6 @@
 """What every endpoint is: bytes in with the host's time, bytes out, honest counts, and one way to wait.
 
-Edge module: file descriptors and the host clock live here and in the `endpoint_*` modules beside it.
+Edge module: file descriptors and the host clock live here and in the modules beside it.
 """
 
 import errno
@@ -48,8 +48,9 @@ class Traffic:
     """What an endpoint did since it was opened.
 
     received: chunks handed to the caller (datagrams, or reads of a byte stream).
-    sent: messages handed to the system, one count per peer. dropped: messages that did not get that far, or that the
-    peer's host refused. overflowed: datagrams that the system threw away because nobody read them in time.
+    sent: messages handed to the system, one count per peer.
+    dropped: messages that did not get that far, or that the peer's host refused.
+    overflowed: datagrams that the system threw away because nobody read them in time.
     """
 
     received: int = 0
@@ -59,7 +60,12 @@ class Traffic:
 
 
 class Endpoint(ABC):
-    """One end of a link. Once it is open, nothing that the peer or the wire does raises."""
+    """One end of a link. Once it is open, nothing that the peer or the wire does raises.
+
+    datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
+    """
+
+    datagrams = False
 
     def __init__(self, address: str, clock: Clock) -> None:
         self._address = address

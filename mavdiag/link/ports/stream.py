@@ -160,7 +160,7 @@ class Serial(_Reconnecting):
 
 
 class TcpServer(Endpoint):
-    """Accepts up to `CLIENTS_MAX` clients; sends to all, and hears all, cut between their frames.
+    """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames.
 
     Raises LinkError if the port cannot be bound.
     """
@@ -274,7 +274,7 @@ def _tcp_socket(family: socket.AddressFamily) -> socket.socket:
 
 
 def _tune(link: socket.socket) -> None:
-    """Never wait, never hold small frames back, and notice a peer that died without a word."""
+    """Never wait, never hold small frames back, and notice a peer that is gone."""
     link.setblocking(False)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -1,4 +1,4 @@
-"""UDP endpoints: `udpin` listens and answers whom it heard, `udpout` talks to one peer and hears only that peer."""
+"""UDP endpoints: `udpin` listens and answers its senders, `udpout` exchanges datagrams with one peer."""
 
 import socket
 import time
@@ -7,7 +7,7 @@ from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_
 
 __all__ = ["PEERS_MAX", "PEER_FRESH_S", "UdpIn", "UdpOut"]
 
-PEERS_MAX = 32  # peers that udpin answers; a newcomer is heard but not answered while all of these are fresh
+PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
 PEER_FRESH_S = 10.0  # a peer that was silent for so long is forgotten
 
 _DATAGRAM_MAX = 65_535
@@ -20,6 +20,8 @@ _OVFL_SPACE = socket.CMSG_SPACE(4)
 
 class _Udp(Endpoint):
     """What both directions share: one non-blocking socket, its large buffer and its overflow count."""
+
+    datagrams = True
 
     def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
         super().__init__(address, clock)
@@ -51,7 +53,7 @@ class _Udp(Endpoint):
                     self._overflowed = int.from_bytes(value, "little")
             while True:
                 now_ns = self._clock()
-                self._heard(peer)
+                self._note_sender(peer)
                 chunks.append((data, now_ns))
                 if len(chunks) == _DRAIN_MAX:
                     break
@@ -62,7 +64,7 @@ class _Udp(Endpoint):
             self._refused()
         return chunks
 
-    def _heard(self, peer: SocketAddress) -> None:
+    def _note_sender(self, peer: SocketAddress) -> None:
         """Note the sender of a datagram."""
 
     def _refused(self) -> None:
@@ -77,7 +79,7 @@ class _Udp(Endpoint):
 
 
 class UdpIn(_Udp):
-    """Listens on one port and answers the peers it heard: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence.
+    """Listens on one port and answers the peers that sent: at most `PEERS_MAX`, each for `PEER_FRESH_S` of silence.
 
     Raises LinkError if the port cannot be bound.
     """
@@ -87,7 +89,7 @@ class UdpIn(_Udp):
     ) -> None:
         super().__init__(address, family, clock)
         self._fresh_s = fresh_s
-        self._peers: dict[SocketAddress, float] = {}  # when each was last heard [s], monotonic clock
+        self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
         try:
             self._socket.bind(local)
         except OSError as error:
@@ -97,7 +99,7 @@ class UdpIn(_Udp):
 
     @property
     def connected(self) -> bool:
-        """Whether a peer was heard lately."""
+        """Whether a peer sent something lately."""
         return self._socket.fileno() >= 0 and bool(self._fresh_peers())
 
     def send(self, data: bytes) -> None:
@@ -108,13 +110,13 @@ class UdpIn(_Udp):
         for peer in peers:
             self._send_to(data, peer)
 
-    def _heard(self, peer: SocketAddress) -> None:
+    def _note_sender(self, peer: SocketAddress) -> None:
         if peer in self._peers or len(self._peers) < PEERS_MAX or len(self._fresh_peers()) < PEERS_MAX:
             self._peers[peer] = time.monotonic()
 
     def _fresh_peers(self) -> list[SocketAddress]:
         horizon = time.monotonic() - self._fresh_s
-        for peer in [peer for peer, heard in self._peers.items() if heard < horizon]:
+        for peer in [peer for peer, sent in self._peers.items() if sent < horizon]:
             del self._peers[peer]
         return list(self._peers)
 
@@ -149,7 +151,7 @@ class UdpOut(_Udp):
                 break
         self._dropped += 1
 
-    def _heard(self, peer: SocketAddress) -> None:
+    def _note_sender(self, peer: SocketAddress) -> None:
         self._answered = True
 
     def _refused(self) -> None:

@@ -1,4 +1,4 @@
-"""An endpoint pair inside one process: a real implementation for tests and for running a chain without a network.
+"""An endpoint pair inside one process, for running a chain without a network.
 
 Messages keep their bounds and their order, and none is lost while fewer than `capacity` wait to be read.
 """
@@ -44,6 +44,8 @@ class _Mailbox:
 
 class MemoryEndpoint(Endpoint):
     """One end of a `memory_pair`, which makes it."""
+
+    datagrams = True
 
     def __init__(self, address: str, inbox: _Mailbox, outbox: _Mailbox, clock: Clock) -> None:
         super().__init__(address, clock)

@@ -1,0 +1,122 @@
+"""A live link as an iterator (edge: it opens a port and reads the clock).
+
+with open_link("udpin:127.0.0.1:14550", vehicle=1) as link:
+    for telemetry in link:
+        print(telemetry)
+"""
+
+import time
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Self
+
+from mavdiag.errors import InputError
+from mavdiag.link.ports import Endpoint, open_endpoint
+from mavdiag.link.profiles import Profile, profile_named
+from mavdiag.link.samples import joined
+from mavdiag.link.vehicles import LinkDecoder, VehicleStream
+from mavdiag.telemetry import Log, Telemetry
+
+__all__ = ["Link", "open_link"]
+
+POLL_S = 0.04
+PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
+
+
+def open_link(address: str, vehicle: int | None = None, profile: str | None = None) -> "Link":
+    """Open one end of a link and follow one vehicle on it.
+
+    address: see `mavdiag.link.ports`.
+    vehicle: its system id; None takes the only one there is.
+    profile: name of its link profile; None tells it by what it sends.
+    Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
+    """
+    chosen = None if profile is None else profile_named(profile)
+    return Link(open_endpoint(address), vehicle, chosen)
+
+
+class Link:
+    """One vehicle on a live link. It iterates what came since the last time, for as long as it is open.
+
+    endpoint: an open port; it is closed with the link.
+    vehicle, profile: as in `open_link`.
+    """
+
+    def __init__(self, endpoint: Endpoint, vehicle: int | None = None, profile: Profile | None = None) -> None:
+        self._endpoint, self._vehicle = endpoint, vehicle
+        self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams)
+
+    @property
+    def address(self) -> str:
+        """The address, with the port that was really bound."""
+        return self._endpoint.address
+
+    @property
+    def vehicle(self) -> int | None:
+        """System id of the vehicle; None before it has entered."""
+        return self._vehicle if self._vehicle in self._decoder.vehicles else None
+
+    @property
+    def stream(self) -> VehicleStream | None:
+        """The vehicle's profile and clock; None before it has entered."""
+        return None if self._vehicle is None else self._decoder.vehicles.get(self._vehicle)
+
+    def __iter__(self) -> Iterator[Telemetry]:
+        """What the vehicle sends, as it comes, without end; nothing while it is silent.
+
+        Raises InputError if there are several vehicles and none was named, or if the vehicle's profile stays unclear.
+        """
+        began = time.monotonic()
+        while True:
+            telemetry = self.poll(POLL_S)
+            if telemetry.series:
+                yield telemetry
+            elif self.stream is None and time.monotonic() - began > PATIENCE_S and self._decoder.waiting:
+                raise InputError(self._absent())
+
+    def poll(self, timeout_s: float) -> Telemetry:
+        """What came since the last time, after waiting up to `timeout_s`; empty if nothing did.
+
+        Raises InputError if there are several vehicles and none was named.
+        """
+        received = self._decoder.feed(self._endpoint.receive(timeout_s), time.monotonic_ns())
+        known = sorted(self._decoder.vehicles)
+        if self._vehicle is None and known:
+            if len(known) > 1:
+                names = ", ".join(map(str, known))
+                raise InputError(f"{self.address}: there are the vehicles {names}; choose one with --vehicle")
+            self._vehicle = known[0]
+        found = None if self._vehicle is None else received.get(self._vehicle)
+        return Telemetry() if found is None else found.telemetry
+
+    def record(self, duration_s: float) -> Log:
+        """All that the vehicle sends in so much time. Raises InputError, saying why, if that is nothing."""
+        pieces: list[Telemetry] = []
+        until = time.monotonic() + duration_s
+        while (left := until - time.monotonic()) > 0:
+            pieces.append(self.poll(min(left, POLL_S)))
+        telemetry = joined([piece for piece in pieces if piece.series])
+        if self.stream is None:
+            raise InputError(self._absent())
+        return Log(f"{self.address} vehicle {self._vehicle}", "", self.stream.profile.name, telemetry)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._endpoint.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _absent(self) -> str:
+        """Why no vehicle has entered."""
+        waiting = self._decoder.waiting
+        for sysid, reason in waiting.items():
+            return f"{self.address}: vehicle {sysid}: {reason}"
+        senders = sorted({sysid for sysid, _ in self._decoder.decoder.senders})
+        if not senders:
+            return f"{self.address}: nothing was received; is the vehicle sending to this address?"
+        names = ", ".join(map(str, senders))
+        return f"{self.address}: system ids {names} send, but no autopilot's heartbeat came of the vehicle wanted"
