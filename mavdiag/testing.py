@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from mavdiag.monitors.base import Rows
 from mavdiag.rows.block import Block
-from mavdiag.rows.rates import RateBlock, RateSpec, rates, start
+from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import BoolArray, FloatArray
 
 __all__ = ["example_rows"]
@@ -25,12 +25,13 @@ def example_rows(
     vibration: FloatArray | None = None,
     force: FloatArray | None = None,
     valid: BoolArray | None = None,
+    setpoint_valid: BoolArray | None = None,
 ) -> Rows:
     """n rows of one segment with the signals given, (n, k) each, in the units of `Block`.
 
     Set-point and gyro are at rest if not given, other signals absent. Rates by Savitzky-Golay filters of 5 samples.
     """
-    absent, still = np.full((n, 3), np.nan), np.zeros((n, 3))
+    absent, still, always = np.full((n, 3), np.nan), np.zeros((n, 3)), np.ones(n, dtype=np.bool_)
     block = Block(
         segment=segment,
         dt_s=dt_s,
@@ -45,8 +46,8 @@ def example_rows(
         armed=np.ones(n),
         vibration=absent if vibration is None else vibration,
         actuator=np.empty((n, 0)) if actuator is None else actuator,
-        valid=np.ones(n, dtype=np.bool_) if valid is None else valid,
+        valid=always if valid is None else valid,
+        setpoint_valid=always if setpoint_valid is None else setpoint_valid,
     )
     spec = RateSpec.of(dt_s, WINDOW)
-    known: RateBlock = rates(spec, start(spec), block)[1]
-    return Rows(block, known)
+    return Rows(block, spec.step(spec.start(), block)[1])

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mavdiag.errors import UsageError
+from mavdiag.units import G_MM_PER_KG_M, RPM
 
 __all__ = [
     "BalanceReport",
@@ -31,8 +32,6 @@ __all__ = [
     "unbalance_g_mm",
 ]
 
-RPM = 2.0 * math.pi / 60.0  # rad/s
-MICRO = 1e-6  # g mm to kg m
 BORDER = 1e-9  # share of a limit that rounding may add without breaking it
 FASTEST_RPM = 1e6  # no rotor turns faster: such a number is in another unit (our choice)
 
@@ -76,8 +75,11 @@ def grade_named(text: str) -> Grade:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A mass that is missing from a rotor, or added to it. angle_deg: its direction in the rotor plane.
+    """A mass that is missing from a rotor, or added to it.
 
+    mass_g: without sign.
+    radius_mm: its distance from the axis.
+    angle_deg: its direction in the rotor plane.
     Raises UsageError unless mass and radius are finite and not negative and the angle is finite.
     """
 
@@ -144,7 +146,7 @@ def unbalance_force_n(unbalance_g_mm: float, speed_rpm: float) -> float:
     """
     _not_negative("unbalance", unbalance_g_mm, "g mm")
     omega = _angular_speed(speed_rpm)
-    return MICRO * unbalance_g_mm * omega * omega
+    return unbalance_g_mm / G_MM_PER_KG_M * omega * omega
 
 
 def grade_met(unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float) -> Grade | None:
@@ -158,9 +160,15 @@ def grade_met(unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float) -
 class BalanceReport:
     """An unbalance held against a grade.
 
-    unbalance_g_mm, permissible_g_mm: U and U_per. specific_um, permissible_um: the same over the rotor's mass, e and
-    e_per. level_mm_s: e Omega, to be compared with the number of a grade. grade: the one asked for; met: the finest
-    one satisfied, None beyond G4000. ratio: U / U_per. force_n: U Omega^2.
+    unbalance_g_mm: U.
+    permissible_g_mm: U_per.
+    specific_um: e, U over the rotor's mass.
+    permissible_um: e_per.
+    level_mm_s: e Omega, to be compared with the number of a grade.
+    grade: the one asked for.
+    met: the finest one satisfied; None beyond G4000.
+    ratio: U / U_per.
+    force_n: U Omega^2.
     """
 
     unbalance_g_mm: float

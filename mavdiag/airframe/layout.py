@@ -1,40 +1,35 @@
-"""Where the rotors are and which way they turn: the mixing of roll, pitch and yaw, and how to find it from a flight.
+"""Where the rotors are and which way they turn: the mixing of roll, pitch and yaw.
 
-A frame is its table of signs: what one rotor's thrust does to the vehicle, in FRD (roll right, pitch nose up, yaw nose
-right are positive). Rotors are numbered as the vehicle numbers its outputs. Everything that names a rotor, in a
-monitor or in an alert, means this numbering.
+A layout is a table of effects: what the thrust of one rotor does to the vehicle, in FRD (roll right, pitch nose up,
+yaw nose right are positive). Rotors are numbered from 1 as the vehicle numbers its outputs. Everything that names a
+rotor, in a monitor or in an alert, means this number. `mavdiag.airframe.detect` finds a layout from flights.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.monitors.base import Rows
-from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["LAYOUTS", "RotorLayout", "detect_layout", "layout_likeness", "layout_named"]
+__all__ = ["LAYOUTS", "Place", "RotorLayout", "layout_at", "layout_named", "layout_of_effects"]
 
-SQRT2 = math.sqrt(2.0)
-LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
-MIN_ROWS = 200
-MIN_LIKENESS = 0.6  # cosine between the fitted and a frame's table; below it nothing is claimed (our choice)
-MIN_LEAD = 0.2  # and the next frame must be less like it by this much (our choice)
-MIN_OUTPUT = 0.05  # mean output below which the motors do not carry (our choice)
+COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file may leave out (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class RotorLayout:
-    """Rotor geometry.
+    """Rotor geometry of any number of rotors.
 
-    signs: per rotor its (roll, pitch, yaw) effect, scaled so that the squares of each column sum to the number of
-    rotors. torque_gain: share of the full output of a motor that a full-scale (roll, pitch, yaw) torque command adds,
-    None where the vehicle's mixing is not known; then only its outputs tell the trims.
-    Raises UsageError if roll, pitch and yaw cannot be told apart.
+    name: what reports call it.
+    signs: per rotor its (roll, pitch, yaw) effect; the squares of each column sum to the number of rotors.
+    torque_gain: share of a motor's full output that a full-scale (roll, pitch, yaw) torque command adds; None where
+    the mixing is not known; then trims follow only from its outputs.
+    Raises UsageError if it cannot command roll, pitch and yaw independently, or the columns are not so scaled.
     """
 
     name: str
@@ -43,7 +38,9 @@ class RotorLayout:
 
     def __post_init__(self) -> None:
         if self.mixing.shape[1:] != (3,) or np.linalg.matrix_rank(self.mixing) < 3:
-            raise UsageError(f"frame {self.name}: its rotors cannot command roll, pitch and yaw independently")
+            raise UsageError(f"layout {self.name}: its rotors cannot command roll, pitch and yaw independently")
+        if not np.allclose(np.square(self.mixing).sum(axis=0), self.rotors, rtol=COLUMN_TOLERANCE):
+            raise UsageError(f"layout {self.name}: the squares of each column must sum to {self.rotors}")
 
     @property
     def rotors(self) -> int:
@@ -63,10 +60,55 @@ class RotorLayout:
 
 @cache
 def _unmixing(signs: tuple[tuple[float, float, float], ...]) -> FloatArray:
-    """Of a frame's signs; kept, for a stream asks for it in every step."""
+    """Of a layout's signs; kept, for a stream asks for it in every step."""
     C = np.asarray(np.linalg.pinv(np.array(signs, dtype=np.float64)), dtype=np.float64)
     C.setflags(write=False)
     return C
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One rotor in body FRD, from the centre of gravity.
+
+    x_m: forward. y_m: to the right. spin: sense of rotation seen from above.
+    """
+
+    x_m: float
+    y_m: float
+    spin: Literal["cw", "ccw"]
+
+
+def layout_at(name: str, places: Sequence[Place]) -> RotorLayout:
+    """The layout that follows from where the rotors are. Raises UsageError if they cannot command all three axes.
+
+    Thrust is along -z: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0). The body turns against the rotor.
+
+    >>> quad = [Place(1, 1, "ccw"), Place(-1, -1, "ccw"), Place(1, -1, "cw"), Place(-1, 1, "cw")]
+    >>> layout_at("x", quad).signs
+    ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0))
+    """
+    return layout_of_effects(name, [(-one.y_m, one.x_m, 1.0 if one.spin == "ccw" else -1.0) for one in places])
+
+
+def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) -> RotorLayout:
+    """The layout of (roll, pitch, yaw) effects in any scale. Raises UsageError as `RotorLayout` does.
+
+    >>> layout_of_effects("x", [(-3, 2, 1), (3, -2, 1), (3, 2, -1), (-3, -2, -1)]).signs[0]
+    (-1.0, 1.0, 1.0)
+    """
+    B = np.array(effects, dtype=np.float64).reshape(-1, 3)
+    rms = np.sqrt(np.square(B).mean(axis=0)) if len(B) else np.zeros(3)
+    B = B / np.where(rms > 0, rms, 1.0)
+    return RotorLayout(name, tuple((float(r), float(p), float(y)) for r, p, y in B))
+
+
+def _ring(name: str, *angles_deg: float, cw: tuple[int, ...]) -> RotorLayout:
+    """Rotors on a circle, by angle from the nose to the right; cw: numbers of those that turn clockwise."""
+    places = [
+        Place(round(math.cos(math.radians(deg)), 9), round(math.sin(math.radians(deg)), 9), "cw" if i in cw else "ccw")
+        for i, deg in enumerate(angles_deg, start=1)
+    ]
+    return layout_at(name, places)
 
 
 _KNOWN = (
@@ -80,104 +122,22 @@ _KNOWN = (
         ((-1, 1, 1), (-1, -1, -1), (1, -1, 1), (1, 1, -1)),
         (0.5 * 32767 / 65535, 0.5 * 32767 / 65535, 32767 / 65535),
     ),
-    # ArduPilot X, AP_MotorsMatrix: 1 front right, 2 rear left, 3 front left, 4 rear right. PX4's quad X is the same.
-    RotorLayout("x", ((-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, -1))),
-    # ArduPilot plus: 1 right, 2 left, 3 front, 4 rear.
-    RotorLayout("plus", ((-SQRT2, 0, 1), (SQRT2, 0, 1), (0, SQRT2, -1), (0, -SQRT2, -1))),
+    # ArduPilot, AP_MotorsMatrix.cpp, setup_quad_matrix, setup_hexa_matrix, setup_octa_matrix: angle and spin of
+    # MOT_1, MOT_2, ... PX4's quad X is the same.
+    _ring("x", 45, -135, -45, 135, cw=(3, 4)),
+    _ring("plus", 90, -90, 0, 180, cw=(3, 4)),
+    _ring("hexa-x", 90, -90, -30, 150, 30, -150, cw=(1, 3, 6)),
+    _ring("hexa-plus", 0, 180, -120, 60, -60, 120, cw=(1, 3, 6)),
+    _ring("octo-x", 22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5, cw=(1, 2, 7, 8)),
+    _ring("octo-plus", 0, 180, 45, 135, -45, -135, -90, 90, cw=(1, 2, 7, 8)),
 )
 
-#: The frames known by name. Six and eight rotors are further rows.
-LAYOUTS = {frame.name: frame for frame in _KNOWN}
+#: The layouts known by name.
+LAYOUTS = {layout.name: layout for layout in _KNOWN}
 
 
 def layout_named(name: str) -> RotorLayout:
-    """The frame of that name. Raises UsageError, listing the names, if there is none."""
+    """The layout of that name. Raises UsageError, listing the names, if there is none."""
     if name not in LAYOUTS:
-        raise UsageError(f"no frame {name}; there are {', '.join(LAYOUTS)}")
+        raise UsageError(f"no layout {name!r}: use one of {', '.join(LAYOUTS)}")
     return LAYOUTS[name]
-
-
-def detect_layout(rows: Sequence[Rows], known: Sequence[RotorLayout] = _KNOWN) -> RotorLayout | None:
-    """The known frame that healthy flying fits; None where the outputs are missing or it stays unclear.
-
-    See `layout_likeness`. A frame is named if its likeness reaches 0.6 and the next one is 0.2 behind.
-    """
-    likeness = layout_likeness(rows, known)
-    if likeness is None:
-        return None
-    order = np.argsort(-likeness)
-    lead = likeness[order[0]] - (likeness[order[1]] if len(order) > 1 else 0.0)
-    best = int(order[0])
-    return known[best] if likeness[best] >= MIN_LIKENESS and lead >= MIN_LEAD else None
-
-
-def layout_likeness(rows: Sequence[Rows], known: Sequence[RotorLayout] = _KNOWN) -> FloatArray | None:
-    """How well each known frame explains the outputs of a flight, (frames,) in -1..1; None without outputs.
-
-    What drives the outputs is, in this order, what the vehicle tells: the torque command, the rate error (set-point
-    minus gyro, to which the rate controller answers), or the angular acceleration that the outputs make some lag
-    later. With w = o/mean(o) - 1 and drivers x, both as changes from row to row so that trims and drifts do not count,
-        B_fit = cor(w, x),     likeness = mean over roll and pitch of cos(B_fit column, B column);
-    for the acceleration at the lag with the longest B_fit. Yaw does not count: it is too weak to be seen in a calm
-    hover, and no two of the known frames differ in nothing else. Its price: some hundred rows in which the vehicle
-    turns.
-    """
-    driver = next((one for one in (_torque, _rate_error) if _told(rows, one)), _acceleration)
-    cuts = [cut for cut in (_relative(one, driver) for one in rows) if cut is not None]
-    rotors = cuts[0][0].shape[1] if cuts else 0
-    candidates = [i for i, frame in enumerate(known) if frame.rotors == rotors]
-    if not candidates or sum(len(w) for w, _ in cuts) < MIN_ROWS:
-        return None
-    lags_s = LAGS_S if driver is _acceleration else (0.0,)
-    fits = [_correlation(cuts, lag) for lag in sorted({round(lag_s / rows[0].block.dt_s) for lag_s in lags_s})]
-    best = max(fits, key=lambda fit: float(np.square(fit).sum()))
-    likeness = np.full(len(known), -1.0)
-    for i in candidates:
-        likeness[i] = float(np.mean([_cosine(best[:, k], known[i].mixing[:, k]) for k in (0, 1)]))
-    return likeness
-
-
-def _torque(block: Block) -> FloatArray:
-    return block.torque
-
-
-def _rate_error(block: Block) -> FloatArray:
-    return block.rate_setpoint - block.rate
-
-
-def _acceleration(block: Block) -> FloatArray:
-    change = np.full(block.rate.shape, np.nan)
-    change[1:] = np.diff(block.rate, axis=0)
-    return change
-
-
-def _told(rows: Sequence[Rows], driver: Callable[[Block], FloatArray]) -> bool:
-    """Whether the vehicle tells this driver throughout, and it moves."""
-    x = [driver(one.block)[one.block.valid] for one in rows]
-    return all(np.isfinite(part).all() for part in x) and any(len(part) and np.ptp(part) > 0 for part in x)
-
-
-def _relative(rows: Rows, driver: Callable[[Block], FloatArray]) -> tuple[FloatArray, FloatArray] | None:
-    """Outputs relative to their mean, (n, rotors), and what drives them, (n, 3), of the valid rows."""
-    block = rows.block
-    if block.actuator.shape[1] < 3 or len(block) == 0:
-        return None
-    mean, x = block.actuator.mean(axis=1), driver(block)
-    good = block.valid & (mean > MIN_OUTPUT) & np.isfinite(x).all(axis=1)
-    if not good.any():
-        return None
-    return block.actuator[good] / mean[good, None] - 1.0, x[good]
-
-
-def _correlation(cuts: Sequence[tuple[FloatArray, FloatArray]], lag: int) -> FloatArray:
-    """Correlation of output changes with driver changes `lag` rows later, (rotors, 3)."""
-    w = np.concatenate([np.diff(w, axis=0)[: max(len(w) - 1 - lag, 0)] for w, _ in cuts])
-    x = np.concatenate([np.diff(x, axis=0)[lag:] for _, x in cuts])
-    scale = np.outer(np.linalg.norm(w, axis=0), np.linalg.norm(x, axis=0))
-    product = w.T @ x
-    return np.asarray(np.divide(product, scale, out=np.zeros_like(product), where=scale > 0), dtype=np.float64)
-
-
-def _cosine(a: FloatArray, b: FloatArray) -> float:
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / size if size > 0 else 0.0

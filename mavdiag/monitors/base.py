@@ -13,8 +13,7 @@ from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.identify import Method, Order
-from mavdiag.rows.block import Block
-from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal
 from mavdiag.thresholds.rule import Guard
@@ -23,14 +22,6 @@ __all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Ro
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
-
-    block: Block
-    rates: RateBlock
 
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]

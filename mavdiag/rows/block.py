@@ -1,8 +1,10 @@
 """The uniform rows that everything after the alignment works on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+import numpy as np
+
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Block"]
 
@@ -11,10 +13,24 @@ __all__ = ["Block"]
 class Block:
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
-    t_ns: (n,) vehicle time. setpoint: (n, 3) commanded roll, pitch, yaw [rad]. rate: (n, 3) gyro [rad/s].
-    force: (n, 3) accelerometer [m/s^2]. torque: (n, 3) torque command, rate_setpoint: (n, 3) [rad/s],
-    thrust, height, armed: (n,), vibration: (n, 3) [m/s^2], actuator: (n, outputs); nan where the vehicle sends none.
-    valid: (n,) False where a row must not be judged. segment: changes after every break.
+    A signal is nan in a row where it is unknown: never sent, or its last sample is too old (see `rows.align`). Only the
+    set-point stays finite; `setpoint_valid` says where it may be used.
+
+    segment: number of the unbroken span of flight; it changes after every break and landing.
+    dt_s: row period [s].
+    t_ns: (n,) vehicle time.
+    setpoint: (n, 3) commanded roll, pitch, yaw [rad], without jumps of 2 pi; 0 before the first, held in an outage.
+    rate: (n, 3) gyro [rad/s].
+    force: (n, 3) accelerometer [m/s^2].
+    torque: (n, 3) torque command, -1..1.
+    rate_setpoint: (n, 3) commanded body rates [rad/s].
+    thrust: (n,) collective set-point, 0..1.
+    height: (n,) above take-off [m].
+    armed: (n,) 0 or 1.
+    vibration: (n, 3) VIBRATION message [m/s^2].
+    actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
+    valid: (n,) the gyro may be judged: it is there, settled and airborne.
+    setpoint_valid: (n,) the set-point may be used: it is there and settled.
     """
 
     segment: int
@@ -31,6 +47,7 @@ class Block:
     vibration: FloatArray
     actuator: FloatArray
     valid: BoolArray
+    setpoint_valid: BoolArray
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -38,19 +55,34 @@ class Block:
     def rows(self, first: int, stop: int, segment: int | None = None) -> "Block":
         """Rows [first, stop) as a block of their own, of another segment if asked."""
         cut = slice(first, stop)
-        return Block(
-            self.segment if segment is None else segment,
-            self.dt_s,
-            self.t_ns[cut],
-            self.setpoint[cut],
-            self.rate[cut],
-            self.force[cut],
-            self.torque[cut],
-            self.rate_setpoint[cut],
-            self.thrust[cut],
-            self.height[cut],
-            self.armed[cut],
-            self.vibration[cut],
-            self.actuator[cut],
-            self.valid[cut],
-        )
+        columns = (getattr(self, name)[cut] for name in _COLUMNS)
+        return Block(self.segment if segment is None else segment, self.dt_s, *columns)
+
+    def known(self, signal: Signal) -> BoolArray:
+        """(n,) where the row carries this signal; nowhere if rows have no column for it.
+
+        BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`. Others: where all their columns are finite.
+        """
+        if signal is Signal.BODY_RATE:
+            return self.valid
+        if signal is Signal.ATTITUDE_SETPOINT:
+            return self.setpoint_valid
+        name = _SIGNALS.get(signal)
+        column: FloatArray = np.empty((len(self), 0)) if name is None else getattr(self, name)
+        if column.ndim == 1:
+            return np.isfinite(column)
+        known: BoolArray = np.isfinite(column).all(axis=1) & (column.shape[1] > 0)
+        return known
+
+
+_COLUMNS = tuple(field.name for field in fields(Block))[2:]
+_SIGNALS = {
+    Signal.SPECIFIC_FORCE: "force",
+    Signal.TORQUE_COMMAND: "torque",
+    Signal.RATE_SETPOINT: "rate_setpoint",
+    Signal.THRUST_SETPOINT: "thrust",
+    Signal.HEIGHT: "height",
+    Signal.ARMED: "armed",
+    Signal.VIBRATION: "vibration",
+    Signal.ACTUATOR: "actuator",
+}

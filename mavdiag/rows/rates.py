@@ -1,8 +1,15 @@
-"""From aligned rows to the pair that the model relates: commanded rate u and measured rate y (T 4.3.4).
+"""From aligned rows to the pair that the model relates: commanded body rate u and measured body rate y (T 4.3.4).
 
-The commanded attitude is differentiated and the gyro smoothed by Savitzky-Golay filters of the same window and order,
-so both have the same delay of m samples. Output row i belongs to input row i + m; a new segment starts the filters
-afresh. A row is valid only if its whole window was.
+The set-point is an attitude in Euler angles, the gyro measures body rates. Savitzky-Golay filters of one window and
+order give the value and the slope of the angles at the centre of the window, and W(phi, theta) turns the slopes into
+body rates (the kinematics of the order yaw, pitch, roll):
+
+    p = dphi - sin(theta) dpsi
+    q = cos(phi) dtheta + sin(phi) cos(theta) dpsi
+    r = -sin(phi) dtheta + cos(phi) cos(theta) dpsi
+
+The gyro is smoothed by the same window, so u and y have the same delay of m samples. Output row i belongs to input row
+i + m; a new segment starts the filters afresh.
 """
 
 from dataclasses import dataclass
@@ -11,14 +18,24 @@ import numpy as np
 
 from mavdiag.rows.block import Block
 from mavdiag.rows.savgol import SavgolFilter, SavgolState
+from mavdiag.rows.windows import window_all
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
-__all__ = ["RateBlock", "RateSpec", "RateState", "rates", "start"]
+__all__ = ["RateBlock", "RateSpec", "RateState"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RateBlock:
-    """Consecutive rows of one segment: u, y: (n, 3) commanded and measured roll, pitch, yaw rate [rad/s]."""
+    """Consecutive rows of one segment.
+
+    segment: as in `Block`.
+    dt_s: row period [s].
+    t_ns: (n,) vehicle time.
+    u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
+    y: (n, 3) measured body rates, smoothed [rad/s].
+    valid: (n,) the gyro was valid in the whole window.
+    commanded: (n,) so were gyro and set-point: u and y may be compared.
+    """
 
     segment: int
     dt_s: float
@@ -26,14 +43,31 @@ class RateBlock:
     u: FloatArray
     y: FloatArray
     valid: BoolArray
+    commanded: BoolArray
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RateState:
+    """Filter histories, and the times and flags of the rows that wait for the rest of their window."""
+
+    segment: int
+    setpoint: SavgolState
+    smooth: SavgolState
+    t_ns: IntArray
+    valid: BoolArray
+    commanded: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RateSpec:
-    """The two filters, of one window and order; build it with `RateSpec.of`."""
+    """The two filters, of one window [samples] and order; build it with `RateSpec.of`.
+
+    slope: gives the slopes of the set-point angles.
+    value: gives the smoothed gyro and set-point angles.
+    """
 
     window: int
     slope: SavgolFilter
@@ -45,58 +79,44 @@ class RateSpec:
         slope = SavgolFilter.differentiator(window, dt_s, order)
         return cls(window, slope, SavgolFilter.smoother(window, order))
 
+    def start(self, segment: int = -1) -> RateState:
+        """A fresh state, before the first row of a segment."""
+        none = np.empty(0, dtype=np.bool_)
+        return RateState(segment, self.slope.start(3), self.value.start(5), np.empty(0, dtype=np.int64), none, none)
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RateState:
-    """Filter histories, and the times and validity of the rows that wait for the rest of their window."""
-
-    segment: int
-    setpoint: SavgolState
-    gyro: SavgolState
-    angle: FloatArray  # (3,) last set-point, to unwrap the next
-    t_ns: IntArray
-    valid: BoolArray
-
-
-def start(spec: RateSpec, segment: int = -1) -> RateState:
-    """A fresh state, before the first row of a segment."""
-    return RateState(
-        segment,
-        spec.slope.start(3),
-        spec.value.start(3),
-        np.full(3, np.nan),
-        np.empty(0, dtype=np.int64),
-        np.empty(0, dtype=np.bool_),
-    )
-
-
-def rates(spec: RateSpec, state: RateState, block: Block) -> tuple[RateState, RateBlock]:
-    """Take the next rows; return those whose window is complete."""
-    if block.segment != state.segment:
-        state = start(spec, block.segment)
-    angle = _unwrap(state.angle, block.setpoint)
-    setpoint, u = spec.slope.step(state.setpoint, angle)
-    gyro, y = spec.value.step(state.gyro, block.rate)
-    t_ns = np.concatenate((state.t_ns, block.t_ns))
-    valid = np.concatenate((state.valid, block.valid))
-    m, known = spec.window // 2, len(u)
-    out = RateBlock(block.segment, block.dt_s, t_ns[m : m + known], u, y, _whole(valid, spec.window, known))
-    return RateState(block.segment, setpoint, gyro, angle[-1], t_ns[known:], valid[known:]), out
+    def step(self, state: RateState, block: Block) -> tuple[RateState, RateBlock]:
+        """Take the next rows; return those whose window is complete."""
+        if block.segment != state.segment:
+            state = self.start(block.segment)
+        setpoint, slope = self.slope.step(state.setpoint, block.setpoint)
+        smooth, value = self.value.step(state.smooth, np.concatenate((block.rate, block.setpoint[:, :2]), axis=1))
+        t_ns = np.concatenate((state.t_ns, block.t_ns))
+        valid = np.concatenate((state.valid, block.valid))
+        commanded = np.concatenate((state.commanded, block.valid & block.setpoint_valid))
+        m, known = self.window // 2, len(slope)
+        out = RateBlock(
+            block.segment,
+            block.dt_s,
+            t_ns[m : m + known],
+            _body_rates(value[:, 3], value[:, 4], slope),
+            value[:, :3],
+            window_all(valid, self.window),
+            window_all(commanded, self.window),
+        )
+        state = RateState(block.segment, setpoint, smooth, t_ns[known:], valid[known:], commanded[known:])
+        return state, out
 
 
-def _unwrap(last: FloatArray, angle: FloatArray) -> FloatArray:
-    """Angles without jumps of 2 pi, continuing from `last` (nan at a start)."""
-    rows = angle if np.isnan(last[0]) else np.concatenate((last[None], angle))
-    # np.unwrap costs more than the filter itself, and a jump is rare. A continued row may already be off by 2 pi n.
-    if len(rows) > 1 and np.abs(rows[1:] - rows[:-1]).max() > np.pi:
-        rows = np.unwrap(rows, axis=0)
-    return rows[len(rows) - len(angle) :]
-
-
-def _whole(valid: BoolArray, window: int, known: int) -> BoolArray:
-    """Which of the `known` windows hold valid rows only."""
-    if valid.all():
-        return np.ones(known, dtype=np.bool_)
-    bad = np.concatenate(([0], np.cumsum(~valid)))
-    whole: BoolArray = bad[window : window + known] == bad[:known]
-    return whole
+def _body_rates(phi: FloatArray, theta: FloatArray, slope: FloatArray) -> FloatArray:
+    """W(phi, theta) times the slopes of roll, pitch and yaw, (n, 3)."""
+    #     [ 1   0          -sin theta          ]
+    # W = [ 0   cos phi    sin phi cos theta   ]
+    #     [ 0   -sin phi   cos phi cos theta   ]
+    sin_phi, cos_phi = np.sin(phi), np.cos(phi)
+    dphi, dtheta, dpsi = slope.T
+    turn = np.cos(theta) * dpsi
+    u = np.empty(slope.shape)
+    u[:, 0] = dphi - np.sin(theta) * dpsi
+    u[:, 1] = cos_phi * dtheta + sin_phi * turn
+    u[:, 2] = cos_phi * turn - sin_phi * dtheta
+    return u

@@ -16,7 +16,7 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["SavgolFilter", "SavgolState", "coefficients", "derivative", "smooth", "window_samples"]
+__all__ = ["SavgolFilter", "SavgolState", "coefficients", "window_samples"]
 
 WINDOW_S = 0.1  # T 5.3: 100 samples at 1 kHz, made odd
 MIN_WINDOW = 5  # our floor: fewer samples than this smooth nothing at polynomial order 2
@@ -144,19 +144,3 @@ class SavgolFilter:
             for column, row in enumerate(rows):
                 out[:, column] = np.correlate(row, self.taps)  # mode "valid"
         return SavgolState(rows[:, known:].copy()), out
-
-
-def smooth(x: FloatArray, window: int, order: int = 2) -> FloatArray:
-    """Smoothed valid part of x, (n,) or (n, k) -> n - 2m rows, same unit; row i belongs to row i + m of x (T Eq 4.12).
-
-    Raises UsageError on an impossible window or order.
-    """
-    return SavgolFilter.smoother(window, order).batch(x)
-
-
-def derivative(x: FloatArray, dt_s: float, window: int, order: int = 2) -> FloatArray:
-    """First derivative of the valid part of x [unit of x per second]; row i belongs to row i + m of x (T Eq 4.13).
-
-    x: (n,) or (n, k), sampled every `dt_s` [s]. Raises UsageError on an impossible window, order or sample time.
-    """
-    return SavgolFilter.differentiator(window, dt_s, order).batch(x)

@@ -17,17 +17,16 @@ from mavdiag.airframe.balance import (
     unbalance_g_mm,
 )
 from mavdiag.airframe.propellers import (
-    HEALTHY_MASS_G,
     PROPELLERS,
-    SURFACES,
     DamagedPropeller,
     FaultType,
-    category,
     propeller,
 )
 from mavdiag.errors import UsageError
 
 ROTOR_G, SPEED_RPM = 30.0, 10_000.0  # T 3.2.2
+HEALTHY_MASS_G = 7.198  # T Table 3.2, two of three; the third weighs 7.197 g
+WEIGHING_ERROR_G = 0.0005  # T 3.2.2: half of the last digit of the scales
 
 
 def test_the_worked_example_of_the_thesis() -> None:
@@ -76,11 +75,11 @@ def test_the_limit_itself_is_within() -> None:
     assert "within G2.5" in report.sentence
 
 
-def test_no_unbalance_meets_the_finest_grade_and_a_monster_none() -> None:
+def test_no_unbalance_meets_the_finest_grade_and_a_huge_one_none() -> None:
     assert grade_met(0.0, rotor_mass_g=1.0, speed_rpm=1.0) is Grade.G0_4
-    monster = assess_unbalance(1e6, rotor_mass_g=30.0, speed_rpm=SPEED_RPM)
-    assert monster.met is None
-    assert monster.sentence.endswith("beyond G4000")
+    huge = assess_unbalance(1e6, rotor_mass_g=30.0, speed_rpm=SPEED_RPM)
+    assert huge.met is None
+    assert huge.sentence.endswith("beyond G4000")
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
@@ -118,8 +117,6 @@ def test_table_3_2_recomputed(found: DamagedPropeller) -> None:
         assert (round(found.unbalance_g_mm, 3), found.printed_g_mm) == (2.970, 2.640)
     else:
         assert found.unbalance_g_mm == pytest.approx(found.printed_g_mm, abs=1e-9)
-    agrees = found.radii_mm == tuple(piece.radius_mm for piece in found.pieces)
-    assert agrees == (found.code != "F1/SV3")
 
 
 def test_every_fault_exceeds_g6_3_but_the_small_crack_only_just() -> None:
@@ -130,20 +127,11 @@ def test_every_fault_exceeds_g6_3_but_the_small_crack_only_just() -> None:
     assert min(ratios.values()) == ratios["F2/SV1"] == pytest.approx(1.22, abs=0.01)
     smallest = propeller(FaultType.CRACK, 1)
     permissible = permissible_unbalance_g_mm(Grade.G6_3, SPEED_RPM, ROTOR_G)
-    assert smallest.unbalance_g_mm - smallest.uncertainty_g_mm < permissible  # T Eq 3.6 cannot be sure of it
+    error = 2 * WEIGHING_ERROR_G * smallest.pieces[0].radius_mm  # of two weighings
+    assert smallest.unbalance_g_mm - error < permissible  # T Eq 3.6 cannot be sure of it
 
 
-def test_table_3_3_falls_into_its_printed_categories_by_the_unbalance_of_either_table() -> None:
-    for surface in SURFACES:
-        weighed = propeller(surface.fault_type, surface.severity)
-        for unbalance in (surface.printed_g_mm, weighed.printed_g_mm, weighed.unbalance_g_mm):
-            assert category(surface.area_mm2, unbalance) == surface.category
-
-
-def test_a_category_and_a_row_refuse_nonsense() -> None:
-    for area, unbalance in ((-1.0, 0.0), (0.0, -1.0), (math.nan, 0.0)):
-        with pytest.raises(UsageError, match="zero or more"):
-            category(area, unbalance)
+def test_a_row_that_is_not_there_is_refused() -> None:
     with pytest.raises(UsageError, match="severity"):
         propeller(FaultType.CRACK, 4)
 

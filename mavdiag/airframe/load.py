@@ -1,0 +1,181 @@
+"""Airframes from TOML files: the file of a user, or one of those that are shipped in this folder.
+
+    name = "survey hexa"          # what reports call it
+    scope = "airframe"            # "airframe": one vehicle (default); "type": several of one make
+    mass_kg = 2.4                 # take-off mass
+    hover_rpm = 5200              # rotor speed that carries it
+    imu_corner_hz = 20            # corner of the low-pass filter in its IMU stream, ArduPilot's INS_GYRO_FILTER
+    classifier = "..."            # trained fault types that hold for it
+    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's outputs:
+
+    [[rotors]]                    # either where it is, in FRD from the centre of gravity, seen from above
+    x_m = 0.1                     # forward
+    y_m = 0.2                     # to the right
+    spin = "cw"                   # or "ccw"
+
+    [[rotors]]                    # or what its thrust does to roll, pitch and yaw, in any scale
+    roll = -1.0
+    pitch = 0.5
+    yaw = -1.0
+
+    [gate]                        # what counts as flying; the keys of `mavdiag.rows.gate.GateSpec`
+    min_thrust = 0.1
+
+Every key may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key
+is an error.
+"""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+
+from mavdiag.airframe.airframe import Airframe, Scope
+from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
+from mavdiag.errors import InputError, UsageError
+from mavdiag.rows.gate import GateSpec
+from mavdiag.units import RPM
+
+__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe"]
+
+#: Names of the airframes that are shipped.
+BUILTIN = ("crazyflie", "qdrone2")
+
+Finite: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive: TypeAlias = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NotNegative: TypeAlias = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Place(_Table):
+    x_m: Finite
+    y_m: Finite
+    spin: Literal["cw", "ccw"]
+
+
+class _Effect(_Table):
+    roll: Finite
+    pitch: Finite
+    yaw: Finite
+
+
+def _kind_of_rotor(raw: Any) -> str:
+    return "effect" if isinstance(raw, dict) and raw.keys() & {"roll", "pitch", "yaw"} else "place"
+
+
+_Rotor: TypeAlias = Annotated[
+    Annotated[_Place, Tag("place")] | Annotated[_Effect, Tag("effect")], Discriminator(_kind_of_rotor)
+]
+
+
+class _Gate(_Table):
+    min_height_m: Finite | None = None
+    min_thrust: Annotated[float, Field(strict=True, ge=0, le=1)] | None = None
+    need_armed: Annotated[bool, Field(strict=True)] = True
+    trim_start_s: NotNegative = 0.0
+    trim_end_s: NotNegative = 0.0
+
+
+class _File(_Table):
+    name: Annotated[str, Field(min_length=1)]
+    scope: Scope = "airframe"
+    layout: str | None = None
+    rotors: tuple[_Rotor, ...] = ()
+    mass_kg: Positive | None = None
+    hover_rpm: Positive | None = None
+    imu_corner_hz: Positive | None = None
+    gate: _Gate | None = None
+    classifier: str | None = None
+
+
+def airframe_from(text: str) -> Airframe:
+    """The airframe that a user means: one of `BUILTIN`, or the path of a TOML file.
+
+    Raises UsageError, with the names there are, if it is neither, and InputError as `load_airframe` does.
+    """
+    if text in BUILTIN:
+        return airframe_named(text)
+    if not Path(text).is_file():
+        raise UsageError(f"no airframe {text!r}: give a TOML file or one of {', '.join(BUILTIN)}")
+    return load_airframe(Path(text))
+
+
+def airframe_named(name: str) -> Airframe:
+    """One of `BUILTIN`. Raises UsageError, with the names there are, for another name.
+
+    >>> airframe_named("qdrone2").layout.rotors
+    4
+    """
+    if name not in BUILTIN:
+        raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
+    file = resources.files("mavdiag.airframe") / f"{name}.toml"
+    return _parse(file.read_text(encoding="utf-8"), file.name)
+
+
+def load_airframe(path: Path) -> Airframe:
+    """Read an airframe file. Raises InputError, naming the file and the key, if it cannot be used."""
+    try:
+        return _parse(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise InputError(f"cannot read airframe file {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file in UTF-8") from error
+
+
+def _parse(text: str, file: str) -> Airframe:
+    try:
+        found = _File.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file}: not TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        steps = [step for step in first["loc"] if step not in ("place", "effect")]
+        key = ".".join(str(step + 1) if isinstance(step, int) else step for step in steps)  # rotors count from 1
+        reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
+        raise InputError(f"{file}: {key}: {reason}") from error
+    try:
+        layout = _layout(found)
+    except UsageError as error:
+        raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
+    return Airframe(
+        name=found.name,
+        scope=found.scope,
+        layout=layout,
+        mass_kg=found.mass_kg,
+        hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
+        imu_corner_hz=found.imu_corner_hz,
+        gate=None if found.gate is None else _gate_spec(found.gate),
+        classifier=found.classifier,
+    )
+
+
+def _gate_spec(gate: _Gate) -> GateSpec:
+    return GateSpec(
+        min_height_m=gate.min_height_m,
+        min_thrust=gate.min_thrust,
+        need_armed=gate.need_armed,
+        trim_start_s=gate.trim_start_s,
+        trim_end_s=gate.trim_end_s,
+    )
+
+
+def _layout(found: _File) -> RotorLayout | None:
+    """The layout of a file, None if it has none. Raises UsageError if it cannot be."""
+    if found.layout is not None:
+        if found.rotors:
+            raise UsageError("give either rotors or the name of a layout, not both")
+        return layout_named(found.layout)
+    if not found.rotors:
+        return None
+    if found.name in LAYOUTS:
+        raise UsageError(f"{found.name} is a known layout: give these rotors another name")
+    places = [Place(one.x_m, one.y_m, one.spin) for one in found.rotors if isinstance(one, _Place)]
+    effects = [(one.roll, one.pitch, one.yaw) for one in found.rotors if isinstance(one, _Effect)]
+    if places and effects:
+        raise UsageError("give all rotors as places or all as effects")
+    return layout_at(found.name, places) if places else layout_of_effects(found.name, effects)

@@ -1,0 +1,66 @@
+"""Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
+
+from dataclasses import dataclass
+
+from mavdiag.rows.align import AlignSpec, AlignState
+from mavdiag.rows.block import Block
+from mavdiag.rows.gate import Border, GateSpec, GateState
+from mavdiag.rows.rates import RateBlock, RateSpec, RateState
+from mavdiag.telemetry import Telemetry
+
+__all__ = ["Front", "FrontState", "Rows"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
+
+    block: Block
+    rates: RateBlock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontState:
+    """Memory of the alignment, the gate and the rate filters."""
+
+    align: AlignState
+    gate: GateState
+    rates: RateState
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Front:
+    """The three steps. A `Border` follows the last rows of a flying span that ended; the end of a log gives none."""
+
+    align: AlignSpec
+    gate: GateSpec
+    rates: RateSpec
+
+    def start(self) -> FrontState:
+        """Nothing taken in yet."""
+        return FrontState(self.align.start(), self.gate.start(), self.rates.start())
+
+    def step(self, state: FrontState, telemetry: Telemetry) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """Take in a chunk of telemetry; return the rows that it completes."""
+        aligned, blocks = self.align.step(state.align, telemetry)
+        gated, parts = self.gate.step(state.gate, blocks)
+        return self._rows(aligned, gated, state.rates, parts)
+
+    def finish(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """The end of a log: the rows that were waiting."""
+        aligned, blocks = self.align.finish(state.align)
+        gated, parts = self.gate.step(state.gate, blocks)
+        gated, rest = self.gate.finish(gated)
+        return self._rows(aligned, gated, state.rates, (*parts, *rest))
+
+    def _rows(
+        self, aligned: AlignState, gated: GateState, filtered: RateState, parts: tuple[Block | Border, ...]
+    ) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        out: list[Rows | Border] = []
+        for part in parts:
+            if isinstance(part, Border):
+                out.append(part)
+            else:
+                filtered, rates = self.rates.step(filtered, part)
+                out.append(Rows(part, rates))
+        return FrontState(aligned, gated, filtered), tuple(out)

@@ -1,0 +1,106 @@
+"""The samples of one signal that may still be needed: brought into order, and read at the times of rows."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray, IntArray
+
+__all__ = ["NEVER_NS", "Stream"]
+
+NEVER_NS = 2**62
+TURN = 2 * math.pi
+
+
+def _no_turns() -> FloatArray:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """Samples of one signal in order of time.
+
+    t: (n,) vehicle time [ns], strictly rising.
+    v: (n, k) values as they came.
+    newest: latest time seen [ns].
+    floor_ns: earlier samples and this one are settled; a sample that comes for them is dropped.
+    angle: the values are angles; they are read without jumps of 2 pi.
+    turns: (3,) full turns that belong to the first sample of an angle.
+    """
+
+    t: IntArray
+    v: FloatArray
+    newest: int = -NEVER_NS
+    floor_ns: int = -NEVER_NS
+    angle: bool = False
+    turns: FloatArray = field(default_factory=_no_turns)
+
+    def merged(self, t: IntArray, v: FloatArray, reorder_ns: int) -> "Stream":
+        """With new samples, (m,) and (m, k). One that is later than `reorder_ns`, or comes twice, is dropped."""
+        if len(t) == 0:
+            return self
+        if t[0] > self.newest and (t[1:] > t[:-1]).all():  # the usual case: all new and in order
+            if len(self.t):
+                t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
+            return replace(self, t=t, v=v, newest=int(t[-1]))
+        newest = np.maximum.accumulate(np.maximum(t, self.newest))
+        on_time = (t >= newest - reorder_ns) & (t > self.floor_ns)
+        t, v = t[on_time], v[on_time]
+        if len(self.t):
+            t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
+        if not (t[1:] > t[:-1]).all():
+            order = np.argsort(t, kind="stable")
+            t, v = t[order], v[order]
+            keep = np.append(np.diff(t) > 0, True)  # of equal times the last to arrive counts
+            t, v = t[keep], v[keep]
+        return replace(self, t=t, v=v, newest=int(newest[-1]))
+
+    def since(self, before_ns: int) -> "Stream":
+        """Without the samples older than `before_ns`, but with the one that a row at `before_ns` needs on its left."""
+        first = int(np.searchsorted(self.t, before_ns, side="right")) - 1
+        if first <= 0:
+            return self
+        turns = self.turns
+        if self.angle:
+            turns = turns - np.round(np.diff(self.v[: first + 1], axis=0) / TURN).sum(axis=0)
+        t = self.t[first:]
+        return Stream(t, self.v[first:], self.newest, int(t[0]), self.angle, turns)
+
+    def interpolated(self, rows: IntArray, limit_ns: int) -> tuple[FloatArray, IntArray]:
+        """Values (n, k) at the times of rows, and the time between the two samples around each row (n,) [ns].
+
+        Linear between two samples within the limit, else the last sample; nan before the first. The time is 0 at a
+        sample, and NEVER_NS where there is no sample on one side.
+        """
+        t, v = self.t, self._unwrapped() if self.angle else self.v
+        first = int(np.searchsorted(t, rows[0], side="left"))
+        if np.array_equal(t[first : first + len(rows)], rows):
+            return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
+        left = np.searchsorted(t, rows, side="right") - 1
+        right = np.minimum(left + 1, len(t) - 1)
+        span, since = t[right] - t[left], rows - t[left]
+        span[(left < 0) | (right == left)] = NEVER_NS
+        gap: IntArray = np.where(since == 0, 0, span)
+        share = np.where(gap > limit_ns, 0.0, since / span)
+        values: FloatArray = v[left] + share[:, None] * (v[right] - v[left])
+        values[left < 0] = np.nan
+        return values, gap
+
+    def held(self, rows: IntArray, limit_ns: int) -> FloatArray:
+        """The last value at or before each row, (n, k); nan before the first, and where it is older than the limit."""
+        t = self.t
+        if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
+            return np.repeat(self.v[:1], len(rows), axis=0)
+        at = np.searchsorted(t, rows, side="right") - 1
+        values: FloatArray = self.v[np.maximum(at, 0)]
+        values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
+        return values
+
+    def _unwrapped(self) -> FloatArray:
+        """The angles without jumps. Whole turns are added to what came, so that any cut gives the same bits."""
+        steps = self.v[1:] - self.v[:-1]
+        if not self.turns.any() and (len(steps) == 0 or np.abs(steps).max() <= math.pi):
+            return self.v
+        turns = np.cumsum(np.concatenate((self.turns[None], -np.round(steps / TURN))), axis=0)
+        return self.v + TURN * turns

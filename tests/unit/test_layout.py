@@ -1,0 +1,174 @@
+"""Rotor layouts: what physics says of their signs, and finding them from a flight."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mavdiag.airframe.detect import detect_layout
+from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
+from mavdiag.errors import UsageError
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+from sitl_plant.vehicle import allocation, qdrone2
+
+# Where each rotor is, seen from above: (x forward, y right), and how it turns. From each vehicle's own drawing.
+PLACES = {
+    "qdrone2": [(-1, 1, "cw"), (1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw")],
+    "crazyflie": [(1, 1, "ccw"), (-1, 1, "cw"), (-1, -1, "ccw"), (1, -1, "cw")],
+    "x": [(1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw")],
+    "plus": [(0, 1, "ccw"), (0, -1, "ccw"), (1, 0, "cw"), (-1, 0, "cw")],
+    "hexa-x": [(0, 1, "cw"), (0, -1, "ccw"), (1, -1, "cw"), (-1, 1, "ccw"), (1, 1, "ccw"), (-1, -1, "cw")],
+    "hexa-plus": [(1, 0, "cw"), (-1, 0, "ccw"), (-1, -1, "cw"), (1, 1, "ccw"), (1, -1, "ccw"), (-1, 1, "cw")],
+    "octo-x": [
+        *[(1, 1, "cw"), (-1, -1, "cw"), (1, 1, "ccw"), (-1, 1, "ccw")],
+        *[(1, -1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw")],
+    ],
+    "octo-plus": [
+        *[(1, 0, "cw"), (-1, 0, "cw"), (1, 1, "ccw"), (-1, 1, "ccw")],
+        *[(1, -1, "ccw"), (-1, -1, "ccw"), (0, -1, "cw"), (0, 1, "cw")],
+    ],
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
+    layout = layout_named(name)
+    mixing, n = layout.mixing, layout.rotors
+    for signs, (x, y, spin) in zip(mixing, PLACES[name], strict=True):
+        # Thrust is up, -z in FRD: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0); the body turns against the rotor.
+        assert np.sign(np.round(signs, 6)).tolist() == [-y, x, 1.0 if spin == "ccw" else -1.0]
+    np.testing.assert_allclose(mixing.T @ mixing, n * np.eye(3), atol=1e-7)  # independent, and scaled
+    np.testing.assert_allclose(mixing.sum(axis=0), 0.0, atol=1e-8)  # trims do not change the thrust
+    np.testing.assert_allclose(layout.unmixing @ mixing, np.eye(3), atol=1e-8)
+    radius = np.hypot(mixing[:, 0], mixing[:, 1])
+    np.testing.assert_allclose(radius, math.sqrt(2), atol=1e-8)  # all of them on one circle
+    angles = np.sort(np.degrees(np.arctan2(-mixing[:, 0], mixing[:, 1])))
+    np.testing.assert_allclose(np.diff(angles), 360 / n, atol=1e-6)
+    turns = mixing[np.argsort(np.arctan2(-mixing[:, 0], mixing[:, 1])), 2]
+    assert (turns[1:] == -turns[:-1]).all()  # neighbours turn against each other
+
+
+def test_the_thesis_frame_is_the_plant_s() -> None:
+    assert np.array_equal(np.sign(allocation(qdrone2())[1:].T), layout_named("qdrone2").mixing)
+
+
+def test_a_layout_must_command_all_three_axes_and_be_scaled() -> None:
+    with pytest.raises(UsageError, match="independently"):
+        RotorLayout("pair", ((1, 0, 0), (-1, 0, 0)))
+    with pytest.raises(UsageError, match="must sum to 4"):
+        RotorLayout("x", tuple((2 * r, p, y) for r, p, y in layout_named("x").signs))
+    with pytest.raises(UsageError, match="no layout 'hexa': use one of qdrone2, "):
+        layout_named("hexa")
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_each_rotor_has_a_direction_of_its_own(name: str) -> None:
+    C = layout_named(name).unmixing / np.linalg.norm(layout_named(name).unmixing, axis=0)
+    likeness = C.T @ C - 2 * np.eye(C.shape[1])
+    assert likeness.max() < 0.95
+    assert (np.argmax(C.T @ C, axis=0) == np.arange(C.shape[1])).all()
+
+
+def made_flight(layout: RotorLayout, seed: int, *, driver: str = "torque", yaw: float = 0.2) -> Block:
+    """20 s at 100 Hz: a rate loop commands torques, the outputs mix them, the body follows 40 ms later."""
+    rng, n = np.random.default_rng(seed), 2000
+    wanted = lfilter([0.1], [1, -0.9], rng.normal(0, 0.5, (n, 3)), axis=0) * (1.0, 1.0, yaw)
+    torque, rate = np.zeros((n, 3)), np.zeros((n, 3))
+    for i in range(4, n):
+        rate[i] = rate[i - 1] + torque[i - 4]  # 100 rad/s^2 for full torque
+        torque[i] = 0.1 * (wanted[i] - rate[i])
+    torque += rng.normal(0, 0.0005, (n, 3))
+    rate += rng.normal(0, 0.002, (n, 3))
+    outputs = 0.5 * (1.0 + torque @ layout.mixing.T) + rng.normal(0, 0.001, (n, layout.rotors))
+    given: FloatArray | None = torque if driver == "torque" else None
+    block = example_rows(n, 0.01, rate=rate, actuator=outputs, torque=given).block
+    return replace(block, rate_setpoint=wanted) if driver == "rate error" else block
+
+
+@pytest.mark.parametrize("driver", ["torque", "rate error", "acceleration"])
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_layout_is_found_from_a_flight(name: str, driver: str) -> None:
+    for seed in range(3):
+        found = detect_layout([made_flight(layout_named(name), seed, driver=driver)])
+        assert found.layout == layout_named(name), f"seed {seed}: {found}"
+        assert driver in found.reason
+        assert found.likeness[0][0] == name
+
+
+@pytest.mark.parametrize("rows", [1, 4, 7, 333])
+def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
+    """L6: a live link gives 4 rows a time, a log all of them; the answer is the same, to the last digit."""
+    for name in ("x", "plus"):
+        flight = made_flight(layout_named(name), 4, driver="rate error")
+        pieces = [flight.rows(i, min(i + rows, len(flight))) for i in range(0, len(flight), rows)]
+        assert detect_layout(pieces) == detect_layout([flight])
+        assert detect_layout(pieces).layout is layout_named(name)
+
+
+def test_l6_outputs_that_never_move_are_no_motors() -> None:
+    """L6: PX4 logs carry 8 or 16 outputs, whatever the vehicle has."""
+    for idle in (0.0, math.nan, 0.45):
+        flight = made_flight(layout_named("x"), 5)
+        wide = np.hstack([flight.actuator, np.full((len(flight), 4), idle)])
+        assert detect_layout([replace(flight, actuator=wide)]).layout is layout_named("x")
+
+
+def test_l6_outputs_that_arrive_later_than_the_gyro_count_from_then() -> None:
+    flight = made_flight(layout_named("x"), 6)
+    before = replace(flight.rows(0, 300), actuator=np.empty((300, 0)))
+    assert detect_layout([before, flight.rows(300, len(flight))]).layout is layout_named("x")
+
+
+def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
+    """L6: the drivers are correlated in turns; each alone would take the effect of the others."""
+    rng = np.random.default_rng(7)
+    for name in ("x", "plus", "hexa-x"):
+        layout = layout_named(name)
+        torque = rng.normal(0, 0.02, (3000, 3)) @ np.array([[1, 0.6, 0.5], [0, 1, 0.6], [0, 0, 1]])
+        outputs = 0.5 * (1 + torque @ layout.mixing.T)
+        found = detect_layout([example_rows(3000, 0.01, actuator=outputs, torque=torque).block])
+        assert found.layout is layout
+        assert found.likeness[0][1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_missing_outputs_and_drivers_are_left_out() -> None:
+    flight = made_flight(layout_named("x"), 8)
+    outputs, torque = flight.actuator.copy(), flight.torque.copy()
+    outputs[200:400], torque[900:1100] = math.nan, math.nan
+    assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
+
+
+def test_what_stays_unclear_is_not_named() -> None:
+    rng = np.random.default_rng(3)
+    x = layout_named("x")
+    quiet = example_rows(2000, 0.01, actuator=np.full((2000, 4), 0.5)).block
+    noise = rng.normal(0.5, 0.05, (2000, 4))
+    random = example_rows(2000, 0.01, rate=rng.normal(0, 0.1, (2000, 3)), actuator=noise).block
+    reversed_signs = made_flight(RotorLayout("reversed", tuple((-r, -p, -y) for r, p, y in x.signs)), 1)
+    other_spins = made_flight(RotorLayout("h", tuple((r, p, -y) for r, p, y in x.signs)), 1, yaw=1.0)
+    between = made_flight(RotorLayout("turned", tuple(_turned(s, 22.5) for s in x.signs)), 1)
+    five = replace(reversed_signs, actuator=noise[:, [0, 1, 2, 3, 0]])
+    shifted = replace(other_spins, actuator=np.hstack([np.zeros((2000, 4)), other_spins.actuator]))
+    reasons = {
+        "carry no rotor outputs": (quiet, example_rows(2000).block),
+        "hardly follow": (random,),
+        "no known layout fits clearly": (reversed_signs, other_spins, between),
+        "5 outputs move and no known layout": (five,),
+        "the outputs that move are 5, 6, 7, 8": (shifted,),
+        "too short": (made_flight(x, 1).rows(0, 100),),
+    }
+    for reason, blocks in reasons.items():
+        for block in blocks:
+            found = detect_layout([block])
+            assert found.layout is None, reason
+            assert reason in found.reason
+    assert detect_layout([]).layout is None
+
+
+def _turned(signs: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return c * signs[0] - s * signs[1], s * signs[0] + c * signs[1], signs[2]
