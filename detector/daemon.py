@@ -106,6 +106,7 @@ class Daemon:
         self._beat_at = self._started
         self._late, self._latest_s = 0, 0.0
         self._saved: dict[int, Path] = {}
+        self._unclear: dict[int, str] = {}
 
     @property
     def fleet(self) -> Fleet:
@@ -141,13 +142,11 @@ class Daemon:
         chunks = self._chunks()
         self._relay.pass_on(chunks)
         known = len(self._fleet.vehicles)
-        for asked in self._fleet.feed(chunks, now):
-            decline = self._sender(asked.vehicle).decline(asked.command, asked.sysid, asked.compid)
-            self._relay.send_to_vehicle(decline)
+        for sysid, outcome in self._fitter.poll():
+            self._fleet.vehicles[sysid].outcome = outcome
+        turns = self._fleet.step(chunks, now)
         self._report_new(known)
-        for vehicle, outcome in self._fitter.poll():
-            self._fleet.vehicles[vehicle].answer(outcome)
-        self._carry_out(self._fleet.step(now))
+        self._carry_out(turns)
         if now - self._beat_at >= 0:
             self._beat()
             self._beat_at = max(self._beat_at + BEAT_S, now)
@@ -179,7 +178,11 @@ class Daemon:
         return self._senders.setdefault(vehicle, MavlinkSender(vehicle))
 
     def _report_new(self, known: int) -> None:
-        """Name the vehicles that are new."""
+        """Name the vehicles that are new, and say once why another is not watched."""
+        for sysid, reason in self._fleet.link.waiting.items():
+            if self._unclear.get(sysid) != reason:
+                self._host.say(f"vehicle {sysid}: not watched: {reason}")
+            self._unclear[sysid] = reason
         new = list(self._fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
@@ -200,6 +203,9 @@ class Daemon:
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
+            for asked in turn.commands:
+                decline = self._sender(turn.vehicle).decline(asked.command, asked.sysid, asked.compid)
+                self._relay.send_to_vehicle(decline)
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._record(turn.vehicle, effect)
@@ -229,7 +235,7 @@ class Daemon:
         if isinstance(effect, AskInterval | Learn | SendFloat):
             return
         if self._journal is not None:
-            when = When(self._host.utc(), sysid, self._fleet.vehicles[sysid].vehicle_ns)
+            when = When(self._host.utc(), sysid, self._fleet.link.vehicles[sysid].vehicle_ns)
             self._journal.write(line(effect, when))
         for words in _log_lines(effect):
             self._host.say(f"vehicle {sysid}: {words}")

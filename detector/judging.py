@@ -4,20 +4,20 @@ A damaged propeller leaves the margin again and again, so the decision's stage c
 it begins with the first suspicion or fault and ends when there was none for a while.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from detector.alerts import Notice, alert_notice, label_of
 from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
-from detector.values import EventClosed, EventOpened, Record
+from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, Slot
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = ["Alert", "Judge", "alert_after", "names_of", "not_judged", "records_of"]
+__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "unknown_suspects"]
 
 REVIEW_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is told (our choice)
@@ -125,10 +125,11 @@ def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str,
     return tuple((dict(judge.idle) | lacking).items())
 
 
-def names_of(slot: Slot) -> frozenset[str]:
-    """How settings may call a slot: by its monitor, or by its monitor and axis."""
-    monitor = slot.monitor
-    return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))
+def unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:
+    """Notes on the names that settings call a suspect and that no monitor of the chain has."""
+    monitors = [slot.monitor for slot in chain.slots]
+    known = {name for monitor in monitors for name in (monitor.name, f"{monitor.name}.{monitor.axis}")}
+    return [Note(f"suspect: the baseline has no monitor {name!r}") for name in suspect if name not in known]
 
 
 def _names(finding: Finding) -> frozenset[str]:

@@ -10,10 +10,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from detector.alerts import Kind, Notice
-from detector.values import Ack, AskInterval, Effect, Note
+from detector.values import AskInterval, Effect, Note
 from mavdiag.link.codec import message_name
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from mavdiag.link.profiles import Profile
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Signal
 
 __all__ = ["LABELS", "Negotiation", "Want", "negotiate", "wants_of"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, names_of, not_judged, records_of
+from detector.judging import Alert, Judge, alert_after, not_judged, records_of, unknown_suspects
 from detector.named_values import NamedValues, named_values
 from detector.negotiate import Negotiation, negotiate, wants_of
 from detector.states import TABLE, State, Trigger, advance
@@ -27,7 +27,6 @@ from detector.values import (
 from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
-from mavdiag.learning import gate_for
 from mavdiag.link.samples import joined
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal, Telemetry
@@ -222,7 +221,7 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(), now))
-            self._note_unknown_suspects()
+            self._effects += unknown_suspects(chain, self._settings.suspect)
         lack = self._hindrance()
         measuring = lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS)
         # What came at a wrong rate is not judged later.
@@ -243,26 +242,20 @@ class Session:
         self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
         self._effects += records_of(output)
 
-    def _note_unknown_suspects(self) -> None:
-        judge = self.state.judge
-        known = frozenset[str]().union(*(names_of(slot) for slot in judge.chain.slots)) if judge else frozenset()
-        unknown = sorted(set(self._settings.suspect) - known)
-        self._effects += [Note(f"suspect: the baseline has no monitor {name!r}") for name in unknown]
-
     def _learning(self, inbox: Inbox, now: Instant) -> None:
         lack = self._hindrance()
         if lack is not None:
             return self._move(Trigger.STREAMS_LOST, lack.text)
-        state, learn_s, profile = self.state, self._settings.learn or 0.0, self.spec.profile.name
+        state, learn_s, profile = self.state, self._settings.learn or 0.0, self.spec.profile
         goal_s = learn_s * (1 + state.failed)
-        ground = on_ground(state.streams, gate_for(profile))
+        ground = on_ground(state.streams, profile.gate)
         collection = state.collection
         if ground is None:
             collection = collect(collection, inbox.telemetry, state.streams.gyro.period_s or 0.0, FITS * learn_s)
         self._keep(collection=collection)
         if collection.seconds >= goal_s:
             self._move(Trigger.COLLECTED)
-            self._effects.append(Learn(profile, collection.telemetry))
+            self._effects.append(Learn(profile.name, collection.telemetry))
             return self._say(Kind.FITTING)
         percent = int(100 * collection.seconds / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
@@ -348,15 +341,12 @@ class Session:
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.state.reason)
 
-    def _lost(self, inbox: Inbox, now: Instant) -> None:
-        """Time passes."""
-
     HANDLERS: ClassVar[Mapping[State, "Callable[[Session, Inbox, Instant], None]"]] = {
         State.WAITING: _waiting,
         State.LEARNING: _learning,
         State.FITTING: _fitting,
         State.MONITORING: _judging,
         State.ALERT: _judging,
-        State.LOST: _lost,
+        State.LOST: lambda session, inbox, now: None,
         State.FAULTED: _faulted,
     }

@@ -9,10 +9,10 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
 from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import Profile
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Telemetry
 
 __all__ = [
-    "Ack",
     "AskInterval",
     "Effect",
     "EventClosed",
@@ -42,14 +42,6 @@ class SessionSpec:
     profile: Profile
     baseline: Baseline | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
-
-
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """A COMMAND_ACK from the autopilot. It does not say which message it was for."""
-
-    command: int
-    result: int
 
 
 @dataclass(frozen=True, slots=True)

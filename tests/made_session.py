@@ -9,10 +9,10 @@ from scipy.signal import lfilter
 from detector.config import SessionSettings
 from detector.session import Session, SessionState
 from detector.states import State
-from detector.values import Ack, Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
-from mavdiag.baseline import Baseline
-from mavdiag.baseline import made
+from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
+from mavdiag.baseline import Baseline, made
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]

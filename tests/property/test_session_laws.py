@@ -9,7 +9,6 @@ from detector.config import SessionSettings
 from detector.session import FITS
 from detector.states import TABLE, State
 from detector.values import (
-    Ack,
     AskInterval,
     Effect,
     Inbox,
@@ -22,6 +21,7 @@ from detector.values import (
 )
 from mavdiag.link.messages import MavCmd, MavResult, Severity
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Series, Signal, Telemetry
 
 SECONDS = 400

@@ -1,9 +1,10 @@
 """Frames on their way through the daemon: cut between frames, at most one network packet each."""
 
+from memory_port import MemoryEndpoint, memory_pair
+
 from detector.relay import DATAGRAM_BYTES, FrameSplitter, Relay
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import MessageId
-from mavdiag.link.ports import MemoryEndpoint, memory_pair
 
 
 def frames(count: int, sysid: int = 1) -> list[bytes]:

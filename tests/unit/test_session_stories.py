@@ -8,7 +8,6 @@ from made_session import FML_S, Story, baseline_for, outcome_of
 from detector.config import SessionSettings
 from detector.states import State
 from detector.values import (
-    Ack,
     AskInterval,
     Effect,
     EventClosed,
@@ -24,6 +23,7 @@ from detector.values import (
 from mavdiag.baseline import Baseline
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Axis, Signal
 
 QDRONE2 = PROFILES["qdrone2"]
