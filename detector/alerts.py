@@ -205,24 +205,18 @@ class _Said:
 
 
 @dataclass(frozen=True, slots=True)
-class _Sent:
-    loud: bool
-    at: Instant
-
-
-@dataclass(frozen=True, slots=True)
 class Presenter:
     """What was said lately.
 
     per_minute: the budget.
-    sent: texts of the last minute.
+    sent: texts of the last minute: whether loud, and when.
     said: matters that last.
     held: matters that were held back and counted already.
     suppressed: texts held back so far.
     """
 
     per_minute: int = 30
-    sent: tuple[_Sent, ...] = ()
+    sent: tuple[tuple[bool, Instant], ...] = ()
     said: tuple[_Said, ...] = ()
     held: frozenset[tuple[Kind, str]] = frozenset()
     suppressed: int = 0
@@ -231,7 +225,7 @@ class Presenter:
 def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> tuple[Presenter, tuple[Effect, ...]]:
     """Say what is to be said of the notices of this step, loudest first."""
     out: list[Effect] = []
-    presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one.at < MINUTE_S))
+    presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one[1] < MINUTE_S))
     for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
         if not notice.silent and _to_say(presenter, notice, now):
             presenter, effect = _say(presenter, notice, now)
@@ -256,7 +250,7 @@ def _to_say(presenter: Presenter, notice: Notice, now: Instant) -> bool:
 def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter, Effect | None]:
     policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
     loud = policy.severity <= Severity.CRITICAL
-    spent = sum(one.loud == loud for one in presenter.sent) >= presenter.per_minute // 2
+    spent = sum(one == loud for one, _ in presenter.sent) >= presenter.per_minute // 2
     if spent or (last is not None and now - last.at < GAP_S):
         matter = (notice.kind, notice.key)
         if policy.again_s and matter in presenter.held:
@@ -268,7 +262,7 @@ def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter,
     fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun))
     said = (*(one for one in presenter.said if one.kind is not notice.kind), fresh)
     held = frozenset(one for one in presenter.held if one[0] is not notice.kind)
-    return replace(presenter, said=said, held=held, sent=(*presenter.sent, _Sent(loud, now))), SendText(
+    return replace(presenter, said=said, held=held, sent=(*presenter.sent, (loud, now))), SendText(
         policy.severity, notice.text
     )
 

@@ -18,6 +18,7 @@ from detector.fleet import Fleet, Turn
 from detector.journal import Journal, Recorder, When, line, mark
 from detector.relay import Relay
 from detector.sender import MavlinkSender
+from detector.states import State
 from detector.values import (
     AskInterval,
     Effect,
@@ -77,7 +78,7 @@ class Host:
 
 
 class Daemon:
-    """Links on one side, sessions on the other. `run` it, or `tick` it from a test."""
+    """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test."""
 
     def __init__(
         self,
@@ -100,18 +101,13 @@ class Daemon:
         self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
         self._announces = kind in _ANNOUNCING
         profile = None if settings.profile is None else PROFILES[settings.profile]
-        self._fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
+        self.fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
         self._late, self._latest_s = 0, 0.0
         self._saved: dict[int, Path] = {}
         self._unclear: dict[int, str] = {}
-
-    @property
-    def fleet(self) -> Fleet:
-        """The vehicles."""
-        return self._fleet
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Look, again and again, until told to stop; then say what was done."""
@@ -141,10 +137,10 @@ class Daemon:
         now = self._now()
         chunks = self._chunks()
         self._relay.pass_on(chunks)
-        known = len(self._fleet.vehicles)
+        known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
-            self._fleet.vehicles[sysid].outcome = outcome
-        turns = self._fleet.step(chunks, now)
+            self.fleet.vehicles[sysid].outcome = outcome
+        turns = self.fleet.step(chunks, now)
         self._report_new(known)
         self._carry_out(turns)
         if now - self._beat_at >= 0:
@@ -153,7 +149,7 @@ class Daemon:
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
-        self._carry_out(self._fleet.finish())
+        self._carry_out(self.fleet.finish())
         self._fitter.close()
         summary = self._summary()
         self._mark("stop", {"summary": summary})
@@ -179,11 +175,11 @@ class Daemon:
 
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
-        for sysid, reason in self._fleet.link.waiting.items():
+        for sysid, reason in self.fleet.link.waiting.items():
             if self._unclear.get(sysid) != reason:
                 self._host.say(f"vehicle {sysid}: not watched: {reason}")
             self._unclear[sysid] = reason
-        new = list(self._fleet.vehicles.items())[known:]
+        new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
         if new and known + len(new) > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
@@ -192,14 +188,14 @@ class Daemon:
 
     def _beat(self) -> None:
         """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before a vehicle."""
-        for sysid, vehicle in self._fleet.vehicles.items():
+        for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.healthy:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
-        if self._announces and not self._fleet.vehicles:
-            self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).announce())
+        if self._announces and not self.fleet.vehicles:
+            self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
         if self._metrics is not None:
             overflowed, cpu_s = self._link.traffic.overflowed, self._host.cpu_s()
-            self._metrics.show(self._fleet.figures(), overflowed=overflowed, late=self._late, cpu_s=cpu_s)
+            self._metrics.show(self.fleet.figures(), overflowed=overflowed, late=self._late, cpu_s=cpu_s)
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
@@ -235,7 +231,7 @@ class Daemon:
         if isinstance(effect, AskInterval | Learn | SendFloat):
             return
         if self._journal is not None:
-            when = When(self._host.utc(), sysid, self._fleet.link.vehicles[sysid].vehicle_ns)
+            when = When(self._host.utc(), sysid, self.fleet.link.vehicles[sysid].vehicle_ns)
             self._journal.write(line(effect, when))
         for words in _log_lines(effect):
             self._host.say(f"vehicle {sysid}: {words}")
@@ -265,7 +261,7 @@ class Daemon:
         parts += [
             f"vehicle {one.vehicle} {one.state}, {one.received} frames, {one.lost} lost on the way, "
             f"{one.judged_s:.1f} s judged, {one.events} events"
-            for one in self._fleet.figures()
+            for one in self.fleet.figures()
         ]
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)

@@ -4,7 +4,7 @@ A damaged propeller leaves the margin again and again, so the decision's stage c
 it begins with the first suspicion or fault and ends when there was none for a while.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -13,13 +13,13 @@ from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, Slot
+from mavdiag.chain import Chain, ChainOutput, ChainState
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "unknown_suspects"]
 
-REVIEW_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
+WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is told (our choice)
 ALERTING = (Stage.SUSPECTED, Stage.FAULT)
 
@@ -33,9 +33,6 @@ class Judge:
     judged: when anything was judged last (host).
     judged_s: flight time in which a deciding monitor judged, so far.
     flight_s: flight time so far.
-    reviewed_s: the flight time at the last review of the monitors.
-    shares: what each monitor's account showed then, (judged_s, seconds by reason).
-    idle: label and reason of the monitors that judged nothing between the last two reviews.
     """
 
     baseline: Baseline
@@ -44,21 +41,13 @@ class Judge:
     judged: Instant
     judged_s: float = 0.0
     flight_s: float = 0.0
-    reviewed_s: float = 0.0
-    shares: tuple[tuple[float, Mapping[str, float]], ...] = ()
-    idle: tuple[tuple[str, str], ...] = ()
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
         """Judge the next telemetry."""
         memory, output = self.chain.step(self.memory, telemetry)
-        judge = replace(
-            self,
-            memory=memory,
-            judged=now if output.judged_s > 0 else self.judged,
-            judged_s=self.judged_s + output.judged_s,
-            flight_s=self.flight_s + output.flight_s,
-        )
-        return (judge if judge.flight_s - judge.reviewed_s < REVIEW_S else _reviewed(judge)), output
+        judged = now if output.judged_s > 0 else self.judged
+        judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
+        return replace(self, memory=memory, judged=judged, judged_s=judged_s, flight_s=flight_s), output
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""
@@ -118,11 +107,17 @@ def records_of(output: ChainOutput) -> tuple[Record, ...]:
 
 
 def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
-    """Label and reason of the monitors that do not judge: their streams do not come, or they say why."""
+    """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged."""
     if streams.began is None or now - streams.began < STREAM_S:
         return ()
-    lacking = {label_of(slot.monitor.name): why for slot in judge.chain.slots if (why := _lack(slot, streams))}
-    return tuple((dict(judge.idle) | lacking).items())
+    found: dict[str, str] = {}
+    for slot, account in zip(judge.chain.slots, judge.memory.accounts, strict=True):
+        missing = [one for one in METERED if one in slot.monitor.needs and streams.meter(one).latest is None]
+        if missing:
+            found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
+        elif judge.flight_s > WARM_S and not account.judged_s and (reasons := account.not_judged):
+            found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
+    return tuple(found.items())
 
 
 def unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:
@@ -134,21 +129,3 @@ def unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:
 
 def _names(finding: Finding) -> frozenset[str]:
     return frozenset((str(finding.monitor), f"{finding.monitor}.{finding.axis}"))
-
-
-def _lack(slot: Slot, streams: Streams) -> str:
-    missing = [one for one in METERED if one in slot.monitor.needs and streams.meter(one).latest is None]
-    return f"no {LABELS[missing[0]]}" if missing else ""
-
-
-def _reviewed(judge: Judge) -> Judge:
-    """With the monitors that judged nothing since the last review."""
-    accounts = judge.memory.accounts
-    shares = tuple((account.judged_s, dict(account.not_judged)) for account in accounts)
-    before = judge.shares or tuple((0.0, dict[str, float]()) for _ in accounts)
-    idle = list[tuple[str, str]]()
-    for slot, (was_s, reasons), (judged_s, now_reasons) in zip(judge.chain.slots, before, shares, strict=True):
-        grown = {reason: spent_s - reasons.get(reason, 0.0) for reason, spent_s in now_reasons.items()}
-        if judged_s <= was_s and grown:
-            idle.append((label_of(slot.monitor.name), max(grown, key=lambda reason: grown[reason])))
-    return replace(judge, reviewed_s=judge.flight_s, shares=shares, idle=tuple(idle))

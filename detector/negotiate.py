@@ -60,10 +60,6 @@ class Want:
     least_hz: float
     most_hz: float = float("inf")
 
-    def met_by(self, rate_hz: float) -> bool:
-        """Whether a measured rate will do."""
-        return self.least_hz <= rate_hz <= self.most_hz
-
 
 def wants_of(
     profile: Profile, needs: Collection[Signal], imu_hz: tuple[float, float, float], setpoint_hz: float
@@ -123,7 +119,7 @@ def negotiate(
         ask = negotiation.asks.get(want.msgid, _Ask())
         if rate_hz is None:
             continue
-        if want.met_by(rate_hz):
+        if want.least_hz <= rate_hz <= want.most_hz:
             negotiation = _with(negotiation, want.msgid, replace(ask, tries=0, refused=False))
         elif _may_ask(ask, now):
             effects.append(AskInterval(want.msgid, round(_US_PER_S / want.ask_hz)))

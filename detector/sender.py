@@ -38,10 +38,6 @@ class MavlinkSender:
             MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, HEALTH[state], MAVLINK_VERSION
         )
 
-    def announce(self) -> bytes:
-        """HEARTBEAT before any vehicle was received, so that the other end learns where we are."""
-        return self.heartbeat(State.WAITING)
-
     def text(self, effect: SendText) -> bytes:
         """STATUSTEXT."""
         return self._encoder.statustext(effect.severity, effect.text)

@@ -76,7 +76,7 @@ class SessionState:
     reboots: int = 0
 
 
-_NEW_LINK: Mapping[str, object] = {
+_NEW_LINK: Mapping[str, Any] = {
     "streams": Streams(),
     "negotiation": Negotiation(),
     "waited": (),
@@ -155,7 +155,7 @@ class Session:
         if inbox.reboots == self.state.reboots or Trigger.REBOOT not in TABLE[self.state.state]:
             return
         self._effects += self.finish()
-        new = {"collection": Collection(), "failed": 0, "judge": None, "alert": None, "told": ()}
+        new: dict[str, Any] = {"collection": Collection(), "failed": 0, "judge": None, "alert": None, "told": ()}
         self._move(Trigger.REBOOT, reboots=inbox.reboots, **_NEW_LINK, **new)
         self._say(Kind.REBOOT)
 
@@ -231,16 +231,11 @@ class Session:
             return self._say(Kind.WAITING, lack.text, key=lack.reason)
         if state.baseline is None:
             return self._move(Trigger.READY_TO_LEARN, waited=())
-        return self._begin(now)
-
-    def _begin(self, now: Instant) -> None:
-        """Judge by the baseline, or go on with it."""
-        judge, waited = self.state.judge, self.state.waited
-        if judge is None:
-            return
-        judge, output = replace(judge, judged=now).step(joined(waited), now)
-        self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
+        if (judge := self.state.judge) is None:
+            return None
+        judge, output = replace(judge, judged=now).step(joined(self.state.waited), now)
         self._effects += records_of(output)
+        return self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
 
     def _learning(self, inbox: Inbox, now: Instant) -> None:
         lack = self._hindrance()

@@ -118,6 +118,7 @@ class Bench:
         pairs = [memory_pair(clock=self.host.now_ns) for _ in range(self.links_behind)]
         self.behind: list[MemoryEndpoint] = [far for _, far in pairs]
         self.open: list[Endpoint] = [near, self.far, *(end for pair in pairs for end in pair)]
+        self.recorder = None if self.record is None else Recorder(self.record, EPOCH_NS, self.host.say)
         self.file = None if self.journal is None else Journal(self.journal, self.host.say)
         self.daemon = Daemon(
             self.settings,
@@ -128,7 +129,7 @@ class Bench:
             fitter=self.fitter,
             airframe=self.airframe,
             journal=self.file,
-            recorder=None if self.record is None else Recorder(self.record, EPOCH_NS, self.host.say),
+            recorder=self.recorder,
         )
         self.daemon.begin()
 
@@ -143,8 +144,9 @@ class Bench:
 
     def close(self) -> None:
         self.daemon.end()
-        if self.file is not None:
-            self.file.close()
+        for file in (self.file, self.recorder):
+            if file is not None:
+                file.close()
         for end in self.open:
             end.close()
 
