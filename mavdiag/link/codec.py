@@ -52,7 +52,14 @@ _pack_header = struct.Struct("<BBBBBBHB").pack  # the same, without the marker a
 
 
 class Frame(NamedTuple):
-    """One received message. payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off."""
+    """One received message.
+
+    msgid: number of the message.
+    sysid, compid: its sender.
+    seq: the sender's running number, 0..255.
+    payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off.
+    host_ns: when it was received [ns].
+    """
 
     msgid: int
     sysid: int
@@ -288,7 +295,13 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A STATUSTEXT as received. chunk_id: 0 for a text in one piece, else the same for all pieces of a longer one."""
+    """A STATUSTEXT as received.
+
+    severity: MAV_SEVERITY.
+    text: this piece of it.
+    chunk_id: 0 for a text in one piece, else the same for all pieces of a longer one.
+    chunk_seq: number of the piece.
+    """
 
     severity: int
     text: str

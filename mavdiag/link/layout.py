@@ -33,8 +33,12 @@ _INTEGERS = {
 class Layout:
     """One message on the wire.
 
-    names: fields as declared. sizes: places that each takes in a flat tuple. order: declared index of each wire field.
-    packer: the wire format. crc_extra: the one-byte checksum seed that tells definitions of a message apart.
+    name: of the message.
+    names: fields as declared.
+    sizes: places that each takes in a flat tuple.
+    order: declared index of each wire field.
+    packer: the wire format.
+    crc_extra: the one-byte checksum seed, different for each definition of a message.
     """
 
     name: str

@@ -20,6 +20,7 @@ from mavdiag.telemetry import Log, Telemetry
 __all__ = ["Link", "open_link"]
 
 POLL_S = 0.04
+SILENT_NOTE = "it sends no message with a measurement; let it send ATTITUDE_TARGET and an IMU message"
 PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
 
 
@@ -98,7 +99,8 @@ class Link:
         telemetry = joined([piece for piece in pieces if piece.series])
         if self.stream is None:
             raise InputError(self._absent())
-        return Log(f"{self.address} vehicle {self._vehicle}", "", self.stream.profile.name, telemetry)
+        notes = () if telemetry.series else (SILENT_NOTE,)
+        return Log(f"{self.address} vehicle {self._vehicle}", "", self.stream.profile.name, telemetry, notes=notes)
 
     def close(self) -> None:
         """Close the port."""

@@ -1,4 +1,4 @@
-"""The names that the project speaks MAVLink with: message ids and the enumerations of the common dialect.
+"""The names of MAVLink that the project uses: message ids and the enumerations of the common dialect.
 
 The numbers are those of the message definitions (common.xml, ardupilotmega.xml). Any other message of the dialect can
 be sent and received by its number.

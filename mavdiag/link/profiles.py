@@ -53,7 +53,7 @@ IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
 
 
 class Stamp(StrEnum):
-    """What a message's own time tells."""
+    """What a message's own time means."""
 
     SAMPLE = "sample"  # when the quantity was measured or set
     SEND = "send"  # when the message was sent
@@ -91,7 +91,7 @@ class Profile:
     gyro_unit: one count of its rate [rad/s].
     rate_hz: nominal rate of the pair of set-point and IMU message.
     imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
-    stamp: what the IMU message's own time tells.
+    stamp: what the IMU message's own time means.
     vibration: whether its VIBRATION message carries acceleration per axis.
     actuator_span: the actuator message's values for 0 and for full output.
     gate: what counts as flying; the same live and in a .tlog.
@@ -125,7 +125,7 @@ def _is_spec(seen: Evidence) -> bool:
 
 
 def _is_ardupilot(seen: Evidence) -> bool:
-    """It says so; what sends RAW_IMU faster than its loop allows is another that borrows the name."""
+    """It says so; what sends RAW_IMU faster than its loop allows is another one under its name."""
     raw = seen.counts.get(MessageId.RAW_IMU, 0) > 0
     sound = not raw or (seen.weighs(MILLI_G) and not seen.period_us < ARDUPILOT_PERIOD_US)
     return sound and Autopilot.ARDUPILOTMEGA in seen.autopilots

@@ -32,7 +32,7 @@ from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 
-__all__ = ["SampleDecoder", "SampleState", "by_vehicle", "joined"]
+__all__ = ["SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
@@ -242,10 +242,10 @@ class SampleDecoder:
             one = (
                 parts[0][2]
                 if len(parts) == 1
-                else _merged(signal, [(s, groups[m].places(ids)[r]) for m, _, s, r in parts])
+                else merged(signal, [(s, groups[m].places(ids)[r]) for m, _, s, r in parts])
             )
             if parts[0][1].held:
-                one = replace(one, values=_filled(one.values, held.get(signal)))
+                one = replace(one, values=filled(one.values, held.get(signal)))
                 held[signal] = one.values[-1]
             series.append(one)
         readings = dict(state.readings)
@@ -303,7 +303,7 @@ def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntA
     return Series(part.signal, t_ns[rows - untimed], host_ns[rows], values[rows]), rows, unsound
 
 
-def _merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:
+def merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:
     """One series of a signal that several messages carry, in order of arrival. parts: each with its places."""
     order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
     columns = [
@@ -312,7 +312,7 @@ def _merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:
     return Series(signal, *columns)
 
 
-def _filled(values: FloatArray, before: FloatArray | None) -> FloatArray:
+def filled(values: FloatArray, before: FloatArray | None) -> FloatArray:
     """The values with each NaN replaced by the last number in its column. before: the row before them, if any."""
     stacked = values if before is None else np.vstack((before, values))
     rows = np.where(np.isnan(stacked), 0, np.arange(len(stacked))[:, None])

@@ -1,7 +1,7 @@
 """Honest loss figures from MAVLink's 8-bit sequence numbers, one tracker per sender.
 
 A swapped pair is one reordered frame and no loss; a repeated frame is one duplicate; a sender that starts its count
-again is a restart, not a loss of two hundred. Eight bits cannot tell a gap of 256 n frames from none.
+again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
 """
 
 from collections import defaultdict
@@ -15,7 +15,15 @@ WINDOW = 16  # frames: how late a frame may come and still be recognised as late
 
 @dataclass(frozen=True, slots=True)
 class LinkCount:
-    """What came from one sender so far. `lost` is net: a frame that came late after all is not lost."""
+    """What came from one sender so far.
+
+    received: frames.
+    lost: net of those that came late after all.
+    reordered: frames that came late.
+    duplicated: frames that came twice.
+    restarts: how often it began its count again.
+    by_message: frames of each message id.
+    """
 
     received: int
     lost: int
@@ -29,8 +37,10 @@ class LinkCount:
 class DecoderCount:
     """What a decoder made of its input so far, besides the frames themselves.
 
-    garbage_bytes: bytes outside any accepted frame. bad_crc: seeming frames with a wrong checksum.
-    incompatible: seeming frames with incompatibility flags that we do not know. unknown: frames outside the dialect.
+    garbage_bytes: bytes outside any accepted frame.
+    bad_crc: seeming frames with a wrong checksum.
+    incompatible: seeming frames with incompatibility flags that we do not know.
+    unknown: frames outside the dialect.
     """
 
     garbage_bytes: int

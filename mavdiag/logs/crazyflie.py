@@ -44,7 +44,12 @@ _VARIABLE = re.compile(r"(?P<name>.+)\((?P<code>[bBhHiIqQefd?])\)")
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """How one signal is made: a variable for each column (None: not logged, the column is NaN), and its factor."""
+    """How one signal is made.
+
+    signal: what is made.
+    variables: one for each column; None: not logged, the column is NaN.
+    factors: of each column.
+    """
 
     signal: Signal
     variables: tuple[str | None, ...]
@@ -79,7 +84,12 @@ _ROWS = (
 
 @dataclass(frozen=True, slots=True)
 class _EventType:
-    """One kind of record: the names of its variables and the layout of the whole record, id and time included."""
+    """One kind of record.
+
+    number: its id.
+    variables: their names.
+    layout: of the whole record, id and time included.
+    """
 
     number: int
     variables: tuple[str, ...]

@@ -191,12 +191,12 @@ def test_more_than_four_rotors_are_one_series() -> None:
     for frame in frames:
         state, piece = decoder.step(state, [frame])
         pieces.append(piece)
+    nan = float("nan")
+    expected = np.array([[1, 2, 3, 4, nan, nan], [1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 5, 6]])
     for telemetry in (joined(pieces), telemetry_of(frames)):
         speed = values_of(telemetry, Signal.ROTOR_SPEED) / (2 * pi)
         assert speed.shape == (3, 16)
-        np.testing.assert_allclose(
-            speed[:, :6], [[1, 2, 3, 4] + [np.nan] * 2, [1, 2, 3, 4, 5, 6], [10, 11, 12, 13, 5, 6]]
-        )
+        np.testing.assert_allclose(speed[:, :6], expected)
 
 
 def test_eight_rotors_of_ardupilot_are_one_series() -> None:

@@ -168,7 +168,7 @@ def test_a_link_is_iterated() -> None:
     near, far = memory_pair()
     sender = Sender()
     with Link(near, profile=PROFILES["ardupilot"]) as link:
-        assert link.vehicle is None
+        assert link.stream is None
         found = 0
         for data, _ in sender.chunks(50):
             far.send(data)
@@ -176,7 +176,8 @@ def test_a_link_is_iterated() -> None:
             found += len(telemetry["body_rate"])
             if found >= 50:
                 break
-        assert (link.vehicle, found) == (1, 50)
+        vehicle = link.vehicle
+        assert (vehicle, found) == (1, 50)
         assert link.stream is not None
     assert not near.connected
     far.close()
