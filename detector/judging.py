@@ -112,7 +112,7 @@ def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str,
         return ()
     found: dict[str, str] = {}
     for slot, account in zip(judge.chain.slots, judge.memory.accounts, strict=True):
-        missing = [one for one in METERED if one in slot.monitor.needs and streams.meter(one).latest is None]
+        missing = [one for one in METERED if one in slot.monitor.signals and streams.meter(one).latest is None]
         if missing:
             found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
         elif judge.flight_s > WARM_S and not account.judged_s and (reasons := account.not_judged):

@@ -210,7 +210,7 @@ class Session:
         judge = self.state.judge
         if self.state.baseline is None or judge is None:
             return self.state.baseline is None
-        return all(Signal.ATTITUDE_SETPOINT in slot.monitor.needs for slot in judge.chain.slots)
+        return all(Signal.ATTITUDE_SETPOINT in slot.monitor.signals for slot in judge.chain.slots)
 
     def _waiting(self, inbox: Inbox, now: Instant) -> None:
         state = self.state

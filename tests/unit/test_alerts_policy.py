@@ -79,7 +79,7 @@ def test_l8_a_weak_motor_reads_as_a_pilot_can_use_it() -> None:
 
 def test_l8_an_unknown_rotor_is_left_out() -> None:
     """It was called "vehicle"."""
-    assert text(finding("rotor_trim", None, 0.112, 0.05)) == "PROP FAULT rotor trim 0.11>0.05"
+    assert text(finding("rotor_trim", None, 0.112, 0.05)) == f"PROP FAULT {label_of('rotor_trim')} 0.11>0.05"
 
 
 def test_b21_monitors_go_by_their_labels_in_full() -> None:

@@ -5,6 +5,7 @@ import itertools
 import pytest
 from made_session import FML_S, Story, baseline_for, outcome_of
 
+from detector.alerts import label_of
 from detector.config import SessionSettings
 from detector.states import State
 from detector.values import (
@@ -289,30 +290,31 @@ def test_b16_the_streams_of_the_baselines_monitors_are_asked_for_at_their_rates(
 
 
 def test_b16_nothing_is_asked_for_that_no_monitor_needs() -> None:
-    story = Story(ardupilot("innovation"))
+    story = Story(ardupilot("unbalance"))
     story.fly(8.0, without=(Signal.ATTITUDE_SETPOINT,))
     assert story.at(State.MONITORING)
     assert not [effect for _, effect in story.log if isinstance(effect, AskInterval)]
 
 
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
-    story = Story(ardupilot("innovation", "rotor_trim"))
+    story = Story(ardupilot("unbalance", "rotor_trim"))
     story.fly(12.0)
     assert story.at(State.MONITORING)
-    assert story.state.reason == "monitoring; rotor trim not judged: no actuator outputs"
-    assert "PROP monitoring; rotor trim: no actuator outputs" in story.texts
+    trim = label_of("rotor_trim")
+    assert story.state.reason == f"monitoring; {trim} not judged: no actuator outputs"
+    assert f"PROP monitoring; {trim}: no actuator outputs" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note)]
-    assert notes.count("rotor trim not judged: no actuator outputs") == 1
+    assert notes.count(f"{trim} not judged: no actuator outputs") == 1
     story.fly(5.0, outputs=True)
     assert story.state.reason == "monitoring"
 
 
 def test_l2_set_points_that_stop_leave_the_other_monitors_judging() -> None:
-    story = Story(ardupilot("fsd", "innovation"))
+    story = Story(ardupilot("fsd", "unbalance"))
     story.fly(6.0)
     story.fly(10.0, without=(Signal.ATTITUDE_SETPOINT,))
     assert story.at(State.MONITORING)
-    assert story.state.reason == "monitoring; fsd not judged: no set-points"
+    assert story.state.reason == "monitoring; FSD not judged: no set-points"
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
