@@ -64,6 +64,7 @@ class Alert:
     finding: the latest of them.
     confirmed: whether a fault was declared, not only suspected.
     active: whether the finding holds at this moment.
+    waned: whether it did not at some moment; what comes after is the fault going, and no news.
     named: whether a rotor was named; it is news once.
     """
 
@@ -72,6 +73,7 @@ class Alert:
     finding: Finding
     confirmed: bool
     active: bool = True
+    waned: bool = False
     named: bool = False
 
     @property
@@ -91,12 +93,11 @@ def alert_after(
     found = [one for one in (*output.changes, diagnosis) if one.stage in ALERTING]
     faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
     if not found or (alert is not None and alert.confirmed and not faults):
-        return alert and replace(alert, active=False, latest=now if found else alert.latest)
+        return alert and replace(alert, active=False, waned=True, latest=now if found else alert.latest)
     finding = (faults or found)[-1]
     if alert is None:
         return Alert(now, now, finding, bool(faults), named=finding.rotor is not None)
-    # Once it has let go, it may come back in another form while the fault goes: no news.
-    named = alert.named or (alert.active and finding.rotor is not None)
+    named = alert.named or (not alert.waned and finding.rotor is not None)
     return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=True, named=named)
 
 
