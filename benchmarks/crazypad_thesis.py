@@ -19,12 +19,13 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.identify import ArxModel, fit
-from mavdiag.learning import Flight, LearntFlight, airborne, front_for, residuals_of, training_pieces
+from mavdiag.learning import Flight, LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
-from mavdiag.monitors.margin import ResidualPiece, latency_of, margin_of
+from mavdiag.monitors.base import Rows
+from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
 from mavdiag.telemetry import Axis, FloatArray
 
-Residuals = Callable[[LearntFlight, Axis, ArxModel], list[ResidualPiece]]
+Residuals = Callable[[Sequence[Rows], Axis, ArxModel], list[Residual]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,15 +45,15 @@ class Score:
     p90: float
 
 
-def one_step(flight: LearntFlight, axis: Axis, model: ArxModel) -> list[ResidualPiece]:
+def one_step(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residual]:
     """One-step prediction residual of each piece of a flight."""
     pieces = []
-    for rows in flight.rows:
+    for rows in flight:
         rates = rows.rates
         if len(rates) > model.lag:
             u, y = rates.u[:, axis.column], rates.y[:, axis.column]
             r = y[model.lag :] - model.predict(u, y)
-            pieces.append(ResidualPiece(rates.t_ns[model.lag :], r, rates.valid[model.lag :], rates.dt_s))
+            pieces.append(Residual(rates.t_ns[model.lag :], r, rates.commanded[model.lag :], rates.dt_s))
     return pieces
 
 
@@ -70,23 +71,23 @@ def load(root: Path) -> tuple[list[Labelled], list[Labelled]]:
 
 def train(flights: Sequence[Labelled], axis: Axis) -> ArxModel:
     """SRIV model of the healthy flights."""
-    pieces = [piece for one in flights for piece in training_pieces(one.flight, axis)]
+    pieces = [piece for one in flights for piece in training_pieces(one.flight.rows, axis)]
     return fit([u for u, _ in pieces], [y for _, y in pieces], dt=flights[0].flight.rows[0].rates.dt_s)
 
 
 def scores(
-    healthy: Sequence[Labelled], judged: Sequence[Labelled], axis: Axis, residuals: Residuals
+    healthy: Sequence[Labelled], judged: Sequence[Labelled], axis: Axis, residual: Residuals
 ) -> tuple[float, list[Score]]:
     """FML of the healthy flights, and the score of each judged one by them."""
     model = train(healthy, axis)
-    pieces = [residuals(one.flight, axis, model) for one in healthy]
+    pieces = [residual(one.flight.rows, axis, model) for one in healthy]
     margin = margin_of(pieces)
-    fml = float(latency_of(pieces, margin).max())
+    fml = float(longest_runs(pieces, margin).max())
     found = []
     for one in judged:
-        own = residuals(one.flight, axis, model)
+        own = residual(one.flight.rows, axis, model)
         size = np.concatenate([np.abs(piece.r[piece.valid]) for piece in own])
-        found.append(Score(float(latency_of([own], margin)[0]), float(np.percentile(size, 90, method="hazen"))))
+        found.append(Score(float(longest_runs([own], margin)[0]), float(np.percentile(size, 90, method="hazen"))))
     return fml, found
 
 
@@ -105,11 +106,11 @@ def interval(faulty: FloatArray, healthy: FloatArray, seed: int) -> str:
 
 def row(table: Table, axis: Axis, kind: str, healthy: Sequence[Labelled], others: Sequence[Labelled]) -> None:
     """One line of the table."""
-    residuals = residuals_of if kind == "free-run" else one_step
-    fml, found = scores(healthy, others, axis, residuals)
+    residual = residuals if kind == "free-run" else one_step
+    fml, found = scores(healthy, others, axis, residual)
     flagged, left_out = 0, []
     for i, one in enumerate(healthy):
-        limit, (own,) = scores([*healthy[:i], *healthy[i + 1 :]], [one], axis, residuals)
+        limit, (own,) = scores([*healthy[:i], *healthy[i + 1 :]], [one], axis, residual)
         flagged += own.fsd_s > limit
         left_out.append(own)
     cuts = [(one.cut_mm, score) for one, score in zip(others, found, strict=True) if one.cut_mm is not None]

@@ -26,7 +26,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify import fit, freerun
 from mavdiag.identify.lab.sweep import window_sweep
 from mavdiag.identify.validate import r_squared
-from mavdiag.rows.savgol import SavgolFilter, derivative, smooth
+from mavdiag.rows.savgol import SavgolFilter
 from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
@@ -51,7 +51,8 @@ class Roll:
 
     def rates(self, window: int) -> tuple[FloatArray, FloatArray]:
         """u and y behind the window [rad/s]."""
-        return derivative(self.setpoint, DT_S, window), smooth(self.gyro, window)
+        slope, value = SavgolFilter.differentiator(window, DT_S), SavgolFilter.smoother(window)
+        return slope.batch(self.setpoint), value.batch(self.gyro)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.commands.identify import make_baseline
-from mavdiag.demo.closed_loop import POLL_S, Flight, Outcome, closed_loop
+from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, closed_loop
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.learning import thesis_options
 from mavdiag.storage import save_baseline
@@ -34,7 +34,7 @@ HEALTHY_FLIGHT_S = 40.0
 class Result:
     """One flight. cpu: the detector's share of a core in percent; lost: datagrams that it did not read in time."""
 
-    outcome: Outcome
+    outcome: DemoResult
     cpu: float
     lost: int
 
@@ -55,7 +55,7 @@ def fly(flight: Flight, baseline: Path) -> Result:
     with closed_loop(flight, baseline) as loop:
         while loop.plant.running:
             loop.station.listen(POLL_S)
-            outcome = Outcome(flight.onset_s, tuple(loop.station.texts))
+            outcome = DemoResult(flight.onset_s, tuple(loop.station.texts))
             if flight.fault and outcome.detected_s is not None:
                 break
         loop.plant.end()
@@ -64,7 +64,7 @@ def fly(flight: Flight, baseline: Path) -> Result:
         words = " ".join(loop.detector.lines)
     cpu, lost = re.search(r"([\d.]+) % CPU", words), re.search(r"(\d+) datagrams overflowed", words)
     return Result(
-        Outcome(flight.onset_s, tuple(loop.station.texts)),
+        DemoResult(flight.onset_s, tuple(loop.station.texts)),
         float(cpu[1]) if cpu else float("nan"),
         int(lost[1]) if lost else -1,
     )

@@ -9,14 +9,13 @@ import sys
 from collections import Counter
 
 import numpy as np
+from thesis_plane_rules import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
 
 from mavdiag.airframe.propellers import PROPELLERS
-from mavdiag.decision.thesis_plane import Example, FaultPoint, HealthyScale, classify, fault_point, fit_plane
 from mavdiag.errors import InputError
 from mavdiag.identify import ArxModel, fit
-from mavdiag.monitors.exceedance import exceedance, runs, start
-from mavdiag.monitors.margin import ResidualPiece, latency_of, margin_of
-from mavdiag.rows.savgol import derivative, smooth, window_samples
+from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, runs
+from mavdiag.rows.savgol import SavgolFilter, window_samples
 from mavdiag.telemetry import FloatArray
 from sitl_plant.plant import Plant, PlantConfig
 
@@ -30,20 +29,20 @@ def rates(config: PlantConfig) -> tuple[FloatArray, FloatArray]:
     """Commanded and measured roll rate of a flight."""
     samples = Plant(config).advance(STEPS)
     window = window_samples(DT)
-    return derivative(samples.setpoint[:, 0], DT, window), smooth(samples.gyro[:, 0], window)
+    slope, value = SavgolFilter.differentiator(window, DT), SavgolFilter.smoother(window)
+    return slope.batch(samples.setpoint[:, 0]), value.batch(samples.gyro[:, 0])
 
 
-def residual(model: ArxModel, config: PlantConfig) -> ResidualPiece:
+def residual(model: ArxModel, config: PlantConfig) -> Residual:
     """Roll residual of a flight, its first second left out."""
     u, y = rates(config)
     r = (y - model.simulate(u))[SETTLED:]
-    return ResidualPiece(np.arange(len(r), dtype=np.int64), r, np.ones(len(r), dtype=np.bool_), DT)
+    return Residual(np.arange(len(r), dtype=np.int64), r, np.ones(len(r), dtype=np.bool_), DT)
 
 
-def point_of(piece: ResidualPiece, scale: HealthyScale) -> FaultPoint | None:
+def point_of(piece: Residual, scale: HealthyScale) -> FaultPoint | None:
     """The flight's point in the plane, None if it has no run longer than the FML."""
-    _, trace = exceedance(start(), piece.r, piece.valid, margin=scale.margin_rad_s, dt_s=DT)
-    return fault_point(runs(trace, piece.t_ns), scale)
+    return fault_point(runs(piece, scale.margin_rad_s), scale)
 
 
 def fly(phenomenology: float) -> tuple[HealthyScale, list[tuple[int, Example]], int]:
@@ -56,7 +55,7 @@ def fly(phenomenology: float) -> tuple[HealthyScale, list[tuple[int, Example]], 
         for repeat in range(3)
     ]
     margin = margin_of(healthy)
-    scale = HealthyScale(float(latency_of(healthy, margin).max()), margin)
+    scale = HealthyScale(float(longest_runs(healthy, margin).max()), margin)
     examples, missed = [], 0
     for i, row in enumerate(PROPELLERS):
         for repeat in range(REPEATS):

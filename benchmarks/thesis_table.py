@@ -21,9 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.identify import ArxModel, fit
-from mavdiag.learning import LearntFlight, airborne, front_for, residuals_of, training_pieces
-from mavdiag.monitors.exceedance import exceedance, runs, start
-from mavdiag.monitors.margin import latency_of, margin_of
+from mavdiag.learning import LearntFlight, airborne, front_for
+from mavdiag.monitors.run_length import longest_runs, margin_of, residuals, runs, training_pieces
 from mavdiag.telemetry import Axis, FloatArray
 from sitl_plant.plant import PlantConfig
 
@@ -51,11 +50,7 @@ def flight(drone: int, seed: int, fault: str | None = None, phenomenology: float
 
 def longest(one: LearntFlight, model: ArxModel, margin: float) -> tuple[float, float]:
     """FSD [s] and peak above the margin [rad/s] of the longest run of a flight."""
-    found = [
-        run
-        for piece in residuals_of(one, Axis.ROLL, model)
-        for run in runs(exceedance(start(), piece.r, piece.valid, margin=margin, dt_s=piece.dt_s)[1], piece.t_ns)
-    ]
+    found = [run for piece in residuals(one.rows, Axis.ROLL, model) for run in runs(piece, margin)]
     worst = max(found, key=lambda run: run.fsd_s, default=None)
     return (0.0, 0.0) if worst is None else (worst.fsd_s, worst.peak)
 
@@ -64,11 +59,11 @@ def trial(number: int, *, seed: int, phenomenology: float, unpaired: bool) -> Tr
     """One repetition of the whole experiment, with seeds of its own."""
     base = 10_000 * seed + 100 * number
     healthy = [flight(drone, base + drone) for drone in (1, 2, 3)]
-    pieces = [piece for one in healthy[1:] for piece in training_pieces(one, Axis.ROLL)]
+    pieces = [piece for one in healthy[1:] for piece in training_pieces(one.rows, Axis.ROLL)]
     model = fit([u for u, _ in pieces], [y for _, y in pieces], dt=0.001)
-    residuals = [residuals_of(one, Axis.ROLL, model) for one in healthy]
-    margin = margin_of(residuals)
-    fml = float(latency_of(residuals, margin).max())
+    unexplained = [residuals(one.rows, Axis.ROLL, model) for one in healthy]
+    margin = margin_of(unexplained)
+    fml = float(longest_runs(unexplained, margin).max())
     figures = np.array(
         [
             [

@@ -16,7 +16,7 @@ from detector.config import Settings, load_settings, split_metrics_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
-from mavdiag import __version__, commandline
+from mavdiag import commandline
 from mavdiag.airframe.load import airframe_from
 from mavdiag.baseline import Baseline
 from mavdiag.link.ports import open_endpoint
@@ -27,12 +27,6 @@ if TYPE_CHECKING:
 __all__ = ["app", "detect", "main"]
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"mavdiag-detector {__version__}")
-        raise typer.Exit
 
 
 @app.command()
@@ -78,9 +72,7 @@ def detect(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Settings; options given here win over it.")
     ] = None,
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
+    version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
 ) -> None:
     """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
 

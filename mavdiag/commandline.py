@@ -8,23 +8,51 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
+from mavdiag import __version__
 from mavdiag.errors import MavdiagError
 
-__all__ = ["ERROR", "application", "run", "stop_signals"]
+__all__ = ["ERROR", "application", "run", "stop_signals", "version_option"]
 
 ERROR = 2
 INTERRUPTED = 130
 
 
-def application(summary: str) -> typer.Typer:
-    """A command-line application in the house style: plain help, no tracebacks, no shell-completion options."""
-    return typer.Typer(
-        help=summary, add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+def application(summary: str, name: str | None = None, cls: type[TyperGroup] | None = None) -> typer.Typer:
+    """A command-line application in the house style: plain help, no tracebacks, no shell-completion options.
+
+    name: of the program, where it is one and answers --version. cls: how its sub-commands are chosen.
+    """
+    app = typer.Typer(
+        help=summary,
+        cls=cls,
+        add_completion=False,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
     )
+    if name is not None:
+
+        @app.callback()
+        def root(version: Annotated[bool, version_option(name)] = False) -> None:
+            pass
+
+    return app
+
+
+def version_option(name: str) -> Any:
+    """The option --version of a program."""
+
+    def show(wanted: bool) -> None:
+        if wanted:
+            typer.echo(f"{name} {__version__}")
+            raise typer.Exit
+
+    return typer.Option("--version", callback=show, is_eager=True, help="Print the version and exit.")
 
 
 def run(app: typer.Typer, name: str) -> NoReturn:
@@ -34,16 +62,16 @@ def run(app: typer.Typer, name: str) -> NoReturn:
     except typer.TyperException as error:
         message = error.format_message()
         # Called without arguments, the help itself is the message.
-        _say(message if message.startswith("Usage:") else f"{name}: {_line(message)}; see `{name} --help`")
+        _print(message if message.startswith("Usage:") else f"{name}: {_line(message)}; see `{name} --help`")
         code = ERROR
     except MavdiagError as error:
-        _say(f"{name}: {_line(str(error))}")
+        _print(f"{name}: {_line(str(error))}")
         code = ERROR
     except (KeyboardInterrupt, typer.Abort):
-        _say(f"{name}: stopped")
+        _print(f"{name}: stopped")
         code = INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has gone (`... | head`): nothing more to say, and nobody to say it to.
+        # The reader of our output has gone (`... | head`): nobody reads what is left.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     sys.exit(code if isinstance(code, int) else 0)
@@ -66,5 +94,5 @@ def _line(message: str) -> str:
     return " ".join(message.split()).rstrip(".")
 
 
-def _say(line: str) -> None:
+def _print(line: str) -> None:
     typer.echo(line, err=True)

@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.monitors.base import LearnContext
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["example_rows"]
+__all__ = ["example_context", "example_rows"]
 
 WINDOW = 5  # samples of the rate filters
 
@@ -51,3 +54,12 @@ def example_rows(
     )
     spec = RateSpec.of(dt_s, WINDOW)
     return Rows(block, spec.step(spec.start(), block)[1])
+
+
+def example_context(
+    frame: str | None = None, dt_s: float = 0.01, *, mass_kg: float | None = None, hover_rad_s: float | None = None
+) -> LearnContext:
+    """What fits need beside such rows. frame: name of the rotor layout, if it is known."""
+    layout = None if frame is None else layout_named(frame)
+    airframe = Airframe(layout=layout, mass_kg=mass_kg, hover_rad_s=hover_rad_s)
+    return LearnContext(airframe, None, dt_s, WINDOW)

@@ -1,16 +1,17 @@
 """A made flight with every signal a monitor may want: 100 Hz, losses, a break, and rotors that answer the commands."""
 
+from collections.abc import Collection
+
 import numpy as np
 from made_telemetry import series, setpoints
 from scipy.signal import lfilter
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.chain import Front
-from mavdiag.monitors.base import Rows
 from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Series, Signal, Telemetry
 
 DT_S = 0.01
 DT_NS = 10_000_000
@@ -22,12 +23,20 @@ def flying_front(trim_end_s: float = 0.0) -> Front:
     return Front(AlignSpec(DT_S, Grid.NATIVE), GateSpec(trim_end_s=trim_end_s), RateSpec.of(DT_S, 11))
 
 
+def body_rates(angle: FloatArray) -> FloatArray:
+    """Body rates p, q, r [rad/s] of roll, pitch and yaw angles at 100 Hz, (n, 3)."""
+    (phi, theta, _), (roll, pitch, yaw) = angle.T, np.gradient(angle, DT_S, axis=0).T
+    q = np.cos(phi) * pitch + np.sin(phi) * np.cos(theta) * yaw
+    r = np.cos(phi) * np.cos(theta) * yaw - np.sin(phi) * pitch
+    return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
+
+
 def flying(n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: float = 0.3) -> Telemetry:
     """n samples at 100 Hz of an X frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output."""
     rng = np.random.default_rng(seed)
     t_ns = START_NS + DT_NS * np.arange(n, dtype=np.int64)
     setpoint = setpoints(n, seed)
-    wanted = np.gradient(setpoint, DT_S, axis=0)
+    wanted = body_rates(setpoint)
     rate = np.asarray(lfilter([0.3], [1, -0.7], wanted, axis=0)) + 0.02 * rng.standard_normal((n, 3))
     torque = 0.05 * (wanted - rate) + 0.002 * rng.standard_normal((n, 3))
     outputs = 0.5 * (1.0 + torque @ layout_named("x").mixing.T)
@@ -54,13 +63,18 @@ def flying_rows(telemetry: Telemetry) -> list[Rows]:
     """All rows of a whole flight."""
     front = flying_front()
     state, rows = front.step(front.start(), telemetry)
-    return [*rows, *front.finish(state)[1]]
+    return [one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows)]
 
 
-def without(telemetry: Telemetry, *spans_s: tuple[float, float]) -> Telemetry:
-    """The same telemetry with nothing heard in these spans [s] since its start."""
+def without(
+    telemetry: Telemetry, *spans_s: tuple[float, float], signals: Collection[Signal] = tuple(Signal)
+) -> Telemetry:
+    """The same telemetry without these signals in these spans [s] since its start."""
     parts = []
     for one in telemetry.series:
+        if one.signal not in signals:
+            parts.append(one)
+            continue
         at_s = (one.t_ns - START_NS) / 1e9
         keep = np.ones(len(one), dtype=bool)
         for low, high in spans_s:

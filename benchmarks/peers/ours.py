@@ -9,7 +9,7 @@ from mavdiag.identify import ArxModel, fit
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import Log
-from mavdiag.monitors.exceedance import exceedance, start
+from mavdiag.monitors.run_length import Exceedance, exceedance
 from mavdiag.telemetry import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
@@ -68,8 +68,8 @@ def _thesis(healthy: tuple[Flown, ...]) -> Scorer:
     def score(one: Flown) -> Scored:
         r = _residuals(models, one)
         valid = np.ones(len(r), dtype=np.bool_)
-        runs = [exceedance(start(), r[:, i], valid, margin=margin, dt_s=dt_s)[1] for i, margin in enumerate(margins)]
-        return Scored.anonymous(one.t_s[-len(r) :] + one.delay_s, np.max([run.fsd_s for run in runs], axis=0))
+        fsd_s = [exceedance(Exceedance(), r[:, i], valid, margin=m, dt_s=dt_s)[1] for i, m in enumerate(margins)]
+        return Scored.anonymous(one.t_s[-len(r) :] + one.delay_s, np.max(fsd_s, axis=0))
 
     return score
 

@@ -1,22 +1,27 @@
 """`mavdiag identify`: healthy flights to a baseline."""
 
-import datetime
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from mavdiag.airframe.load import BUILTIN
 from mavdiag.baseline import Baseline
-from mavdiag.commands.baseline import describe
-from mavdiag.commands.options import AxisChoice, MethodChoice, parse_order, read_part
-from mavdiag.learning import ALL_MONITORS, Flight, LearnOptions, learn
-from mavdiag.monitors.margin import MarginRule
-from mavdiag.storage import save_baseline
+from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
+from mavdiag.commands.progress import each, working
+from mavdiag.face import now, with_airframe
+from mavdiag.identify import Method
+from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
+from mavdiag.monitors.run_length import MarginRule, RunLength
+from mavdiag.storage import check_output, save_baseline
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = ["identify", "make_baseline"]
+
+THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 
 def identify(
@@ -24,7 +29,7 @@ def identify(
     output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
     method: Annotated[MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = MethodChoice.SRIV,
     order: Annotated[str, typer.Option(metavar="NA,NB,NK", help="Model order.")] = "2,2,1",
-    axis: Annotated[AxisChoice, typer.Option(help="Axes to model and to watch.")] = AxisChoice.ROLL,
+    axis: Annotated[AxisChoice, typer.Option(help="Axes to model and to watch.")] = AxisChoice.BOTH,
     window: Annotated[float, typer.Option(metavar="S", help="Savitzky-Golay window.")] = 0.1,
     margin: Annotated[MarginRule, typer.Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
     monitors: Annotated[
@@ -36,35 +41,41 @@ def identify(
     rule: Annotated[
         ThresholdRule, typer.Option(help="Thresholds by the budget, or the healthy maximum.")
     ] = ThresholdRule.GUMBEL,
-    frame: Annotated[str | None, typer.Option(help="Rotor layout.  [default: found from the flights]")] = None,
-    airframe: Annotated[str, typer.Option(help="Name of the airframe or type.")] = "unnamed",
+    airframe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.toml", help=f"The vehicle: {', '.join(BUILTIN)}, or a file.  [default: unknown]"
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option(metavar="LABEL", help="What to call the airframe.")] = None,
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
-    vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id to read from a .tlog.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Vehicle time to start at.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Vehicle time to stop at.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the baseline as JSON.")] = False,
+    vehicle: Vehicle = None,
+    from_s: FromS = None,
+    to_s: ToS = None,
+    as_json: AsJson = False,
 ) -> None:
     """Fit a baseline to healthy flights, and say what its alarms will cost."""
+    check_output(output)
     thesis = monitors == "thesis"
     options = LearnOptions(
         axes=axis.axes,
-        method=method.method,
+        method=Method(method.value),
         order=parse_order(order),
         window_s=window,
         margin_rule=margin,
-        airframe=airframe,
-        scope="type" if fleet else "airframe",
-        monitors=("latency",) if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
+        monitors=THESIS if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
         rule=ThresholdRule.MAXIMUM if thesis else rule,
         alarms_per_hour=alarms_per_hour,
-        frame=frame,
     )
+    options = with_airframe(options, airframe, name)
+    if fleet:
+        options = replace(options, airframe=replace(options.airframe, scope="type"))
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
     save_baseline(output, baseline)
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
     else:
-        _print(baseline, output)
+        typer.echo("\n".join((str(baseline), *_advice(baseline), f"written to {output}")))
 
 
 def make_baseline(
@@ -76,30 +87,9 @@ def make_baseline(
     to_s: float | None = None,
 ) -> Baseline:
     """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError."""
-    flights = []
-    for path in logs:
-        log = read_part(path, vehicle, from_s, to_s)
-        flights.append(Flight(str(path), log.sha256, log.profile, log.telemetry))
-    return learn(flights, options, created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
-
-
-def _print(baseline: Baseline, path: Path) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=f"{path}: {baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.1f} Hz")
-    for heading in ("axis", "model", "R_T²", "fit %"):
-        table.add_column(heading, justify="right")
-    for model in baseline.models:
-        order = ",".join(map(str, model.order))
-        table.add_row(model.axis, f"{model.method} {order}", f"{model.r2t:.4f}", f"{model.nrmse_fit:.1f}")
-    console = Console(highlight=False)
-    console.print(table)
-    for line in describe(baseline):
-        console.print(line, soft_wrap=True)
-    console.print(f"{len(baseline.provenance.logs)} healthy flights, {baseline.healthy_hours * 60:.1f} minutes judged.")
-    for line in _advice(baseline):
-        console.print(line)
+    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
+    with working(f"learning from {len(flights)} flights ..."):
+        return learn(flights, options, created=now())
 
 
 def _advice(baseline: Baseline) -> list[str]:

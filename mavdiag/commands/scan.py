@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import read_part
+from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
+from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge
 from mavdiag.report import verdict_json
@@ -19,21 +20,18 @@ __all__ = ["scan"]
 def scan(
     logs: Annotated[list[Path], typer.Argument(help="Logs to judge: .tlog, .bin, .ulg, Crazyflie.")],
     baseline: Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a line per log.")] = False,
-    vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="System id to read from a .tlog.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", metavar="S", help="Vehicle time to start at.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="Vehicle time to stop at.")] = None,
+    as_json: AsJson = False,
+    vehicle: Vehicle = None,
+    from_s: FromS = None,
+    to_s: ToS = None,
 ) -> None:
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable; of several logs the first of 2, 1, 3, 0."""
     reference = load_baseline(baseline)
     verdicts: list[LogVerdict] = []
-    for path in logs:
+    for path in each(logs, "judging"):
         verdict = _judge(path, reference, vehicle, from_s, to_s)
         verdicts.append(verdict)
-        if as_json:
-            typer.echo(json.dumps(verdict_json(verdict)))
-        else:
-            typer.echo(f"{path}: {verdict.verdict.value}, {verdict.reason} ({verdict.judged_s:.1f} s judged)")
+        typer.echo(json.dumps(verdict_json(verdict)) if as_json else _line(verdict))
     raise typer.Exit(exit_code([verdict.verdict for verdict in verdicts]))
 
 
@@ -42,4 +40,16 @@ def _judge(path: Path, baseline: Baseline, vehicle: int | None, from_s: float | 
     try:
         return judge(read_part(path, vehicle, from_s, to_s), baseline)
     except InputError as error:
-        return LogVerdict(str(path), Verdict.ERROR, str(error))
+        return LogVerdict(str(path), Verdict.ERROR, str(error).removeprefix(f"{path}: "))
+
+
+def _line(verdict: LogVerdict) -> str:
+    """The verdict in one line: what, why, and how long each monitor judged."""
+    line = f"{verdict.log}: {verdict.verdict}, {verdict.reason}"
+    if verdict.verdict is Verdict.ERROR:
+        return line
+    parts = [
+        f"{one.name} {one.judged_s:.1f} s" + (f" ({one.not_judged})" if one.not_judged else "")
+        for one in verdict.monitors
+    ]
+    return f"{line}; judged {verdict.judged_s:.1f} s" + (f": {', '.join(parts)}" if parts else "")

@@ -6,13 +6,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavdiag.demo.ground_station import GroundStation, Heard
+from mavdiag.demo.ground_station import GroundStation, ReceivedText
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
 
-__all__ = ["POLL_S", "Flight", "Loop", "Outcome", "closed_loop"]
+__all__ = ["POLL_S", "DemoResult", "Flight", "Loop", "closed_loop"]
 
 READY_S = 120.0  # the emulator compiles its loop at its first start
 POLL_S = 0.05
@@ -41,7 +41,7 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """The running processes and the ground station that hears them."""
+    """The running processes and the ground station that receives from them."""
 
     plant: Child
     detector: Child
@@ -49,14 +49,14 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DemoResult:
     """What the ground station saw. Times in seconds of flight; detected_s is None if nothing was alerted in time."""
 
     onset_s: float
-    texts: tuple[Heard, ...]
+    texts: tuple[ReceivedText, ...]
 
     @property
-    def alerts(self) -> tuple[Heard, ...]:
+    def alerts(self) -> tuple[ReceivedText, ...]:
         """Declared faults."""
         return tuple(one for one in self.texts if one.severity <= Severity.CRITICAL)
 
@@ -84,10 +84,10 @@ def closed_loop(flight: Flight, baseline: Path) -> Iterator[Loop]:
         child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline)) as detector,
     ):
         line = detector.wait_for("ready", READY_S)
-        heard = re.search(r"udpin:([\d.]+:\d+)", line)
-        if heard is None:
-            raise LinkError(f"the detector did not say where it listens: {line}")
+        found = re.search(r"udpin:([\d.]+:\d+)", line)
+        if found is None:
+            raise LinkError(f"the detector did not print where it listens: {line}")
         ground = endpoint.address.replace("udpin", "udpout")
-        with child("sitl_plant", "run", "--out", f"udpout:{heard[1]}", "--out", ground, *flight.arguments) as plant:
+        with child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
             plant.wait_for("flies", READY_S)
             yield Loop(plant, detector, GroundStation(endpoint))

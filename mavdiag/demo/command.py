@@ -1,27 +1,35 @@
-"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, heard by a ground station."""
+"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station."""
 
+import hashlib
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mavdiag import __version__
+from mavdiag.baseline import Baseline
 from mavdiag.commands.identify import make_baseline
-from mavdiag.demo.closed_loop import POLL_S, Flight, Loop, Outcome, closed_loop
+from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.errors import BaselineError, UsageError
+from mavdiag.face import with_airframe
 from mavdiag.learning import thesis_options
+from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import load_baseline, save_baseline
 
-__all__ = ["demo", "own_baseline"]
+__all__ = ["demo", "own_baseline", "source_digest"]
 
 HEALTHY_FLIGHTS = 60  # one false alarm in 61 flights of equal length, METHOD section 4
 HEALTHY_S = 40.0
 ONSET_SHARE = 0.4  # of the flight
+SOURCES = (".py", ".toml", ".json")
 
 
 def demo(
@@ -32,38 +40,49 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the flight.")] = 1,
     baseline: Annotated[Path | None, typer.Option(help="Use this baseline instead of learning one.")] = None,
 ) -> None:
-    """Learn from fast healthy flights, fly healthy, inject a fault, and hear the alert as a ground station does.
+    """Learn from fast healthy flights, fly healthy, inject a fault, and receive the alert as a ground station does.
 
     Exit code 0 only if the fault was alerted over MAVLink and nothing was alerted before its onset, else 1.
     """
     if duration < 10:
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
     reference = baseline or own_baseline(quiet=as_json)
-    _introduce(reference, quiet=as_json)
+    _print_baseline(reference, quiet=as_json)
     onset_s = round(ONSET_SHARE * duration, 1)
     with closed_loop(Flight(duration, fault, rotor, onset_s, seed), reference) as loop:
         _watch(loop, onset_s, duration, quiet=as_json)
-    outcome = Outcome(onset_s, tuple(loop.station.texts))
-    _tell(outcome, as_json)
-    raise typer.Exit(0 if outcome.good else 1)
+    result = DemoResult(onset_s, tuple(loop.station.texts))
+    _print_result(result, as_json)
+    raise typer.Exit(0 if result.good else 1)
 
 
-def _introduce(reference: Path, *, quiet: bool) -> None:
-    thesis = load_baseline(reference).latency
+def _print_baseline(reference: Path, *, quiet: bool) -> None:
+    thesis = _thesis_monitors(load_baseline(reference))
     if not thesis:
-        raise UsageError(f"{reference}: has no latency monitor; the demo needs one from `mavdiag identify`")
-    spec, threshold = thesis[0]
+        raise UsageError(f"{reference}: has no fsd monitor; the demo needs one from `mavdiag identify`")
+    margin_rad_s, fml_s = thesis[0]
     if not quiet:
-        typer.echo(f"baseline {reference}: margin {spec.margin_rad_s:.4f} rad/s, FML {threshold.value:.3f} s")
+        typer.echo(f"baseline {reference}: margin {margin_rad_s:.4f} rad/s, FML {fml_s:.3f} s")
+
+
+def _thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
+    """Margin [rad/s] and FML [s] of each axis."""
+    entries = ((entry.spec, entry.threshold.value) for entry in baseline.monitors)
+    return [(spec.margin_rad_s, fml_s) for spec, fml_s in entries if isinstance(spec, RunLengthSpec)]
 
 
 def own_baseline(*, quiet: bool) -> Path:
-    """The demo's baseline, learnt once from recorded flights of the emulator and kept in the user's cache."""
+    """The demo's baseline, learnt once from recorded flights of the emulator and kept in the user's cache.
+
+    It is learnt again after any change of the sources that make it.
+    """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
-    path = cache / f"demo-{__version__}.json"
+    path = cache / f"demo-{__version__}-{source_digest()}.json"
     if _usable(path):
         return path
     cache.mkdir(parents=True, exist_ok=True)
+    for stale in cache.glob("demo-*.json"):
+        stale.unlink(missing_ok=True)
     if not quiet:
         typer.echo(f"recording {HEALTHY_FLIGHTS} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
@@ -73,14 +92,26 @@ def own_baseline(*, quiet: bool) -> Path:
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
-        save_baseline(path, make_baseline(logs, thesis_options("qdrone2 drone 1")))
+        save_baseline(path, make_baseline(logs, with_airframe(thesis_options(), "qdrone2", "qdrone2 drone 1")))
     return path
 
 
+def source_digest(packages: Sequence[str] = ("mavdiag", "sitl_plant")) -> str:
+    """Digest of all that these packages consist of, 12 hexadecimal digits; a package that is absent counts as empty."""
+    digest = hashlib.sha256()
+    for package in packages:
+        spec = find_spec(package)
+        for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
+            files = (path for path in Path(folder).rglob("*") if path.suffix in SOURCES)
+            for path in sorted(files):
+                digest.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
 def _usable(path: Path) -> bool:
-    """Whether there is one, of this version's form."""
+    """Whether there is one, and it can be read."""
     try:
-        return bool(load_baseline(path).latency)
+        return bool(_thesis_monitors(load_baseline(path)))
     except BaselineError:
         return False
 
@@ -104,24 +135,21 @@ def _watch(loop: Loop, onset_s: float, duration_s: float, *, quiet: bool) -> Non
         display.show(loop.station)
 
 
-def _tell(outcome: Outcome, as_json: bool) -> None:
-    detected = outcome.detected_s
-    latency = None if detected is None else round(detected - outcome.onset_s, 3)
+def _print_result(result: DemoResult, as_json: bool) -> None:
+    detected = result.detected_s
+    latency = None if detected is None else round(detected - result.onset_s, 3)
     if as_json:
-        typer.echo(
-            json.dumps(
-                {
-                    "verdict": "detected" if outcome.good else "false alarm" if outcome.false_alarms else "missed",
-                    "onset_s": outcome.onset_s,
-                    "detected_s": detected,
-                    "latency_s": latency,
-                    "alerts": [{"severity": one.severity, "text": one.text, "t_s": one.t_s} for one in outcome.alerts],
-                    "false_alarms": outcome.false_alarms,
-                }
-            )
-        )
-    elif outcome.good:
+        content = {
+            "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
+            "onset_s": result.onset_s,
+            "detected_s": detected,
+            "latency_s": latency,
+            "alerts": [asdict(one) for one in result.alerts],
+            "false_alarms": result.false_alarms,
+        }
+        typer.echo(json.dumps(content))
+    elif result.good:
         typer.echo(f"alerted {latency:.2f} s after the onset, and nothing before: the loop is closed")
     else:
-        why = f"{outcome.false_alarms} alerts before the onset" if outcome.false_alarms else "the fault was not alerted"
+        why = f"{result.false_alarms} alerts before the onset" if result.false_alarms else "the fault was not alerted"
         typer.echo(f"not good: {why}")

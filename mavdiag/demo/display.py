@@ -10,7 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavdiag.demo.ground_station import GroundStation, Heard
+from mavdiag.demo.ground_station import GroundStation, ReceivedText
 from mavdiag.link.messages import Severity
 
 __all__ = ["Display", "picture"]
@@ -26,7 +26,7 @@ class Display:
         self._onset_s, self._duration_s, self._quiet = onset_s, duration_s, quiet
         self._console = Console()
         self._live = Live(console=self._console, refresh_per_second=10) if self._console.is_terminal else None
-        self._told = 0
+        self._shown = 0
 
     def __enter__(self) -> Self:
         if self._live is not None and not self._quiet:
@@ -46,13 +46,13 @@ class Display:
         if self._live is not None:
             self._live.update(picture(station, self._onset_s, self._duration_s))
             return
-        for text in station.texts[self._told :]:
+        for text in station.texts[self._shown :]:
             self._console.print(_line(text))
-        self._told = len(station.texts)
+        self._shown = len(station.texts)
 
 
 def picture(station: GroundStation, onset_s: float, duration_s: float) -> Panel:
-    """What has been heard so far, as a panel."""
+    """What has been received so far, as a panel."""
     figures = station.figures
     table = Table.grid(padding=(0, 1))
     residual, margin = abs(figures.get("PF_RES", 0.0)), figures.get("PF_MARG", 0.0)
@@ -70,7 +70,7 @@ def _gauge(name: str, value: float, limit: float, limit_name: str, unit: str) ->
     return Text(name), bar, Text(f"{value:.3f} {unit} of {limit_name} {limit:.3f}")
 
 
-def _line(heard: Heard) -> Text:
-    severity = Severity(heard.severity)
+def _line(text: ReceivedText) -> Text:
+    severity = Severity(text.severity)
     style = "bold red" if severity <= Severity.CRITICAL else "yellow" if severity <= Severity.WARNING else ""
-    return Text(f"{heard.t_s:7.2f} s  {severity.name:<8} {heard.text}", style=style)
+    return Text(f"{text.t_s:7.2f} s  {severity.name:<8} {text.text}", style=style)

@@ -1,4 +1,4 @@
-"""A small ground station for the demo (edge): hears one link and keeps what a pilot would see."""
+"""A small ground station for the demo (edge): it receives one link and keeps what a pilot would see."""
 
 from dataclasses import dataclass, field
 
@@ -6,7 +6,7 @@ from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field
 from mavdiag.link.messages import Component, MavCmd, MessageId
 from mavdiag.link.ports import Endpoint, wait
 
-__all__ = ["GroundStation", "Heard"]
+__all__ = ["GroundStation", "ReceivedText"]
 
 GCS_SYSID = 255
 WANTED = (MessageId.STATUSTEXT, MessageId.NAMED_VALUE_FLOAT, MessageId.ATTITUDE)
@@ -18,7 +18,7 @@ _VALUE = field_index(MessageId.NAMED_VALUE_FLOAT, "value")
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ReceivedText:
     """A STATUSTEXT of the detector and the vehicle's time [s] when it came."""
 
     severity: int
@@ -28,15 +28,20 @@ class Heard:
 
 @dataclass(slots=True)
 class GroundStation:
-    """What has been heard so far. figures: the detector's latest NAMED_VALUE_FLOATs by name."""
+    """What has been received so far.
+
+    t_s: the vehicle's time [s].
+    texts: of the detector, in order.
+    figures: the detector's latest NAMED_VALUE_FLOATs by name.
+    """
 
     endpoint: Endpoint
     t_s: float = 0.0
-    texts: list[Heard] = field(default_factory=list)
+    texts: list[ReceivedText] = field(default_factory=list)
     figures: dict[str, float] = field(default_factory=dict)
     _decoder: Decoder = field(default_factory=lambda: Decoder(WANTED))
     _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
-    _quieted: bool = False
+    _asked: bool = False
 
     def listen(self, timeout_s: float) -> None:
         """Take in what comes within `timeout_s`, or sooner."""
@@ -48,19 +53,19 @@ class GroundStation:
     def _take(self, frame: Frame) -> None:
         if frame.msgid == MessageId.ATTITUDE:
             self.t_s = float(str(frame.fields[_BOOT_MS])) / 1e3
-            self._quiet(frame.sysid)
+            self._stop_fast_streams(frame.sysid)
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.STATUSTEXT:
-            said = decode_statustext(frame)
-            self.texts.append(Heard(said.severity, said.text, self.t_s))
+            text = decode_statustext(frame)
+            self.texts.append(ReceivedText(text.severity, text.text, self.t_s))
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.NAMED_VALUE_FLOAT:
             name, value = frame.fields[_NAME], frame.fields[_VALUE]
             if isinstance(name, bytes) and isinstance(value, float):
                 self.figures[name.rstrip(b"\0").decode(errors="replace")] = value
 
-    def _quiet(self, sysid: int) -> None:
-        """Ask once to be spared the fast streams on this link."""
-        if not self._quieted:
-            self._quieted = True
+    def _stop_fast_streams(self, sysid: int) -> None:
+        """Ask once that the fast streams are not sent on this link."""
+        if not self._asked:
+            self._asked = True
             for message in UNWANTED:
                 stop = (MavCmd.SET_MESSAGE_INTERVAL, 0, message, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 command = self._encoder.encode(MessageId.COMMAND_LONG, sysid, Component.AUTOPILOT1, *stop)

@@ -1,10 +1,11 @@
-"""Child processes of the demo (edge): started from this Python, heard, and always ended."""
+"""Child processes of the demo (edge): started from this Python by module name, and always ended."""
 
 import contextlib
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from queue import Empty, Queue
 
@@ -13,6 +14,7 @@ from mavdiag.errors import LinkError
 __all__ = ["Child", "child", "run_child"]
 
 GRACE_S = 3.0
+POLL_S = 0.1
 
 
 class Child:
@@ -39,18 +41,30 @@ class Child:
                 self.lines.append(line.rstrip())
                 self._fresh.put(line.rstrip())
 
-    def wait_for(self, word: str, timeout_s: float) -> str:
-        """The first new line that holds `word`. Raises LinkError with the last line if none comes in time."""
+    def wait_for(self, text: str, timeout_s: float) -> str:
+        """The first new line that holds `text`.
+
+        Raises LinkError with the last line if none comes within `timeout_s` in all, or as soon as the process ended.
+        """
+        until = time.monotonic() + timeout_s
         while True:
+            ended = not self.running  # looked at before the queue: its last lines still count
+            left = until - time.monotonic()
             try:
-                line = self._fresh.get(timeout=timeout_s)
+                line = self._fresh.get(timeout=min(max(left, 0.0), POLL_S))
             except Empty:
-                last = self.lines[-1] if self.lines else "it said nothing"
-                raise LinkError(f"{self.module} did not get ready: {last}") from None
-            if word in line:
+                if ended or left <= 0:
+                    raise LinkError(
+                        f"{self.module} {'stopped' if ended else 'did not get ready'}: {self.last}"
+                    ) from None
+                continue
+            if text in line:
                 return line
-            if self._process.poll() is not None and self._fresh.empty():
-                raise LinkError(f"{self.module} stopped: {line}")
+
+    @property
+    def last(self) -> str:
+        """The last line that it printed."""
+        return self.lines[-1] if self.lines else "it printed nothing"
 
     @property
     def running(self) -> bool:
@@ -90,4 +104,4 @@ def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
     with child(module, *arguments) as one:
         if one.finish() != 0:
-            raise LinkError(f"{module} failed: {one.lines[-1] if one.lines else 'it said nothing'}")
+            raise LinkError(f"{module} failed: {one.last}")

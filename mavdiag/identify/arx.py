@@ -14,13 +14,17 @@ __all__ = ["Estimate", "least_squares", "polynomials", "regressors", "solve"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Raw outcome of an estimator. theta, standard_errors: (na + nb,); loss: mean square of its own residual.
+    """Raw outcome of an estimator.
 
-    rows: number of those residuals. iterations, converged: of the estimator's own loop, 1 and True without one.
+    theta: (na + nb,) parameters.
+    covariance: of theta, (na + nb, na + nb).
+    loss: mean square of its own residual.
+    rows: number of those residuals.
+    iterations, converged: of the estimator's own loop, 0 and True without one.
     """
 
     theta: FloatArray
-    standard_errors: FloatArray
+    covariance: FloatArray
     loss: float
     rows: int
     iterations: int = 0
@@ -48,7 +52,7 @@ def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray
 
 
 def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Solve Z' Phi theta = Z' target; return theta and the diagonal of (Z' Z)^-1, both (d,).
+    """Solve Z' Phi theta = Z' target; return theta (d,) and (Z' Z)^-1 (d, d).
 
     Z = Phi is least squares. By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at
     1 kHz are nearly collinear. Raises IdentificationError if a column is nothing but the others to `tolerance`.
@@ -61,13 +65,13 @@ def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) 
         raise IdentificationError("the regressors are linearly dependent; lower the order or fly a richer input")
     theta: FloatArray = np.linalg.lstsq(Q.T @ (Phi / scale), Q.T @ target, rcond=None)[0] / scale
     inverse = np.linalg.inv(R) / scale[:, None]
-    return theta, np.sum(inverse**2, axis=1)
+    return theta, inverse @ inverse.T
 
 
 def least_squares(segments: tuple[Segment, ...], order: Order) -> Estimate:
     """Least-squares estimate over the stacked rows of all segments; no row reaches over a boundary.
 
-    standard_errors = sqrt(diag (Phi' Phi)^-1 e'e/(n - d)); loss V = e'e/n.
+    covariance = (Phi' Phi)^-1 e'e/(n - d); loss V = e'e/n.
     Raises IdentificationError if the regressors are linearly dependent.
     """
     stacked = np.concatenate([np.column_stack(regressors(segment, order)) for segment in segments])  # [ Phi  y ]
@@ -76,4 +80,4 @@ def least_squares(segments: tuple[Segment, ...], order: Order) -> Estimate:
     Phi, target = R[:, :d], R[:, d]
     theta, spread = solve(Phi, Phi, target, n * EPSILON)
     squares = float(np.sum((target - Phi @ theta) ** 2))
-    return Estimate(theta, np.sqrt(spread * squares / (n - d)), squares / n, n)
+    return Estimate(theta, spread * squares / (n - d), squares / n, n)

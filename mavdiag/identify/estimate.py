@@ -10,7 +10,6 @@ from mavdiag.identify.data import Records, Segment, check_excitation, to_segment
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.identify.sriv import sriv
 from mavdiag.identify.validate import free_run, nrmse_percent, r_squared
-from mavdiag.telemetry import FloatArray
 
 __all__ = ["fit"]
 
@@ -72,7 +71,7 @@ def _graded(
         dt,
         order,
         method,
-        standard_errors=estimate.standard_errors,
+        covariance=estimate.covariance,
         r2t=r_squared(y, y_sim),
         nrmse_fit=nrmse_percent(y, y_sim),
         mse=float(np.mean((y - y_sim) ** 2)),
@@ -89,8 +88,7 @@ def _young_criterion(estimate: Estimate, error_share: float) -> float:
     """YIC = ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)): fit against how well the parameters are known (Young)."""
     if np.any(estimate.theta == 0.0):
         return math.inf
-    relative: FloatArray = estimate.standard_errors / estimate.theta
-    return _log(error_share) + _log(float(np.mean(relative**2)))
+    return _log(error_share) + _log(float(np.mean(np.diag(estimate.covariance) / estimate.theta**2)))
 
 
 def _log(value: float) -> float:

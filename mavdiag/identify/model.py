@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import control
     from numpy.typing import NDArray
 
-__all__ = ["ArxModel", "Method", "Order", "check_order", "read_only"]
+__all__ = ["ArxModel", "Method", "ModelRecord", "Order", "check_order", "read_only"]
 
 Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
 
@@ -52,8 +52,9 @@ class ArxModel:
     """A(z^-1) y(t) = B(z^-1) u(t) + e(t), T Eq 4.1-4.5.
 
     a: (na + 1,), a[0] == 1. b: (nk + nb,) with nk leading zeros; unit of y per unit of u. dt: sample time [s].
-    order: (na, nb, nk). standard_errors: (na + nb,) of a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown. Those of SRIV
-    hold for output noise of any colour; those of LS for white noise in the equation, and say nothing of its bias.
+    order: (na, nb, nk). covariance: (na + nb, na + nb) of the estimates a1..a_na, b_nk..b_{nk+nb-1}, nan if unknown.
+    That of SRIV holds for output noise of any colour; that of LS for white noise in the equation, and says nothing of
+    its bias. standard_errors: (na + nb,) square roots of its diagonal; nan if unknown.
 
     Fit on the training data, nan where unknown. With e_sim = y - simulate(u), each segment from rest, all pooled:
     r2t: R_T^2 = 1 - var(e_sim)/var(y). nrmse_fit: 100 (1 - |e_sim| / |y - mean y|) [percent].
@@ -74,6 +75,7 @@ class ArxModel:
     order: Order
     method: Method
     standard_errors: FloatArray = field(default_factory=_unknown)
+    covariance: FloatArray = field(default_factory=_unknown)
     r2t: float = math.nan
     nrmse_fit: float = math.nan
     mse: float = math.nan
@@ -86,13 +88,20 @@ class ArxModel:
 
     def __post_init__(self) -> None:
         na, nb, nk = check_order(self.order)
-        unknown = np.full(na + nb, np.nan)
-        errors = self.standard_errors if len(self.standard_errors) else unknown
+        d = na + nb
+        covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
+        errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
         object.__setattr__(self, "a", read_only(self.a))
         object.__setattr__(self, "b", read_only(self.b))
         object.__setattr__(self, "standard_errors", read_only(errors))
-        if self.a.shape != (na + 1,) or self.b.shape != (nb + nk,) or self.standard_errors.shape != (na + nb,):
-            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {na + nb} standard errors")
+        object.__setattr__(self, "covariance", read_only(covariance))
+        if (
+            self.a.shape != (na + 1,)
+            or self.b.shape != (nb + nk,)
+            or errors.shape != (d,)
+            or covariance.shape != (d, d)
+        ):
+            raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
         if not (np.isfinite(self.a).all() and np.isfinite(self.b).all()):
             raise IdentificationError("the coefficients of a model must be finite numbers")
         if self.a[0] != 1.0 or np.any(self.b[:nk] != 0.0):
@@ -163,3 +172,74 @@ class ArxModel:
         return control.TransferFunction(
             np.pad(self.b, (0, size - len(self.b))), np.pad(self.a, (0, size - len(self.a))), self.dt
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelRecord:
+    """An ArxModel as a baseline stores it: plain numbers, no array; None where a figure is not known.
+
+    a: coefficients of A(z^-1) from a_0 = 1 on.
+    b: coefficients of B(z^-1) from z^0 on; nk leading zeros are the delay.
+    dt_s: sample time [s].
+    order: (na, nb, nk).
+    method: how the model was found.
+    standard_errors: of a1..a_na, then of the nb estimated b; empty if they are not known.
+    covariance: rows of their covariance matrix; empty if it is not known.
+    r2t, nrmse_fit, mse: fit on the training data, see `ArxModel`.
+    samples: rows of training data.
+    Raises IdentificationError if the numbers are not those of a model.
+    """
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    dt_s: float
+    order: Order
+    method: Method
+    standard_errors: tuple[float, ...] = ()
+    covariance: tuple[tuple[float, ...], ...] = ()
+    r2t: float | None = None
+    nrmse_fit: float | None = None
+    mse: float | None = None
+    samples: int = 0
+
+    def __post_init__(self) -> None:
+        self.model()
+
+    @classmethod
+    def of(cls, model: ArxModel) -> "ModelRecord":
+        """The record of a model."""
+        known = bool(np.isfinite(model.standard_errors).all())
+        correlated = bool(np.isfinite(model.covariance).all())
+        return cls(
+            a=tuple(model.a.tolist()),
+            b=tuple(model.b.tolist()),
+            dt_s=model.dt,
+            order=model.order,
+            method=model.method,
+            standard_errors=tuple(model.standard_errors.tolist()) if known else (),
+            covariance=tuple(tuple(row) for row in model.covariance.tolist()) if correlated else (),
+            r2t=_finite(model.r2t),
+            nrmse_fit=_finite(model.nrmse_fit),
+            mse=_finite(model.mse),
+            samples=model.samples,
+        )
+
+    def model(self) -> ArxModel:
+        """The model, ready to simulate."""
+        return ArxModel(
+            np.array(self.a),
+            np.array(self.b),
+            self.dt_s,
+            self.order,
+            self.method,
+            standard_errors=np.array(self.standard_errors),
+            covariance=np.array(self.covariance),
+            r2t=math.nan if self.r2t is None else self.r2t,
+            nrmse_fit=math.nan if self.nrmse_fit is None else self.nrmse_fit,
+            mse=math.nan if self.mse is None else self.mse,
+            samples=self.samples,
+        )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

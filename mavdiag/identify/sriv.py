@@ -13,7 +13,7 @@ import numpy as np
 from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressors, solve
 from mavdiag.identify.data import EPSILON, Segment, triangle
 from mavdiag.identify.model import Order
-from mavdiag.identify.uncertainty import coloured_errors
+from mavdiag.identify.uncertainty import coloured_covariance
 from mavdiag.telemetry import FloatArray
 
 __all__ = ["reflect_poles", "sriv"]
@@ -96,7 +96,7 @@ def _evaluate(segments: tuple[Segment, ...], order: Order, theta: FloatArray) ->
     move, spread = solve(Z, Z, error, n * EPSILON)
     squares = float(error @ error)
     freedom = max(1, n - d - len(segments) * order[0])
-    return _Point(theta, refined, theta + move, np.sqrt(spread * squares / freedom), squares / n, n)
+    return _Point(theta, refined, theta + move, np.sqrt(np.diag(spread) * squares / freedom), squares / n, n)
 
 
 def _refine(segments: tuple[Segment, ...], order: Order, point: _Point) -> tuple[_Point, int, bool]:
@@ -133,7 +133,7 @@ def _descend(segments: tuple[Segment, ...], order: Order, point: _Point) -> tupl
 def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     """SRIV estimate over all segments, started from least squares.
 
-    standard_errors: right for output noise of any colour, see `uncertainty`. loss: mean squared output error
+    covariance: right for output noise of any colour, see `uncertainty`. loss: mean squared output error
     with the initial state of each segment free. If the iteration does not settle, which happens where the order is
     not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do
     not settle either: such data, or such an order, hardly tell the parameters apart.
@@ -145,5 +145,5 @@ def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     if not settled:
         point, more, settled = _descend(segments, order, point)
         iterations += more
-    errors = coloured_errors(segments, order, point.theta)
-    return Estimate(point.theta, errors, point.loss, point.rows, iterations, settled)
+    covariance = coloured_covariance(segments, order, point.theta)
+    return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)

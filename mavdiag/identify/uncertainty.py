@@ -1,4 +1,4 @@
-"""Standard errors of SRIV when the output noise is coloured, as it always is behind a smoothing filter."""
+"""Covariance of SRIV when the output noise is coloured, as it always is behind a smoothing filter."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from mavdiag.identify.data import Segment, triangle
 from mavdiag.identify.model import Order
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["coloured_errors"]
+__all__ = ["coloured_covariance"]
 
 
-def coloured_errors(segments: tuple[Segment, ...], order: Order, theta: FloatArray) -> FloatArray:
-    """Standard errors of an SRIV estimate theta, (na + nb,), whatever the spectrum of its output error.
+def coloured_covariance(segments: tuple[Segment, ...], order: Order, theta: FloatArray) -> FloatArray:
+    """Covariance of an SRIV estimate theta, (na + nb, na + nb), whatever the spectrum of its output error.
 
     cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)': the first-order covariance
     of an instrumental variable estimate (Soderstrom and Stoica, System Identification, ch. 8), which is M var(e) for
@@ -25,8 +25,8 @@ def coloured_errors(segments: tuple[Segment, ...], order: Order, theta: FloatArr
     R = triangle(np.concatenate([one[:, :d] for one in rows]))
     M = np.linalg.inv(R) @ np.linalg.inv(R).T
     S = np.sum([_weighted_products(one[:, :d], weights) for one in rows], axis=0)
-    variances: FloatArray = np.maximum(np.diag(M @ S @ M), 0.0)
-    return np.sqrt(variances)
+    covariance: FloatArray = M @ (0.5 * (S + S.T)) @ M
+    return covariance
 
 
 def _projected(segment: Segment, order: Order, theta: FloatArray) -> FloatArray:

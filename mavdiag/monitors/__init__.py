@@ -1,1 +1,43 @@
-"""TODO"""
+"""The monitors: one file each, and their registry. A new one is its file and a name in `MONITORS`."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from mavdiag.errors import UsageError
+from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.innovation import Innovation
+from mavdiag.monitors.rotor_signature import RotorSignature
+from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.monitors.run_length import RunLength
+from mavdiag.monitors.unbalance import Unbalance
+from mavdiag.monitors.vibration_level import VibrationLevel
+
+__all__ = ["BY_NAME", "MONITORS", "by_name", "monitor_of"]
+
+MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
+    RunLength,
+    Innovation,
+    RotorSignature,
+    Unbalance,
+    VibrationLevel,
+    RotorTrim,
+)
+
+BY_NAME: Mapping[str, type[Monitor[Any, Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})
+
+
+def by_name(name: str) -> type[Monitor[Any, Any]]:
+    """The monitor of that name. Raises UsageError, listing the names, if there is none.
+
+    >>> by_name("fsd").threshold_label
+    'FML '
+    """
+    if name not in BY_NAME:
+        raise UsageError(f"no monitor {name}; there are {', '.join(BY_NAME)}")
+    return BY_NAME[name]
+
+
+def monitor_of(spec: Any) -> Monitor[Any, Any]:
+    """The monitor that works by a fit, ready to start."""
+    return BY_NAME[spec.kind](spec)

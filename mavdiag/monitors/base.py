@@ -6,8 +6,9 @@ to healthy flights. The registry builds from that the baseline's schema, the cha
 streams that the detector asks for, and the contract tests.
 """
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
@@ -16,9 +17,9 @@ from mavdiag.identify import Method, Order
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal
-from mavdiag.thresholds.rule import Guard
+from mavdiag.thresholds.guard import Guard
 
-__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows"]
+__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
@@ -26,6 +27,11 @@ Spec = TypeVar("Spec")
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
+
+
+def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
+    """The rows of each segment of a flight, in order."""
+    return [list(rows) for _, rows in itertools.groupby(flight, key=lambda one: one.block.segment)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,7 @@ class RotorEvidence:
     weight: logits per unit of evidence.
     relative: the evidence counts in units of the monitor's threshold.
     direct: it observes the damaged rotor itself. Evidence that is not direct counts only while no direct monitor is
-    above its threshold: a trim tells which rotor is commanded more, and a blade with more drag has the others
+    above its threshold: a trim shows which rotor is commanded more, and a blade with more drag has the others
     commanded more.
     """
 
@@ -68,7 +74,7 @@ class RotorEvidence:
 
 
 class Feature:
-    """Names of the figures that grading a fault needs; a monitor's `feature` says which its `level` gives."""
+    """Names of the figures that grading a fault needs; a monitor's `feature` names which its `level` gives."""
 
     UNBALANCE = "unbalance"  # g mm
     MOTION = "motion"  # rad/s
@@ -81,12 +87,12 @@ class Monitor(ABC, Generic[Spec, State]):
     name: key in the baseline, the journal and the scan report.
     label: how a text for a pilot calls it, at most 10 characters.
     statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
-    needs: signals without which it cannot judge; a row in which one is unknown is not judged by it.
+    needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
     decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
     clear_s: how long its statistic must have been back before its event closes.
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
-    feature: what its level tells about the fault, a name of `Feature`; None if nothing.
+    feature: what its level means for the fault, a name of `Feature`; None if nothing.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
     """
 
@@ -119,6 +125,11 @@ class Monitor(ABC, Generic[Spec, State]):
         """Unit of the statistic and of its threshold."""
 
     @property
+    def signals(self) -> frozenset[Signal]:
+        """The signals that this fit rests on; fewer than `needs` where it chose between them."""
+        return self.needs
+
+    @property
     def axis(self) -> Axis | None:
         """The body axis that the statistic is about."""
         return None
@@ -135,7 +146,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     @property
     def feature(self) -> str | None:
-        """What its level tells about the fault, a name of `Feature`; None if nothing."""
+        """What its level means for the fault, a name of `Feature`; None if nothing."""
         return None
 
     @abstractmethod
@@ -148,3 +159,11 @@ class Monitor(ABC, Generic[Spec, State]):
 
         The chain calls `start` at the border of every segment and flight; a monitor need not look for it.
         """
+
+    def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
+        """Judge a whole flight, from a fresh state at every segment."""
+        for segment in segments(flight):
+            state = self.start()
+            for rows in segment:
+                state, statistic = self.step(state, rows)
+                yield statistic

@@ -12,38 +12,37 @@ from typing import Literal
 
 import numpy as np
 
-from mavdiag.decision.events import Reading
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
-from mavdiag.monitors.base import Rows
-from mavdiag.rows.running import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
-from mavdiag.thresholds.heldout import Flights
-from mavdiag.thresholds.rule import Guard
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
-__all__ = ["GUARD", "Innovation", "InnovationSpec", "InnovationState", "fit", "judgeable"]
+__all__ = ["Innovation", "InnovationSpec", "InnovationState"]
 
 NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
-MEMORY_S = 0.35  # METHOD section 4
-MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 RANK_TOLERANCE = 1e-10
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
-LIMIT = 1e6  # healthy rms; a normalised innovation is cut here (our choice)
-
-GUARD = Guard()  # the rule's own floor on beta is what it needs
-
-Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InnovationSpec:
-    """Healthy prediction of roll, pitch and yaw rate, in that order, at the row period `dt_s` [s].
+    """Healthy prediction of roll, pitch and yaw rate, in that order.
 
-    mean: healthy mean gyro [rad/s]. a: (3, 4) a_1..a_4; b: (3, 4) b_1..b_4. k0, k1: variance of the innovation at rest
-    [(rad/s)^2], and per mean square of the commanded rate. Raises InputError if they do not fit together.
+    dt_s: row period [s].
+    mean: healthy mean gyro [rad/s].
+    a, b: (3, 4) a_1..a_4 and b_1..b_4.
+    k0: variance of the innovation at rest [(rad/s)^2].
+    k1: variance per mean square of the commanded rate.
+    window_s, memory_s: lengths of the mean and of the memory of the command [s].
+    delay_s: half the window of the rate filters [s].
+    Raises InputError if they do not fit together.
     """
 
     kind: Literal["innovation"] = "innovation"
@@ -55,6 +54,7 @@ class InnovationSpec:
     k1: Three
     window_s: float = WINDOW_S
     memory_s: float = MEMORY_S
+    delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         shapes = [len(self.a), len(self.b), *(len(row) for row in (*self.a, *self.b))]
@@ -69,11 +69,12 @@ class InnovationSpec:
 class InnovationState:
     """What the next rows need.
 
-    waiting_ns (w,), waiting (w, 3): raw gyro whose commanded rate is not known yet. past: (4, 6) commanded and
-    measured rates of the last rows, past_valid (4,); busy (3,): exponential mean of the squared command.
+    waiting_ns, waiting: (w,) and (w, 3), raw gyro whose commanded rate is not known yet.
+    past, past_valid: (4, 6) commanded and measured rates of the last rows, and (4,) whether they may be used.
+    busy: (3,) exponential mean of the squared command.
+    mean: of the squared normalised innovation.
     """
 
-    segment: int
     waiting_ns: IntArray
     waiting: FloatArray
     past: FloatArray
@@ -84,9 +85,11 @@ class InnovationState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Commanded and measured rate of n rows after the 4 before them, (4 + n, 3) each.
+    """n rows and the 4 before them.
 
-    valid: (n,) the row and the 4 before it may be judged. busy: (n, 3) exponential mean of u^2.
+    u, y: (4 + n, 3) commanded and measured rate [rad/s].
+    valid: (n,) the row and the 4 before it may be judged.
+    busy: (n, 3) exponential mean of u^2.
     """
 
     u: FloatArray
@@ -95,8 +98,7 @@ class _Pairs:
     busy: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+class Innovation(Monitor[InnovationSpec, InnovationState]):
     """Statistic: rms of the normalised one-step prediction error over 1 s and three axes [times healthy rms].
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
@@ -104,107 +106,97 @@ class Innovation:
     u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
     least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
     healthy flights had does not count. About 1 in healthy flight. `level` equals the statistic, `signal` is the
-    largest |z| of the row. It says nothing of rotors.
+    largest |z| of the row. It knows nothing of rotors.
 
-    Warm-up: half an SG window, 4 rows and 1 s. RunLength: half an SG window and up to 1 s. Price: see `threshold`.
-    Blind spots: a weak rotor that is trimmed away (AUC 0.70 on recorded propeller cuts, where the threshold catches 1
-    in 57); anything slow. Aerobatics, landings and wind that the healthy flights lacked raise it without a fault.
+    Warm-up: half an SG window, 4 rows and 1 s. Latency: half an SG window and up to 1 s. False alarms: see
+    `thresholds`; aerobatics, landings and wind that the healthy flights lacked raise it without a fault. Blind spots:
+    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts; the threshold catches none);
+    anything slow.
 
-    >>> from mavdiag.testing import example_rows
+    >>> from mavdiag.testing import example_rows, example_context
     >>> rng = np.random.default_rng(4)
-    >>> monitor = Innovation(fit([[example_rows(2000, rate=rng.normal(0.0, 0.1, (2000, 3)))]]))
+    >>> healthy = example_rows(2000, rate=rng.normal(0.0, 0.1, (2000, 3)))
+    >>> monitor = Innovation(*Innovation.fit([[healthy]], example_context()))
     >>> _, rough = monitor.step(monitor.start(), example_rows(500, rate=rng.normal(0.0, 0.3, (500, 3))))
-    >>> float(rough.statistic[-1].round(1))
+    >>> float(rough.value[-1].round(1))
     3.0
     """
 
-    spec: InnovationSpec
+    name = "innovation"
+    label = "innovation"
+    needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
+    spec_type = InnovationSpec
+    unit = "x healthy rms"
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
+        """Identify the healthy one-step prediction, of a like share of every flight's valid rows."""
+        _check(flights)
+        pairs = _training_pairs(flights)
+        rows = sum(int(one.valid.sum()) for one in pairs)
+        if rows < MIN_ROWS:
+            raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
+        mean = np.concatenate([one.y[LAG:][one.valid] for one in pairs]).mean(axis=0)
+        a, b = np.empty((3, NA)), np.empty((3, NB))
+        for axis in range(3):
+            a[axis], b[axis] = _identify(pairs, axis, float(mean[axis]))
+        squares = np.concatenate([_errors(one.u, one.y - mean, a, b)[one.valid] ** 2 for one in pairs])
+        if squares.mean(axis=0).min() == 0.0:
+            raise IdentificationError("the gyro is constant or noise-free; is it a real sensor?")
+        busy = np.concatenate([one.busy[one.valid] for one in pairs])
+        k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
+        spec = InnovationSpec(
+            dt_s=context.dt_s,
+            mean=three(mean),
+            a=tuple(tuple(row) for row in a.tolist()),
+            b=tuple(tuple(row) for row in b.tolist()),
+            k0=three([k0 for k0, _ in k]),
+            k1=three([k1 for _, k1 in k]),
+            delay_s=context.window // 2 * context.dt_s,
+        )
+        return (spec,)
 
     @property
-    def name(self) -> str:
-        """Key in the baseline, the journal and the scan report."""
-        return "innovation"
-
-    @property
-    def unit(self) -> str:
-        """Unit of the statistic."""
-        return "x healthy rms"
-
-    @property
-    def axis(self) -> Axis | None:
-        """It concerns the whole vehicle."""
-        return None
+    def delay_s(self) -> float:
+        """Half the window of the rate filters [s]."""
+        return self.spec.delay_s
 
     def start(self) -> InnovationState:
-        """Nothing seen yet."""
-        return _fresh(-1)
+        """No row yet."""
+        return _fresh()
 
-    def step(self, state: InnovationState, rows: Rows) -> tuple[InnovationState, Reading]:
+    def step(self, state: InnovationState, rows: Rows) -> tuple[InnovationState, Statistic]:
         """The level at each row whose commanded rate became known."""
-        spec = self.spec
+        spec, rates = self.spec, rows.rates
         state, pairs = _pair(state, rows, spec.memory_s)
         e = _errors(pairs.u, pairs.y - np.array(spec.mean), np.array(spec.a), np.array(spec.b))
         z = np.clip(e / np.sqrt(np.array(spec.k0) + np.array(spec.k1) * pairs.busy), -LIMIT, LIMIT)
-        window = window_rows(spec.window_s, rows.rates.dt_s)
+        window = window_rows(spec.window_s, rates.dt_s)
         mean_state, mean, full = sliding_mean(state.mean, z**2, pairs.valid, window)
         level = np.sqrt(np.maximum(mean.mean(axis=1), 0.0))
         worst = np.abs(z).max(axis=1, initial=0.0)
-        reading = Reading(rows.rates.t_ns, level, level, worst, full, np.empty((len(level), 0)))
-        return replace(state, mean=mean_state), reading
+        return replace(state, mean=mean_state), Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 
-def fit(flights: Flights, window_s: float = WINDOW_S, memory_s: float = MEMORY_S) -> InnovationSpec:
-    """Identify the healthy one-step prediction.
-
-    Of each flight's valid rows, until 120,000 rows are reached. Raises IdentificationError if there are too few.
-    """
-    reason = judgeable([rows for flight in flights for rows in flight])
-    if reason is not None:
-        raise IdentificationError(f"innovation: {reason}")
-    pairs = _training_pairs(flights, memory_s)
-    rows = sum(int(one.valid.sum()) for one in pairs)
-    if rows < MIN_ROWS:
-        raise IdentificationError(f"innovation: only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
-    mean = np.concatenate([one.y[LAG:][one.valid] for one in pairs]).mean(axis=0)
-    a, b = np.empty((3, NA)), np.empty((3, NB))
-    for axis in range(3):
-        a[axis], b[axis] = _identify(pairs, axis, float(mean[axis]))
-    squares = np.concatenate([_errors(one.u, one.y - mean, a, b)[one.valid] ** 2 for one in pairs])
-    busy = np.concatenate([one.busy[one.valid] for one in pairs])
-    k = [_variance(squares[:, axis], busy[:, axis]) for axis in range(3)]
-    return InnovationSpec(
-        dt_s=flights[0][0].rates.dt_s,
-        mean=_three(mean.tolist()),
-        a=tuple(tuple(row) for row in a.tolist()),
-        b=tuple(tuple(row) for row in b.tolist()),
-        k0=_three([k0 for k0, _ in k]),
-        k1=_three([k1 for _, k1 in k]),
-        window_s=window_s,
-        memory_s=memory_s,
-    )
+def _check(flights: Flights) -> None:
+    """Raise InputError if these flights cannot be predicted."""
+    rates = [rows.rates for flight in flights for rows in flight if rows.rates.commanded.any()]
+    if not rates:
+        raise InputError("no flight with a gyro and an attitude set-point")
+    if 1 / rates[0].dt_s < MIN_RATE_HZ:
+        rate_hz = 1 / rates[0].dt_s
+        raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
 
 
-def judgeable(rows: Sequence[Rows]) -> str | None:
-    """Why these rows cannot be predicted, or None. A link is judged by a flight over it."""
-    if not any(one.rates.valid.any() for one in rows):
-        return "no flight with a gyro and an attitude set-point"
-    rate_hz = 1 / rows[0].rates.dt_s
-    if rate_hz < MIN_RATE_HZ:
-        return f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz"
-    return None
-
-
-def _fresh(segment: int) -> InnovationState:
+def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(segment, nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, np.zeros(3), start_mean(3))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, np.zeros(3), start_mean(3))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
     """Give each commanded rate the raw gyro of its own time."""
     block, rates = rows.block, rows.rates
-    if state.segment != block.segment:
-        state = _fresh(block.segment)
     waiting_ns = np.concatenate((state.waiting_ns, block.t_ns))
     waiting = np.concatenate((state.waiting, block.rate))
     if len(rates) == 0:
@@ -213,15 +205,13 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         return kept, _Pairs(state.past[:, :3], state.past[:, 3:], np.empty(0, dtype=np.bool_), nothing)
     at = np.minimum(np.searchsorted(waiting_ns, rates.t_ns), len(waiting_ns) - 1)
     fresh = np.concatenate((rates.u, waiting[at]), axis=1)
-    good = rates.valid & (waiting_ns[at] == rates.t_ns) & np.isfinite(fresh).all(axis=1)
+    good = rates.commanded & (waiting_ns[at] == rates.t_ns) & np.isfinite(fresh).all(axis=1)
     both = np.concatenate((state.past, np.where(np.isfinite(fresh), fresh, 0.0)))
     valid = np.concatenate((state.past_valid, good))
     whole = np.logical_and.reduce([valid[i : len(valid) - LAG + i] for i in range(LAG + 1)])
     busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
     used = int(at[-1]) + 1
-    state = InnovationState(
-        state.segment, waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean
-    )
+    state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
     return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
 
 
@@ -236,16 +226,18 @@ def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> Float
     return e
 
 
-def _training_pairs(flights: Flights, memory_s: float) -> list[_Pairs]:
+def _training_pairs(flights: Flights) -> list[_Pairs]:
+    """The pairs of all flights; of each stretch a like share stays valid."""
     pairs: list[_Pairs] = []
-    for flight in flights:
-        state = _fresh(-1)
-        if sum(int(one.valid.sum()) for one in pairs) >= TRAIN_ROWS:
-            break
-        for rows in flight:
-            state, one = _pair(state, rows, memory_s)
+    for segment in (segment for flight in flights for segment in segments(flight)):
+        state = _fresh()
+        for rows in segment:
+            state, one = _pair(state, rows, MEMORY_S)
             pairs.append(one)
-    return pairs
+    taken = cut_to_share([int(one.valid.sum()) for one in pairs], TRAIN_ROWS, 0)
+    return [
+        replace(one, valid=one.valid & (np.cumsum(one.valid) <= most)) for one, most in zip(pairs, taken, strict=True)
+    ]
 
 
 def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArray, FloatArray]:
@@ -265,29 +257,3 @@ def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArr
     scale[scale == 0.0] = 1.0
     theta = np.linalg.lstsq(R[:, :-1] / scale, R[:, -1], rcond=RANK_TOLERANCE)[0] / scale
     return theta[:NA], theta[NA:]
-
-
-def _variance(squares: FloatArray, busy: FloatArray) -> tuple[float, float]:
-    """k0 > 0 and k1 >= 0 of e^2 = k0 + k1 busy, by non-negative least squares; k0 at least 5 % of the mean of e^2."""
-    floor = float(squares.mean())
-    if floor == 0.0:
-        raise IdentificationError("innovation: the gyro is constant or noise-free; is it a real sensor?")
-    size = float(busy.mean())
-    if size == 0.0:
-        return floor, 0.0
-    x = busy / size
-    # [ n      sum x   ] [ k0 ]   [ sum e^2   ]      two unknowns: if one comes out negative, it is zero and the other
-    # [ sum x  sum x^2 ] [ k1 ] = [ sum x e^2 ]      is its own least-squares solution
-    spread = float(np.mean(x * x)) - 1.0
-    k1 = (float(np.mean(x * squares)) - floor) / spread if spread > 0 else 0.0
-    k0 = floor - k1
-    if k1 < 0:
-        k0, k1 = floor, 0.0
-    elif k0 < 0:
-        k0, k1 = 0.0, float(np.mean(x * squares) / np.mean(x * x))
-    return max(k0, MIN_SHARE * floor), k1 / size
-
-
-def _three(values: Sequence[float]) -> Three:
-    roll, pitch, yaw = values
-    return roll, pitch, yaw

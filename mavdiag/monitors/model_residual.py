@@ -11,95 +11,85 @@ motion that began before the first row cannot be simulated: the first 1.5 s of a
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.identify import ArxModel, Method
+from mavdiag.identify import freerun
 from mavdiag.identify.freerun import FreeRunState
-from mavdiag.identify.freerun import start as run_start
-from mavdiag.identify.freerun import step as run_step
-from mavdiag.monitors.base import Rows
-from mavdiag.rows.running import ema, forgetting
+from mavdiag.identify.model import ModelRecord
+from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three
+from mavdiag.rows.front import Rows
 from mavdiag.rows.savgol import coefficients
+from mavdiag.rows.windows import ema, forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = [
-    "Arx",
-    "Disturbance",
-    "DisturbanceState",
+    "DRIFT_S",
+    "Decimated",
+    "Decimator",
+    "DecimatorState",
     "HealthyMotion",
-    "Observer",
-    "PickState",
-    "Picked",
-    "Picker",
+    "ModelResidual",
+    "ResidualState",
+    "Residuals",
     "stride_of",
 ]
 
 PERIOD_S = 0.01  # our choice: ten times what the 0.1 s window passes
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
-MEMORY_S = 0.35  # METHOD section 4
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
-LIMIT = 1e6  # a normalised residual is cut here (our choice)
-
-Three: TypeAlias = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Arx:
-    """A(z^-1) y = B(z^-1) u: a from a_0 = 1 on, b from z^0 on (leading zeros are delays)."""
-
-    a: tuple[float, ...]
-    b: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        self.model(1.0)
-
-    @classmethod
-    def of(cls, model: ArxModel) -> "Arx":
-        """The coefficients of an identified model."""
-        return cls(tuple(model.a.tolist()), tuple(model.b.tolist()))
-
-    def model(self, dt_s: float) -> ArxModel:
-        """Ready to simulate. Raises IdentificationError if the coefficients are none of a model."""
-        order = (len(self.a) - 1, len(self.b), 0)
-        return ArxModel(np.array(self.a), np.array(self.b), dt_s, order, Method.PUBLISHED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HealthyMotion:
-    """How the healthy airframe answers, every `stride` rows of `dt_s`. window: rows of the rate filters, odd.
+    """How the healthy airframe answers.
 
-    roll, pitch: rate [rad/s] on commanded rate. heave: vertical acceleration [m/s^2] on thrust 0..1, both less their
-    1 s mean. k0, k1: variance of the residual at rest, and per mean square of what was commanded: roll, pitch, heave.
+    dt_s: row period [s].
+    stride: rows from one sample to the next.
+    window: rows of the rate filters, odd.
+    roll, pitch: rate [rad/s] on commanded rate.
+    heave: vertical acceleration [m/s^2] on thrust 0..1, both less their 1 s mean.
+    k0: variance of the residuals of roll, pitch and heave at rest.
+    k1: variance per mean square of what was commanded.
+    Raises InputError if they do not fit together.
     """
 
     dt_s: float
     stride: int
     window: int
-    roll: Arx
-    pitch: Arx
-    heave: Arx
+    roll: ModelRecord
+    pitch: ModelRecord
+    heave: ModelRecord
     k0: Three = (1.0, 1.0, 1.0)
     k1: Three = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.dt_s) and self.dt_s > 0) or self.stride < 1 or self.window % 2 == 0:
-            raise InputError("energy: row period, stride and an odd filter window must be positive")
+            raise InputError("rotor_signature: row period, stride and an odd filter window must be positive")
         if not all(math.isfinite(x) for x in (*self.k0, *self.k1)) or min(self.k0) <= 0 or min(self.k1) < 0:
-            raise InputError("energy: k0 must be positive and k1 not negative")
+            raise InputError("rotor_signature: k0 must be positive and k1 not negative")
 
     @property
     def period_s(self) -> float:
-        """Time between two samples."""
+        """Time between two samples [s]."""
         return self.dt_s * self.stride
+
+    @property
+    def uses_thrust(self) -> bool:
+        """Whether the thrust explains part of the vertical acceleration."""
+        return any(self.heave.b)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picked:
-    """Every so many rows: t_ns (k,) time of the newest row behind it; u, y (k, 2) roll and pitch rate, commanded and
-    measured; heave (k, 2) vertical acceleration and thrust, filtered alike; valid (k,)."""
+class Decimated:
+    """Every so many rows.
+
+    t_ns: (k,) time of the newest row behind it.
+    u, y: (k, 2) roll and pitch rate, commanded and measured [rad/s].
+    heave: (k, 2) vertical acceleration [m/s^2] and thrust, filtered alike.
+    valid: (k,) rates and acceleration are known.
+    """
 
     t_ns: IntArray
     u: FloatArray
@@ -109,15 +99,20 @@ class Picked:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PickState:
-    """Rows that wait: raw (2, h) with their times, picked rates and picked heaves without their partner."""
+class DecimatorState:
+    """Rows that wait.
 
-    segment: int
-    skip: int  # rate rows until the next pick
+    skip: rate rows until the next sample.
+    raw, raw_ns: (2, h) acceleration and thrust, and (h,) their times.
+    rates: (p, 5) u, y and valid of samples without their heave.
+    heave, heave_ns: (q, 2) and (q,) of samples without their rates.
+    """
+
+    skip: int
     raw: FloatArray
     raw_ns: IntArray
-    rates: FloatArray  # (p, 5) u, y, valid
-    heave: FloatArray  # (q, 2)
+    rates: FloatArray
+    heave: FloatArray
     heave_ns: IntArray
 
 
@@ -126,26 +121,24 @@ def stride_of(dt_s: float) -> int:
     return max(1, round(PERIOD_S / dt_s))
 
 
-class Picker:
+class Decimator:
     """Takes every `stride`-th of the rates, with acceleration and thrust smoothed by the same `window` (odd)."""
 
     def __init__(self, stride: int, window: int) -> None:
         self._stride, self._window = stride, window
         self._taps = coefficients(window, min(2, window - 1))[0]
 
-    def start(self, segment: int = -1) -> PickState:
+    def start(self) -> DecimatorState:
         """Before the first row of a segment."""
         never = np.empty(0, dtype=np.int64)
-        return PickState(segment, 0, np.empty((2, 0)), never, np.empty((0, 5)), np.empty((0, 2)), never)
+        return DecimatorState(0, np.empty((2, 0)), never, np.empty((0, 5)), np.empty((0, 2)), never)
 
-    def step(self, state: PickState, rows: Rows) -> tuple[PickState, Picked]:
+    def step(self, state: DecimatorState, rows: Rows) -> tuple[DecimatorState, Decimated]:
         """Take the next rows; return the samples that they complete."""
         block, rates, stride = rows.block, rows.rates, self._stride
-        if block.segment != state.segment:
-            state = self.start(block.segment)
         at = np.arange(state.skip, len(rates), stride)
         fresh = np.empty((len(at), 5))
-        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], rates.valid[at]
+        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], rates.commanded[at]
         skip = state.skip + len(at) * stride - len(rates)
 
         raw = np.concatenate((state.raw, [block.force[:, 2], block.thrust]), axis=1)
@@ -156,8 +149,8 @@ class Picker:
         heave_ns = np.concatenate((state.heave_ns, raw_ns[self._window - 1 :: stride][:count]))
         n, used = min(len(both), len(heave)), count * stride
         valid = np.isfinite(both[:n]).all(axis=1) & np.isfinite(heave[:n, 0]) & (both[:n, 4] > 0.5)
-        out = Picked(heave_ns[:n], both[:n, :2], both[:n, 2:4], heave[:n], valid)
-        return PickState(block.segment, skip, raw[:, used:], raw_ns[used:], both[n:], heave[n:], heave_ns[n:]), out
+        out = Decimated(heave_ns[:n], both[:n, :2], both[:n, 2:4], heave[:n], valid)
+        return DecimatorState(skip, raw[:, used:], raw_ns[used:], both[n:], heave[n:], heave_ns[n:]), out
 
     def _smooth(self, raw: FloatArray) -> FloatArray:
         """(2, h) -> (count, 2): the full windows that begin at rows 0, stride, 2 stride .."""
@@ -170,10 +163,14 @@ class Picker:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Disturbance:
-    """t_ns: (k,). r: (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2]; n: the same, normalised.
+class Residuals:
+    """What the models do not explain.
 
-    busy: (k, 3) exponential mean square of what was commanded. valid: (k,).
+    t_ns: (k,) time of the newest row behind it.
+    r: (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2].
+    n: (k, 3) the same, normalised.
+    busy: (k, 3) exponential mean square of what was commanded.
+    valid: (k,) all that it rests on was known.
     """
 
     t_ns: IntArray
@@ -184,43 +181,50 @@ class Disturbance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DisturbanceState:
-    """Waiting rows, the three simulations, and the running means; seen: samples since the segment began."""
+class ResidualState:
+    """What the next rows need.
 
-    pick: PickState
+    waiting: rows of an unfinished sample.
+    seen: samples since the segment began.
+    runs: the three simulations; empty before the first sample.
+    level: (2,) running mean of acceleration and thrust.
+    drift: (3,) running mean of the residuals.
+    busy: (3,) running mean square of what was commanded.
+    thrust: the last one.
+    """
+
+    waiting: DecimatorState
     seen: int
     runs: tuple[FreeRunState, ...]
-    level: FloatArray  # (2,) running mean of acceleration and thrust
-    drift: FloatArray  # (3,) running mean of the residuals
-    busy: FloatArray  # (3,)
-    thrust: float  # last
+    level: FloatArray
+    drift: FloatArray
+    busy: FloatArray
+    thrust: float
 
 
-class Observer:
+class ModelResidual:
     """The healthy models at work: rows in, residuals out."""
 
     def __init__(self, motion: HealthyMotion) -> None:
         self.motion = motion
-        self._picker = Picker(motion.stride, motion.window)
-        self._models = tuple(arx.model(motion.period_s) for arx in (motion.roll, motion.pitch, motion.heave))
+        self._decimator = Decimator(motion.stride, motion.window)
+        self._models = tuple(record.model() for record in (motion.roll, motion.pitch, motion.heave))
         self._k0, self._k1 = np.array(motion.k0), np.array(motion.k1)
         self._drift = forgetting(DRIFT_S, motion.period_s)
         self._memory = forgetting(MEMORY_S, motion.period_s)
 
-    def start(self) -> DisturbanceState:
+    def start(self) -> ResidualState:
         """Before the first row."""
-        return DisturbanceState(self._picker.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0)
+        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0)
 
-    def step(self, state: DisturbanceState, rows: Rows) -> tuple[DisturbanceState, Disturbance]:
+    def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
         """The residuals that the next rows complete."""
-        if rows.block.segment != state.pick.segment:
-            state = self.start()
-        waiting, picked = self._picker.step(state.pick, rows)
-        k = len(picked.t_ns)
+        waiting, samples = self._decimator.step(state.waiting, rows)
+        k = len(samples.t_ns)
         if k == 0:
             empty = np.empty((0, 3))
-            return replace(state, pick=waiting), Disturbance(picked.t_ns, empty, empty, empty, picked.valid)
-        u, y, heave = (_finite(part) for part in (picked.u, picked.y, picked.heave))
+            return replace(state, waiting=waiting), Residuals(samples.t_ns, empty, empty, empty, samples.valid)
+        u, y, heave = (_finite(part) for part in (samples.u, samples.y, samples.heave))
         if not state.runs:
             state = self._begin(state, u, y, heave)
         level, mean = ema(state.level, heave, self._drift)
@@ -232,26 +236,27 @@ class Observer:
         r -= slow
         busy, trace = ema(state.busy, np.concatenate((u, slope[:, None]), axis=1) ** 2, self._memory)
         n = np.clip(r / np.sqrt(self._k0 + self._k1 * trace), -LIMIT, LIMIT)
-        state = DisturbanceState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]))
-        return state, Disturbance(picked.t_ns, r, n, trace, picked.valid & settled)
+        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]))
+        known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
+        return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
 
-    def _begin(self, state: DisturbanceState, u: FloatArray, y: FloatArray, heave: FloatArray) -> DisturbanceState:
+    def _begin(self, state: ResidualState, u: FloatArray, y: FloatArray, heave: FloatArray) -> ResidualState:
         """Start the models from the first measured rates at rest in them, and the means from the first values."""
         rates = [
-            run_start(model, np.full(len(model.b), u[0, i]), np.full(len(model.a), y[0, i]))
+            freerun.start(model, np.full(len(model.b), u[0, i]), np.full(len(model.a), y[0, i]))
             for i, model in enumerate(self._models[:2])
         ]
-        runs = (*rates, run_start(self._models[2]))
+        runs = (*rates, freerun.start(self._models[2]))
         return replace(state, runs=runs, level=heave[0].copy(), thrust=float(heave[0, 1]))
 
     def _simulate(
-        self, state: DisturbanceState, u: FloatArray, y: FloatArray, lift: FloatArray
+        self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
     ) -> tuple[tuple[FreeRunState, ...], FloatArray]:
         """Measured less simulated roll rate, pitch rate and a_z, (k, 3). lift: (k, 2) a_z and thrust."""
         runs, r = [], np.empty((len(u), 3))
         pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
         for i, (command, measured) in enumerate(pairs):
-            run, simulated = run_step(self._models[i], state.runs[i], command)
+            run, simulated = freerun.step(self._models[i], state.runs[i], command)
             runs.append(run)
             r[:, i] = measured - simulated
         return tuple(runs), r

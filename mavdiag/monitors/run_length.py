@@ -1,103 +1,315 @@
-"""The thesis's own monitor: how long the free-run residual stays above the healthy margin (T 5.5.1)."""
+"""The thesis's own monitor: how long the free-run residual stays above the healthy margin (T 4.4.3-4.4.5, 5.5).
 
+Free run means that no measured output enters the simulation, so a fault cannot explain itself away as it does in a
+one-step prediction. A segment starts the model from the measured rate at rest in it; what that start gets wrong has
+died out by the end of the segment's blanked first second.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Literal
 
-from mavdiag.decision.events import Reading
-from mavdiag.errors import InputError
-from mavdiag.identify import ArxModel
-from mavdiag.monitors import exceedance as runs
-from mavdiag.monitors.base import Rows
-from mavdiag.monitors.exceedance import ExceedState
-from mavdiag.monitors.margin import MarginRule
-from mavdiag.monitors.residual import ResidualState, residual
-from mavdiag.monitors.residual import start as residual_start
-from mavdiag.telemetry import Axis
+import numpy as np
 
-__all__ = ["RunLength", "RunLengthSpec", "RunLengthState"]
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.identify import ArxModel, Method, Order, fit, freerun
+from mavdiag.identify.freerun import FreeRunState
+from mavdiag.identify.model import ModelRecord
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.healthy import cut_to_share
+from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import spans
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
+
+__all__ = [
+    "Exceedance",
+    "MarginRule",
+    "Residual",
+    "Run",
+    "RunLength",
+    "RunLengthSpec",
+    "RunLengthState",
+    "exceedance",
+    "longest_runs",
+    "margin_of",
+    "residuals",
+    "runs",
+    "train",
+    "training_pieces",
+]
+
+TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
+SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
+MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
+
+
+class MarginRule(StrEnum):
+    """How the margin follows from the healthy |r|."""
+
+    PERCENTILE_90 = "p90"  # T text and Fig 4.1
+    MAXIMUM = "max"  # T Algorithm 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunLengthSpec:
-    """Healthy margin of one axis. longest_run_s: the longest healthy run of each flight.
+    """One axis of the healthy airframe. The FML is the monitor's threshold.
 
-    The FML is the monitor's threshold. Raises InputError if the margin is not positive.
+    axis: the modelled body axis.
+    model: rate on commanded rate, at the row period.
+    margin_rad_s: what healthy |r| stays below, by `margin_rule` [rad/s].
+    delay_s: half the window of the rate filters [s].
+    Raises InputError if the margin or the delay cannot be.
     """
 
-    kind: Literal["latency"] = "latency"
+    kind: Literal["fsd"] = "fsd"
     axis: Axis
+    model: ModelRecord
     margin_rad_s: float
-    margin_rule: MarginRule
-    longest_run_s: tuple[float, ...]
+    margin_rule: MarginRule = MarginRule.PERCENTILE_90
+    delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not self.margin_rad_s > 0:
-            raise InputError(f"latency: the margin must be positive, not {self.margin_rad_s:g} rad/s")
+        if not (self.margin_rad_s > 0 and self.delay_s >= 0):
+            raise InputError(f"fsd: the margin must be positive and the delay not negative, not {self.margin_rad_s:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Exceedance:
+    """The run that is still open.
+
+    rows: its number of rows.
+    peak: its highest |r| - margin [unit of r].
+    """
+
+    rows: int = 0
+    peak: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class RunLengthState:
-    """Memory of the free-run simulation and of the open run."""
+    """The model's memory, None before the first row, and the open run."""
 
-    residual: ResidualState
-    run: ExceedState
+    model: FreeRunState | None
+    run: Exceedance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RunLength:
+class Residual:
+    """The residual of one segment: t_ns, r [rad/s], valid: (n,)."""
+
+    t_ns: IntArray
+    r: FloatArray
+    valid: BoolArray
+    dt_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: first and last row (vehicle time), FSD [s], highest |r| - margin [rad/s]."""
+
+    start_ns: int
+    end_ns: int
+    fsd_s: float
+    peak: float
+
+
+class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     """Statistic: the fault signature duration FSD, the time [s] that |r| has been above the margin without a break.
 
     With r = y - y_sim (free run) of one axis and the margin M from healthy flights,
         FSD(k) = dt * (number of consecutive judged rows up to k with |r| > M),
-    held against the fault minimal latency FML, the longest healthy run. A single outlier cannot raise it, however
-    large: it takes a run. `level` is the highest |r| - M of the run so far [rad/s].
+    compared with the fault minimal latency FML, the longest healthy run. A single outlier cannot raise it, however
+    large: it takes a run. `level` is the highest |r| - M of the run so far [rad/s], `signal` is r.
 
-    Warm-up: one SG window, and the blanked first second of a segment. RunLength: half an SG window (50 ms), plus FML.
-    Price: with FML the maximum of n healthy flights, one healthy flight in n + 1 of equal length alarms, by
-    construction. Blind spots: vibration (the window passes 1.2 % of a 1/rev force at 167 Hz), a weak rotor that an
-    integrator trims away, anything with a trace shorter than FML. Wind, payload and trajectories that the healthy
-    flights did not have raise it without any fault.
+    Warm-up: one SG window, and the blanked first second of a segment. Latency: half an SG window (50 ms), plus FML.
+    False alarms: with FML the maximum of n healthy flights, one healthy flight in n + 1 of equal length alarms, by
+    construction and whatever the airframe: n = 3 gives 0.25; 5 % with 95 % confidence needs n >= 59 (METHOD section
+    4). Wind, payload and trajectories that the healthy flights did not have raise it without any fault, so it decides
+    only where it is the only monitor. Blind spots: vibration (the window passes 1.2 % of a 1/rev force at 167 Hz), a
+    weak rotor that an integrator trims away, anything with a trace shorter than FML.
 
-    >>> import numpy as np
-    >>> from mavdiag.monitors.base import Rows
-    >>> from mavdiag.identify import ArxModel, Method
-    >>> from mavdiag.rows.rates import RateBlock
-    >>> model = ArxModel(np.array([1.0, -0.5]), np.array([0.0, 0.5]), 0.01, (1, 1, 1), Method.PUBLISHED)
-    >>> rng, n = np.random.default_rng(7), 400
-    >>> u = rng.standard_normal((n, 3))
-    >>> y = np.stack([model.simulate(u[:, j]) for j in range(3)], axis=1) + 0.01 * rng.standard_normal((n, 3))
-    >>> y[200:260] += 0.2   # something pushes for 0.6 s
-    >>> rates = RateBlock(0, 0.01, np.arange(n) * 10_000_000, u, y, np.ones(n, dtype=bool))
-    >>> monitor = RunLength(model, Axis.ROLL, margin=0.1)
-    >>> _, reading = monitor.step(monitor.start(), Rows(None, rates))
-    >>> round(float(reading.statistic.max()), 2), int(reading.statistic.argmax())
-    (0.6, 259)
+    >>> from mavdiag.testing import example_rows
+    >>> rate = 0.01 * np.random.default_rng(7).standard_normal((400, 3))
+    >>> rate[200:260] += 0.2   # something pushes for 0.6 s
+    >>> model = ModelRecord(a=(1.0, -0.5), b=(0.0, 0.5), dt_s=0.01, order=(1, 1, 1), method=Method.PUBLISHED)
+    >>> monitor = RunLength(RunLengthSpec(axis=Axis.ROLL, model=model, margin_rad_s=0.1))
+    >>> _, found = monitor.step(monitor.start(), example_rows(400, rate=rate))
+    >>> round(float(found.value.max()), 2), int(found.t_ns[found.value.argmax()] // 1_000_000)
+    (0.6, 2590)
     """
 
-    model: ArxModel
-    axis: Axis
-    margin: float
+    name = "fsd"
+    label = "FSD"
+    statistic_label = "FSD "
+    threshold_label = "FML "
+    needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
+    decides = False
+    clear_s = 0.0
+    spec_type = RunLengthSpec
+    unit = "s"
+
+    def __init__(self, spec: RunLengthSpec) -> None:
+        super().__init__(spec)
+        self._model = spec.model.model()
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RunLengthSpec, ...]:
+        """Model and margin of each axis that can be learnt. Raises with the reasons if none can."""
+        found, reasons = [], []
+        for axis in context.axes:
+            try:
+                found.append(_fit_axis(flights, axis, context))
+            except (InputError, IdentificationError) as error:
+                reasons.append(str(error))
+        if not found:
+            raise IdentificationError("; ".join(reasons) or "no axis to model")
+        return tuple(found)
 
     @property
-    def name(self) -> str:
-        """Key in the baseline, the journal and the scan report."""
-        return "latency"
+    def axis(self) -> Axis:
+        """The modelled body axis."""
+        return self.spec.axis
 
     @property
-    def unit(self) -> str:
-        """Unit of the statistic."""
-        return "s"
+    def reference(self) -> float:
+        """The margin [rad/s]."""
+        return self.spec.margin_rad_s
+
+    @property
+    def delay_s(self) -> float:
+        """Half the window of the rate filters [s]."""
+        return self.spec.delay_s
 
     def start(self) -> RunLengthState:
-        """Nothing seen yet."""
-        return RunLengthState(residual_start(), runs.start())
+        """No row yet, and no run is open."""
+        return RunLengthState(None, Exceedance())
 
-    def step(self, state: RunLengthState, rows: Rows) -> tuple[RunLengthState, Reading]:
+    def step(self, state: RunLengthState, rows: Rows) -> tuple[RunLengthState, Statistic]:
         """FSD of each of the next rows."""
-        rates = rows.rates
-        fresh = rates.segment != state.residual.segment
-        tracked, r = residual(self.model, self.axis, state.residual, rates)
-        run, trace = runs.exceedance(
-            runs.start() if fresh else state.run, r, rates.valid, margin=self.margin, dt_s=rates.dt_s
+        rates, spec = rows.rates, self.spec
+        model, r = _residual(self._model, spec.axis, state.model, rates)
+        valid = rates.commanded & np.isfinite(r)
+        run, fsd_s, peak = exceedance(state.run, r, valid, margin=spec.margin_rad_s, dt_s=rates.dt_s)
+        return RunLengthState(model, run), Statistic(rates.t_ns, rates.dt_s, fsd_s, valid, peak, r)
+
+
+def exceedance(
+    state: Exceedance, r: FloatArray, valid: BoolArray, *, margin: float, dt_s: float
+) -> tuple[Exceedance, FloatArray, FloatArray]:
+    """Trace the runs through the next rows: FSD so far [s] and highest |r| - margin so far, (n,), 0 outside of runs.
+
+    A run is a stretch of consecutive judged rows with |r| > margin; a row that must not be judged ends it.
+
+    >>> r, all_valid = np.array([0.0, 2.0, -3.0, 0.5, 4.0]), np.ones(5, dtype=bool)
+    >>> state, fsd_s, peak = exceedance(Exceedance(), r, all_valid, margin=1.0, dt_s=0.1)
+    >>> fsd_s.tolist(), peak.tolist(), state
+    ([0.0, 0.1, 0.2, 0.0, 0.1], [0.0, 1.0, 2.0, 0.0, 3.0], Exceedance(rows=1, peak=3.0))
+    """
+    excess = np.abs(r) - margin
+    count, peak = np.zeros(len(r)), np.zeros(len(r))
+    for first, stop in spans(valid & (excess > 0)):
+        carried = state if first == 0 else Exceedance()
+        count[first:stop] = np.arange(carried.rows + 1, carried.rows + 1 + stop - first)
+        peak[first:stop] = np.maximum(np.maximum.accumulate(excess[first:stop]), carried.peak)
+    return (Exceedance(int(count[-1]), float(peak[-1])) if len(r) else state), count * dt_s, peak
+
+
+def runs(residual: Residual, margin: float) -> tuple[Run, ...]:
+    """The runs above the margin in one segment, in order of time."""
+    _, fsd_s, peak = exceedance(Exceedance(), residual.r, residual.valid, margin=margin, dt_s=residual.dt_s)
+    t_ns = residual.t_ns
+    return tuple(
+        Run(int(t_ns[first]), int(t_ns[stop - 1]), float(fsd_s[stop - 1]), float(peak[stop - 1]))
+        for first, stop in spans(fsd_s > 0)
+    )
+
+
+def longest_runs(flights: Sequence[Sequence[Residual]], margin: float) -> FloatArray:
+    """Longest run above the margin of each flight [s]; the largest of them is the FML of the thesis."""
+    return np.array(
+        [max((run.fsd_s for one in flight for run in runs(one, margin)), default=0.0) for flight in flights]
+    )
+
+
+def margin_of(flights: Sequence[Sequence[Residual]], rule: MarginRule = MarginRule.PERCENTILE_90) -> float:
+    """Margin [rad/s] over all judged rows of all flights. Raises InputError if there are none.
+
+    The percentile is Hazen's, which MATLAB's prctile uses.
+    """
+    levels = [np.abs(one.r[one.valid]) for flight in flights for one in flight]
+    pooled = np.concatenate(levels) if levels else np.empty(0)
+    if len(pooled) == 0:
+        raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
+    return float(pooled.max() if rule is MarginRule.MAXIMUM else np.percentile(pooled, 90, method="hazen"))
+
+
+def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residual]:
+    """Free-run residual of each segment of a flight."""
+    found = []
+    for segment in segments(flight):
+        state, parts = None, []
+        for rows in segment:
+            state, r = _residual(model, axis, state, rows.rates)
+            parts.append((rows.rates.t_ns, r, rows.rates.commanded))
+        t_ns, r, valid = (np.concatenate(column) for column in zip(*parts, strict=True))
+        found.append(Residual(t_ns, r, valid, segment[0].rates.dt_s))
+    return found
+
+
+def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
+    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
+    pieces = []
+    for rates in (rows.rates for rows in flight):
+        for first, stop in spans(rates.commanded):
+            if (stop - first) * rates.dt_s >= MIN_PIECE_S:
+                pieces.append((rates.u[first:stop, axis.column], rates.y[first:stop, axis.column]))
+    return pieces
+
+
+def train(
+    flights: Flights, axis: Axis, dt_s: float, order: Order = (2, 2, 1), method: Method = Method.SRIV
+) -> ArxModel:
+    """A model of one axis from a like share of every flight. Raises IdentificationError."""
+    pieces = [piece for flight in flights for piece in training_pieces(flight, axis)]
+    if not pieces:
+        raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
+    taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
+    u = [piece[0][:count] for piece, count in zip(pieces, taken, strict=True)]
+    y = [piece[1][:count] for piece, count in zip(pieces, taken, strict=True)]
+    try:
+        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S)
+    except IdentificationError as error:
+        raise IdentificationError(f"{axis}: {error}") from error
+    if model.dc_gain < 0:
+        raise IdentificationError(
+            f"{axis}: the gyro turns against its set-point (gain {model.dc_gain:.2f}); check the sign conventions"
         )
-        return RunLengthState(tracked, run), Reading(rates.t_ns, trace.fsd_s, trace.peak, r, rates.valid)
+    return model
+
+
+def _fit_axis(flights: Flights, axis: Axis, context: LearnContext) -> RunLengthSpec:
+    model = train(flights, axis, context.dt_s, context.order, context.method)
+    rule = MarginRule(context.margin_rule)
+    return RunLengthSpec(
+        axis=axis,
+        model=ModelRecord.of(model),
+        margin_rad_s=margin_of([residuals(flight, axis, model) for flight in flights], rule),
+        margin_rule=rule,
+        delay_s=context.window // 2 * context.dt_s,
+    )
+
+
+def _residual(
+    model: ArxModel, axis: Axis, state: FreeRunState | None, rates: RateBlock
+) -> tuple[FreeRunState | None, FloatArray]:
+    """Measured less simulated rate of the next rows, (n,) [rad/s]."""
+    u, y = rates.u[:, axis.column], rates.y[:, axis.column]
+    if len(y) == 0:
+        return state, np.empty(0)
+    if state is None:
+        state = freerun.start(model, np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0])))
+    state, y_sim = freerun.step(model, state, u)
+    return state, y - y_sim

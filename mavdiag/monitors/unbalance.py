@@ -1,4 +1,4 @@
-"""The vibration monitor: how much unbalance turns with the rotors, and on which of them it sits.
+"""The unbalance monitor: how much unbalance turns with the rotors, and on which of them it sits.
 
 An unbalanced rotor shakes the airframe once per revolution, with a force U Omega^2 that follows from first principles
 (T 3.1.1). That is the strong evidence for every fault that takes mass off a blade; a crack hardly does.
@@ -6,54 +6,59 @@ An unbalanced rotor shakes the airframe once per revolution, with a force U Omeg
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout, layout_named
-from mavdiag.decision.events import Reading
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Rows
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import highpass, window_all, window_mean
-from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
-from mavdiag.thresholds.heldout import Flights
-from mavdiag.thresholds.rule import Guard
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.units import G_MM_PER_KG_M
 
-__all__ = ["GUARD", "Unbalance", "UnbalanceSpec", "UnbalanceState", "fit", "judgeable"]
+__all__ = ["Unbalance", "UnbalanceSpec", "UnbalanceState", "corner_of"]
 
 CORNER_HZ = 60.0  # METHOD section 4
+CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at the thesis's 167 Hz (our choice)
 BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
 FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
 LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
 SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
-FILTER_S = 0.06  # length of the high-pass (our choice); its delay is half of it
-TICK_S = 0.02  # a reading every 20 ms (our choice)
+FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
+TICK_S = 0.02  # a value every 20 ms (our choice)
 WINDOW_S = 0.5  # our choice: 83 revolutions at hover; 0.25 to 1 s find the same faults
 CLEAR = 3.0  # healthy standard deviations at which a shift counts half as evidence for a rotor (our choice)
 FULL_TURN = 0.5  # share of the power that the turning part must reach to count as fully turning (our choice)
 COLUMNS = 4  # products that are averaged
-
-GUARD = Guard()  # the rule's own floor on beta is what it needs
 
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnbalanceSpec:
-    """What healthy vibration looks like on one link with rows every `dt_s` [s].
+    """Healthy vibration on one link.
 
-    frame: key of `layout.LAYOUTS`, None if the rotors' places are not known. covariance: healthy mean of gz ax and
-    gz ay; spread: standard deviation of their window means [m/s^2 rad/s]. turning, power: healthy means of the turning
-    part ax ay' - ay ax' and of ax^2 + ay^2 [(m/s^2)^2]. mass_kg and hover_rad_s: mass, and rotor speed that carries
-    it; with both the statistic is in g mm, else in m/s^2. Raises InputError if they do not describe a vehicle.
+    dt_s: row period [s].
+    corner_hz: of the high-pass.
+    layout: where the rotors are; None if it is not known.
+    covariance: healthy mean of gz ax and gz ay [m/s^2 rad/s].
+    spread: standard deviation of their window means [m/s^2 rad/s].
+    turning: healthy mean of the turning part ax ay' - ay ax' [(m/s^2)^2].
+    power: healthy mean of ax^2 + ay^2 [(m/s^2)^2].
+    mass_kg, hover_rad_s: mass, and the rotor speed that carries it; with both the statistic is in g mm, else in m/s^2.
+    window_s: length of the means [s].
+    Raises InputError if they do not describe a vehicle.
     """
 
-    kind: Literal["vibration"] = "vibration"
+    kind: Literal["unbalance"] = "unbalance"
     dt_s: float
     corner_hz: float
-    frame: str | None
+    layout: RotorLayout | None
     covariance: Pair
     spread: Pair
     turning: float
@@ -63,47 +68,49 @@ class UnbalanceSpec:
     window_s: float = WINDOW_S
 
     def __post_init__(self) -> None:
-        if self.frame is not None:
-            layout_named(self.frame)
         known = [one for one in (self.mass_kg, self.hover_rad_s) if one is not None]
         positive = (self.dt_s, self.corner_hz, self.window_s, self.power, *self.spread, *known)
         if not all(math.isfinite(x) and x > 0 for x in positive) or len(known) == 1:
             raise InputError(
-                "vibration: period, corner, window, power, spread, and mass with rotor speed, are positive"
+                "unbalance: period, corner, window, power, spread, and mass with rotor speed, are positive"
             )
         if not all(math.isfinite(x) for x in (*self.covariance, self.turning)):
-            raise InputError("vibration: the healthy covariances must be finite numbers")
+            raise InputError("unbalance: the healthy covariances must be finite numbers")
         if self.corner_hz * self.dt_s >= 0.5:
-            raise InputError(f"vibration: a corner of {self.corner_hz:g} Hz is above half the rate")
+            raise InputError(f"unbalance: a corner of {self.corner_hz:g} Hz is above half the rate")
 
     @property
     def scale(self) -> float:
         """Statistic per m/s^2 of vibration: 1e6 m/Omega^2, or 1 where mass and rotor speed are not known."""
         if self.mass_kg is None or self.hover_rad_s is None:
             return 1.0
-        return 1e6 * self.mass_kg / self.hover_rad_s**2
+        return G_MM_PER_KG_M * self.mass_kg / self.hover_rad_s**2
 
     @property
     def tick(self) -> int:
-        """Rows per reading."""
+        """Rows per value."""
         return max(1, round(TICK_S / self.dt_s))
 
     @property
     def ticks(self) -> int:
-        """Readings' worth of rows in the window."""
+        """Values' worth of rows in the window."""
         return max(1, round(self.window_s / (self.tick * self.dt_s)))
 
     @property
     def taps(self) -> FloatArray:
         """The high-pass."""
-        return highpass(self.corner_hz * self.dt_s, _odd(FILTER_S / self.dt_s))
+        longer = max(1.0, CORNER_HZ / self.corner_hz) if _carries_line(1 / self.dt_s) else 1.0
+        return highpass(self.corner_hz * self.dt_s, 2 * max(3, round(FILTER_S * longer / self.dt_s / 2)) + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnbalanceState:
-    """Segment; rows that wait for their filter or tick (3, h), their times and validity; the window's ticks."""
+    """What the next rows need.
 
-    segment: int
+    rows, t_ns, valid: (3, h) rows that wait for their filter or tick, (h,) their times and validity.
+    ticks, whole: (w, COLUMNS) the window's ticks, and (w,) whether they may be judged.
+    """
+
     rows: FloatArray
     t_ns: IntArray
     valid: BoolArray
@@ -120,48 +127,78 @@ class _Ticks:
     full: BoolArray
 
 
-class Unbalance:
+class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     """Statistic: the apparent unbalance of all rotors together over half a second [g mm].
 
         U_app = 1e6 m sqrt(mean(ax^2 + ay^2)) / Omega^2        ax, ay above 60 Hz; m, Omega: of the hover trim
 
-    Several unbalanced rotors add as squares. Without mass and rotor speed it is the vibration itself [m/s^2]. `level`
-    is the part above the healthy one, sqrt(U_app^2 - U_healthy^2): the fault's own unbalance. `signal` equals the
-    statistic. `rotors` say where it sits, in -1..1. With the angle of rotor j's force turning by s_j (+1 clockwise
-    from above), it makes the airframe yaw in step with itself:
+    The corner is 0.36 of the rotor's frequency where that is known and lower. Several unbalanced rotors add as squares.
+    Without mass and rotor speed it is the vibration itself [m/s^2]. `level` is the part above the healthy one,
+    sqrt(U_app^2 - U_healthy^2): the fault's own unbalance. `signal` equals the statistic. `rotors` give its place, in
+    -1..1. With the angle of rotor j's force turning by s_j (+1 clockwise from above), it makes the airframe yaw in step
+    with itself:
         cov(gz, ax) ~ -s_j x_j,  cov(gz, ay) ~ -s_j y_j,  mean(ax(t-1) ay(t) - ay(t-1) ax(t)) ~ s_j sin(Omega dt)
     after subtracting the airframe's own healthy values. In FRD the signs of the two covariances are, for the QDrone 2,
     1 (+,-), 2 (+,+), 3 (-,-), 4 (-,+) (METHOD section 4 has gz of T's frame, whose z is up). The third, the sense of
-    turning, tells neighbours apart even if gyro and accelerometer are filtered differently by a millisecond, which
+    turning, separates neighbours even if gyro and accelerometer are filtered differently by a millisecond, which
     turns the first two by 60 degrees. evidence = (cosine to rotor j + s_j turning)/2, less where the shift is small.
 
-    Warm-up: 60 ms of filter, half a second, unbroken and valid. RunLength: 30 ms and the share of the window that
-    lifts the mean square over the threshold, (threshold^2 - healthy^2)/fault^2 of it. Price: see `threshold`.
+    Warm-up: 60 ms of filter, half a second, unbroken and valid. Latency: 30 ms and the share of the window that lifts
+    the mean square over the threshold, (threshold^2 - healthy^2)/fault^2 of it. False alarms: see `thresholds`.
     Blind spots: cracks (0.22 g mm is what a healthy rotor may have); streams that are low-passed; below 400 Hz the line
-    is folded into the band above a quarter of the rate, or out of it. The estimate reads some percent low for what the
+    is folded into the band above a quarter of the rate, or out of it. The estimate is some percent low for what the
     sensor's own filter takes at 167 Hz.
 
-    >>> from mavdiag.testing import example_rows
+    >>> from mavdiag.testing import example_context, example_rows
     >>> rng, angle = np.random.default_rng(6), 2 * np.pi * 167 * np.arange(2000) * 0.001
     >>> force, gyro = rng.normal(0, 0.3, (2000, 3)), rng.normal(0, 0.003, (2000, 3))
-    >>> spec = fit([[example_rows(2000, 0.001, force=force, rate=gyro)]], layout_named("qdrone2"), (1.504, 1047.0))
+    >>> context = example_context("qdrone2", 0.001, mass_kg=1.504, hover_rad_s=1047.0)
+    >>> monitor = Unbalance(*Unbalance.fit([[example_rows(2000, 0.001, force=force, rate=gyro)]], context))
     >>> force[:, :2] += 2.0 * np.column_stack((np.cos(angle), -np.sin(angle)))   # rotor 2 turns counterclockwise
     >>> gyro[:, 2] += 0.01 * (np.cos(angle) - np.sin(angle))
-    >>> monitor = Unbalance(spec)
-    >>> _, reading = monitor.step(monitor.start(), example_rows(2000, 0.001, force=force, rate=gyro))
-    >>> float(reading.level[-1].round(1)), int(reading.rotors[-1].argmax()) + 1   # 1e6 x 1.504 x 2.0/1047^2 g mm
+    >>> _, found = monitor.step(monitor.start(), example_rows(2000, 0.001, force=force, rate=gyro))
+    >>> float(found.level[-1].round(1)), int(found.rotors[-1].argmax()) + 1   # 1e6 x 1.504 x 2.0/1047^2 g mm
     (2.7, 2)
     """
 
-    def __init__(self, spec: UnbalanceSpec) -> None:
-        self.spec = spec
-        self._filter = _Filter(spec.taps, spec.tick, spec.ticks)
-        self._places = None if spec.frame is None else _Places(spec, layout_named(spec.frame))
+    name = "unbalance"
+    label = "unbalance"
+    needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
+    evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
+    spec_type = UnbalanceSpec
 
-    @property
-    def name(self) -> str:
-        """Key in the baseline, the journal and the scan report."""
-        return "vibration"
+    def __init__(self, spec: UnbalanceSpec) -> None:
+        super().__init__(spec)
+        self._filter = _Filter(spec.taps, spec.tick, spec.ticks)
+        self._places = None if spec.layout is None else _Places(spec, spec.layout)
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
+        """Healthy vibration, in g mm if the airframe's mass and hover speed are known."""
+        force = [rows.block.force[rows.block.valid, :2] for flight in flights for rows in flight]
+        if not any(np.isfinite(one).all(axis=1).any() for one in force):
+            raise InputError("no flight with an accelerometer along x and y")
+        airframe = context.airframe
+        both = airframe.mass_kg is not None and airframe.hover_rad_s is not None
+        first = UnbalanceSpec(
+            dt_s=context.dt_s,
+            corner_hz=corner_of(1 / context.dt_s, context.imu_corner_hz, airframe.hover_rad_s),
+            layout=airframe.layout,
+            covariance=(0.0, 0.0),
+            spread=(1.0, 1.0),
+            turning=0.0,
+            power=1.0,
+            mass_kg=airframe.mass_kg if both else None,
+            hover_rad_s=airframe.hover_rad_s if both else None,
+        )
+        means = np.concatenate([_means(first, flight) for flight in flights])
+        if len(means) == 0:
+            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
+        centre, spread = means.mean(axis=0).tolist(), means.std(axis=0).tolist()
+        if not (centre[0] > 0 and spread[1] > 0 and spread[2] > 0):
+            raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
+        covariance, width = (centre[1], centre[2]), (spread[1], spread[2])
+        return (replace(first, covariance=covariance, spread=width, turning=centre[3], power=centre[0]),)
 
     @property
     def unit(self) -> str:
@@ -169,102 +206,58 @@ class Unbalance:
         return "m/s^2" if self.spec.mass_kg is None else "g mm"
 
     @property
-    def axis(self) -> Axis | None:
-        """It concerns the whole vehicle."""
-        return None
+    def feature(self) -> str | None:
+        """The unbalance, where it is known in g mm."""
+        return None if self.spec.mass_kg is None else Feature.UNBALANCE
 
     def start(self) -> UnbalanceState:
-        """Nothing seen yet."""
-        return _fresh(-1)
+        """No row yet."""
+        return _fresh()
 
-    def step(self, state: UnbalanceState, rows: Rows) -> tuple[UnbalanceState, Reading]:
+    def step(self, state: UnbalanceState, rows: Rows) -> tuple[UnbalanceState, Statistic]:
         """The apparent unbalance every 20 ms, at the time of the newest row that it rests on."""
+        spec = self.spec
         state, ticks = self._filter.step(state, rows.block)
         power = ticks.mean[:, 0]
-        statistic = self.spec.scale * np.sqrt(power)
-        level = self.spec.scale * np.sqrt(np.maximum(power - self.spec.power, 0.0))
+        value = spec.scale * np.sqrt(power)
+        level = spec.scale * np.sqrt(np.maximum(power - spec.power, 0.0))
         rotors = np.empty((len(power), 0)) if self._places is None else self._places.evidence(ticks.mean)
-        return state, Reading(ticks.t_ns, statistic, level, statistic, ticks.full, rotors)
+        return state, Statistic(ticks.t_ns, spec.tick * spec.dt_s, value, ticks.full, level, value, rotors)
 
 
-def fit(
-    flights: Flights, frame: RotorLayout | None = None, hover: Pair | None = None, window_s: float = WINDOW_S
-) -> UnbalanceSpec:
-    """Healthy vibration from healthy flights. hover: mass [kg] and the rotor speed that carries it [rad/s], if known.
+def corner_of(rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> float:
+    """Corner of the high-pass on a link [Hz]. rate_hz: of the IMU stream; imu_corner_hz: of the low-pass in it, None if
+    there is none; hover_rad_s: rotor speed at hover, if known.
 
-    Raises InputError if the link cannot carry vibration, IdentificationError if no flight has an unbroken window.
-    """
-    rows = [one for flight in flights for one in flight]
-    reason = _missing(rows)
-    if reason is not None:
-        raise InputError(f"vibration: {reason}")
-    dt_s = rows[0].block.dt_s
-    corner_hz = CORNER_HZ if _carries_line(1 / dt_s) else BAND_SHARE / dt_s
-    first = UnbalanceSpec(
-        dt_s=dt_s,
-        corner_hz=corner_hz,
-        frame=None,
-        covariance=(0, 0),
-        spread=(1, 1),
-        turning=0,
-        power=1,
-        window_s=window_s,
-    )
-    means = np.concatenate([_means(first, flight) for flight in flights])
-    if len(means) == 0:
-        raise IdentificationError(f"vibration: no unbroken {window_s:g} s of flight; fly longer")
-    centre, spread = means.mean(axis=0), means.std(axis=0)
-    if not (centre[0] > 0 and spread[1] > 0 and spread[2] > 0):
-        raise IdentificationError("vibration: gyro or accelerometer are constant; is it a real sensor?")
-    return UnbalanceSpec(
-        dt_s=dt_s,
-        corner_hz=corner_hz,
-        frame=None if frame is None else frame.name,
-        covariance=(float(centre[1]), float(centre[2])),
-        spread=(float(spread[1]), float(spread[2])),
-        turning=float(centre[3]),
-        power=float(centre[0]),
-        mass_kg=None if hover is None else hover[0],
-        hover_rad_s=None if hover is None else hover[1],
-        window_s=window_s,
-    )
-
-
-def judgeable(rate_hz: float, imu_corner_hz: float | None, rotor_hz: float | None = None) -> str | None:
-    """Why vibration cannot be judged on a link, or None. rate_hz: of the IMU stream; imu_corner_hz: of the low-pass
-    in it, None if there is none; rotor_hz: revolutions a second at hover, if known.
+    Raises InputError if the link does not carry a rotor's vibration.
     """
     if rate_hz < SLACK * LEAST_RATE_HZ:
-        return f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
-    corner_hz = CORNER_HZ if _carries_line(rate_hz) else BAND_SHARE * rate_hz
-    if imu_corner_hz is not None and imu_corner_hz < corner_hz:
-        return f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes the vibration out of it"
-    if rotor_hz is not None and not _carries_line(rate_hz):
-        folded = abs(rotor_hz - rate_hz * round(rotor_hz / rate_hz))
-        if folded < corner_hz:
-            return f"at {rate_hz:.3g} Hz the rotors' {rotor_hz:.3g} Hz fold to {folded:.3g} Hz, among the flight itself"
-    return None
-
-
-def _missing(rows: Sequence[Rows]) -> str | None:
-    told = [one for one in rows if np.isfinite(one.block.force[one.block.valid, :2]).all(axis=1).any()]
-    if not told:
-        return "no flight with an accelerometer along x and y"
-    return judgeable(1 / told[0].block.dt_s, None)
+        raise InputError(
+            f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
+        )
+    line_hz = math.inf if hover_rad_s is None else hover_rad_s / (2 * math.pi)
+    corner_hz = min(CORNER_HZ, CORNER_SHARE * line_hz) if _carries_line(rate_hz) else BAND_SHARE * rate_hz
+    passed_hz = max(corner_hz, min(CORNER_HZ, line_hz))  # what the stream must carry
+    if imu_corner_hz is not None and imu_corner_hz < passed_hz:
+        raise InputError(f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes the vibration out of it")
+    if hover_rad_s is not None:
+        folded_hz = abs(line_hz - rate_hz * round(line_hz / rate_hz))
+        if folded_hz < corner_hz:
+            how = "fold to" if folded_hz < line_hz else "are"
+            raise InputError(
+                f"at {rate_hz:.3g} Hz the rotors' {line_hz:.3g} Hz {how} {folded_hz:.3g} Hz, among the flight itself"
+            )
+    return corner_hz
 
 
 def _carries_line(rate_hz: float) -> bool:
     return rate_hz >= SLACK * FULL_RATE_HZ
 
 
-def _odd(rows: float) -> int:
-    return 2 * max(3, round(rows / 2)) + 1
-
-
-def _fresh(segment: int) -> UnbalanceState:
+def _fresh() -> UnbalanceState:
     nothing = np.empty(0, dtype=np.int64)
     no_flags = np.empty(0, dtype=np.bool_)
-    return UnbalanceState(segment, np.empty((3, 0)), nothing, no_flags, np.empty((0, COLUMNS)), no_flags)
+    return UnbalanceState(np.empty((3, 0)), nothing, no_flags, np.empty((0, COLUMNS)), no_flags)
 
 
 class _Filter:
@@ -275,8 +268,6 @@ class _Filter:
 
     def step(self, state: UnbalanceState, block: Block) -> tuple[UnbalanceState, _Ticks]:
         """The windows that the next rows complete."""
-        if state.segment != block.segment:
-            state = _fresh(block.segment)
         tick, window, reach = self._tick, self._window, len(self._taps)
         rows = np.concatenate((state.rows, [block.force[:, 0], block.force[:, 1], block.rate[:, 2]]), axis=1)
         t_ns, valid = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, block.valid))
@@ -293,9 +284,7 @@ class _Filter:
         ends = t_ns[reach + tick - 1 : reach + used : tick]
         known = max(0, len(ticks) - window + 1)  # at most `count`: the state holds less than a window
         out = _Ticks(ends[count - known :], window_mean(ticks, window), window_all(flags, window))
-        return UnbalanceState(
-            block.segment, rows[:, used:], t_ns[used:], valid[used:], ticks[known:], flags[known:]
-        ), out
+        return UnbalanceState(rows[:, used:], t_ns[used:], valid[used:], ticks[known:], flags[known:]), out
 
     def _products(self, rows: FloatArray) -> FloatArray:
         """ax^2 + ay^2, gz ax, gz ay and the turning part of each filtered row but the first, (COLUMNS, n)."""
@@ -310,8 +299,8 @@ class _Filter:
 class _Places:
     """Which rotor a shift of the products from healthy belongs to."""
 
-    def __init__(self, spec: UnbalanceSpec, frame: RotorLayout) -> None:
-        roll, pitch, yaw = frame.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
+    def __init__(self, spec: UnbalanceSpec, layout: RotorLayout) -> None:
+        roll, pitch, yaw = layout.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
         # [ cov(gz, ax) ]        [ x_j ]         [  pitch_j ]
         # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
         pattern = yaw * np.stack((pitch, -roll))
@@ -338,8 +327,10 @@ class _Places:
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:
     """The full window means of a flight, (k, COLUMNS)."""
-    state, found, each = _fresh(-1), [np.empty((0, COLUMNS))], _Filter(spec.taps, spec.tick, spec.ticks)
-    for rows in flight:
-        state, ticks = each.step(state, rows.block)
-        found.append(ticks.mean[ticks.full])
+    found, each = [np.empty((0, COLUMNS))], _Filter(spec.taps, spec.tick, spec.ticks)
+    for segment in segments(flight):
+        state = _fresh()
+        for rows in segment:
+            state, ticks = each.step(state, rows.block)
+            found.append(ticks.mean[ticks.full])
     return np.concatenate(found)

@@ -21,6 +21,7 @@ result does not depend on how the telemetry was cut into chunks, as long as no s
 import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import TypeAlias
 
 import numpy as np
 
@@ -50,6 +51,8 @@ HELD = {
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1
 MAIN = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT)
 
+Streams: TypeAlias = dict[Signal, Stream]
+
 
 class Grid(StrEnum):
     """How rows are placed."""
@@ -62,12 +65,12 @@ class Grid(StrEnum):
 class AlignState:
     """All that the aligner remembers between chunks."""
 
-    streams: dict[Signal, Stream] = field(default_factory=dict)
+    streams: Streams = field(default_factory=dict)
     segment: int = -1
     last_ns: int | None = None  # time of the last row placed
-    done_ns: int | None = None  # gyro samples up to here are dealt with
-    blank_until_ns: int = 0  # of the gyro
-    setpoint_blank_ns: int = 0
+    done_ns: int = -NEVER_NS  # gyro samples up to here are dealt with
+    blank_until_ns: int = -NEVER_NS  # of the gyro
+    setpoint_blank_ns: int = -NEVER_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +104,12 @@ class AlignSpec:
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
         """Take in a chunk, return the rows that it completes (delayed by `reorder_s`), one block a segment."""
-        state = _take_in(self, state, telemetry)
-        if Signal.BODY_RATE not in state.streams:
-            return _bounded(self, state), ()
-        state, blocks = _emit(self, state, _horizon(self, state.streams))
-        return _bounded(self, state), blocks
+        state = replace(state, streams=_merged(self, state.streams, telemetry))
+        return _emit(self, state, _horizon(self, state.streams))
 
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
-        gyro = state.streams.get(Signal.BODY_RATE)
-        return (state, ()) if gyro is None else _emit(self, state, gyro.newest)
+        return _emit(self, state, NEVER_NS)
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
@@ -142,8 +141,8 @@ def _limit_ns(spec: AlignSpec, signal: Signal) -> int:
     return _ns(spec.break_s if signal in MAIN else max(LINEAR[signal], spec.max_gap_s))
 
 
-def _take_in(spec: AlignSpec, state: AlignState, telemetry: Telemetry) -> AlignState:
-    streams = dict(state.streams)
+def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
+    streams = dict(streams)
     for series in telemetry.series:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
@@ -155,44 +154,41 @@ def _take_in(spec: AlignSpec, state: AlignState, telemetry: Telemetry) -> AlignS
         if len(t):
             old = old or Stream(t[:0], v[:0], angle=signal is Signal.ATTITUDE_SETPOINT)
             streams[signal] = old.merged(t, v, _ns(spec.reorder_s))
-    return replace(state, streams=streams)
+    return streams
 
 
-def _bounded(spec: AlignSpec, state: AlignState) -> AlignState:
-    """Keep what a later row may need: samples since the last row, but no more than the last seconds (B22)."""
+def _bounded(spec: AlignSpec, streams: Streams, last_ns: int | None) -> Streams:
+    """What a later row may need: samples since the last row, but no more than the last seconds (B22)."""
     span_ns = 2 * _ns(spec.break_s)
-    last_ns = -NEVER_NS if state.last_ns is None else state.last_ns
-    streams = {signal: stream.since(max(last_ns, stream.newest - span_ns)) for signal, stream in state.streams.items()}
-    return replace(state, streams=streams)
+    row_ns = -NEVER_NS if last_ns is None else last_ns
+    return {signal: stream.since(max(row_ns, stream.newest - span_ns)) for signal, stream in streams.items()}
 
 
-def _horizon(spec: AlignSpec, streams: dict[Signal, Stream]) -> int:
+def _horizon(spec: AlignSpec, streams: Streams) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
     """
-    reorder_ns = _ns(spec.reorder_s)
-    safe = streams[Signal.BODY_RATE].newest - reorder_ns
-    safe = max(safe, max(stream.newest for stream in streams.values()) - reorder_ns - _ns(spec.break_s))
-    horizon = safe
+    gyro, reorder_ns = streams.get(Signal.BODY_RATE), _ns(spec.reorder_s)
+    if gyro is None:
+        return -NEVER_NS
+    latest = max(stream.newest for stream in streams.values())
+    horizon = safe = max(gyro.newest, latest - _ns(spec.break_s)) - reorder_ns
     for signal in (Signal.ATTITUDE_SETPOINT, *LINEAR):
         stream = streams.get(signal)
         if stream is None:
             continue
         settled = max(safe, stream.newest - reorder_ns)
-        behind = int(np.searchsorted(stream.t, settled, side="right")) - 1
+        behind = int(stream.t.searchsorted(settled, side="right")) - 1
         if behind >= 0 and settled < stream.t[behind] + _limit_ns(spec, signal):  # the next sample may still count
             horizon = min(horizon, int(stream.t[behind]))
     return horizon
 
 
 def _emit(spec: AlignSpec, state: AlignState, horizon_ns: int) -> tuple[AlignState, tuple[Block, ...]]:
-    gyro = state.streams[Signal.BODY_RATE]
-    first = 0 if state.done_ns is None else int(np.searchsorted(gyro.t, state.done_ns, side="right"))
-    fresh = gyro.t[first : int(np.searchsorted(gyro.t, horizon_ns, side="right"))]
-    if len(fresh) == 0:
-        return state, ()
-    state = replace(state, done_ns=int(fresh[-1]))
+    t = state.streams[Signal.BODY_RATE].t if Signal.BODY_RATE in state.streams else np.empty(0, dtype=np.int64)
+    fresh = t[int(t.searchsorted(state.done_ns, side="right")) : int(t.searchsorted(horizon_ns, side="right"))]
+    done_ns = int(fresh[-1]) if len(fresh) else state.done_ns
     blocks: list[Block] = []
     for piece, broken in _pieces(fresh, state.last_ns, _ns(spec.break_s)):
         if broken:
@@ -200,13 +196,15 @@ def _emit(spec: AlignSpec, state: AlignState, horizon_ns: int) -> tuple[AlignSta
             state = replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
         rows = _place(spec, state.last_ns, piece)
         if len(rows):
-            state, block = _fill(spec, replace(state, last_ns=int(rows[-1])), rows)
+            state, block = _fill(spec, state, rows)
             blocks.append(block)
-    return state, tuple(blocks)
+    return replace(state, done_ns=done_ns, streams=_bounded(spec, state.streams, state.last_ns)), tuple(blocks)
 
 
 def _pieces(fresh: IntArray, last_ns: int | None, limit_ns: int) -> list[tuple[IntArray, bool]]:
     """Stretches without a step above the limit, and whether one lies before each."""
+    if len(fresh) == 0:
+        return []
     if last_ns is not None and fresh[-1] - last_ns <= limit_ns:
         return [(fresh, False)]
     broken = np.diff(fresh, prepend=fresh[0] if last_ns is None else last_ns) > limit_ns
@@ -266,7 +264,8 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
         valid=valid,
         setpoint_valid=setpoint_valid,
     )
-    return replace(state, blank_until_ns=blank_ns, setpoint_blank_ns=setpoint_blank_ns), block
+    last_ns = int(rows[-1])
+    return replace(state, last_ns=last_ns, blank_until_ns=blank_ns, setpoint_blank_ns=setpoint_blank_ns), block
 
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:

@@ -58,21 +58,25 @@ class Block:
         columns = (getattr(self, name)[cut] for name in _COLUMNS)
         return Block(self.segment if segment is None else segment, self.dt_s, *columns)
 
-    def known(self, signal: Signal) -> BoolArray:
+    def known(self, signal: Signal, column: int | None = None) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.
 
-        BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`. Others: where all their columns are finite.
+        BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`. Others: where all their columns are finite, or the one
+        asked for: some vehicles log the z axis of the accelerometer only.
         """
         if signal is Signal.BODY_RATE:
             return self.valid
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
         name = _SIGNALS.get(signal)
-        column: FloatArray = np.empty((len(self), 0)) if name is None else getattr(self, name)
-        if column.ndim == 1:
-            return np.isfinite(column)
-        known: BoolArray = np.isfinite(column).all(axis=1) & (column.shape[1] > 0)
-        return known
+        values: FloatArray = np.empty((len(self), 0)) if name is None else getattr(self, name)
+        if values.ndim == 1:
+            return np.isfinite(values)
+        if values.shape[1] == 0:
+            return np.zeros(len(self), dtype=np.bool_)
+        if column is not None:
+            return np.isfinite(values[:, column])
+        return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
 _COLUMNS = tuple(field.name for field in fields(Block))[2:]

@@ -1,7 +1,7 @@
 """The samples of one signal that may still be needed: brought into order, and read at the times of rows."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Stream:
         if t[0] > self.newest and (t[1:] > t[:-1]).all():  # the usual case: all new and in order
             if len(self.t):
                 t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
-            return replace(self, t=t, v=v, newest=int(t[-1]))
+            return Stream(t, v, int(t[-1]), self.floor_ns, self.angle, self.turns)
         newest = np.maximum.accumulate(np.maximum(t, self.newest))
         on_time = (t >= newest - reorder_ns) & (t > self.floor_ns)
         t, v = t[on_time], v[on_time]
@@ -54,11 +54,11 @@ class Stream:
             t, v = t[order], v[order]
             keep = np.append(np.diff(t) > 0, True)  # of equal times the last to arrive counts
             t, v = t[keep], v[keep]
-        return replace(self, t=t, v=v, newest=int(newest[-1]))
+        return Stream(t, v, int(newest[-1]), self.floor_ns, self.angle, self.turns)
 
     def since(self, before_ns: int) -> "Stream":
         """Without the samples older than `before_ns`, but with the one that a row at `before_ns` needs on its left."""
-        first = int(np.searchsorted(self.t, before_ns, side="right")) - 1
+        first = int(self.t.searchsorted(before_ns, side="right")) - 1
         if first <= 0:
             return self
         turns = self.turns
@@ -74,17 +74,23 @@ class Stream:
         sample, and NEVER_NS where there is no sample on one side.
         """
         t, v = self.t, self._unwrapped() if self.angle else self.v
-        first = int(np.searchsorted(t, rows[0], side="left"))
+        first = int(t.searchsorted(rows[0], side="left"))
         if np.array_equal(t[first : first + len(rows)], rows):
             return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
-        left = np.searchsorted(t, rows, side="right") - 1
-        right = np.minimum(left + 1, len(t) - 1)
-        span, since = t[right] - t[left], rows - t[left]
-        span[(left < 0) | (right == left)] = NEVER_NS
-        gap: IntArray = np.where(since == 0, 0, span)
-        share = np.where(gap > limit_ns, 0.0, since / span)
-        values: FloatArray = v[left] + share[:, None] * (v[right] - v[left])
-        values[left < 0] = np.nan
+        left = t.searchsorted(rows, side="right") - 1
+        inside = left[0] >= 0 and left[-1] < len(t) - 1
+        right = left + 1 if inside else np.minimum(left + 1, len(t) - 1)
+        before = t[left]
+        span, since = t[right] - before, rows - before
+        if not inside:
+            span[(left < 0) | (right == left)] = NEVER_NS
+        gap: IntArray = span * (since != 0)
+        share = since / span
+        share[gap > limit_ns] = 0.0
+        first_v = v.take(left, axis=0)
+        values: FloatArray = first_v + share[:, None] * (v.take(right, axis=0) - first_v)
+        if left[0] < 0:
+            values[left < 0] = np.nan
         return values, gap
 
     def held(self, rows: IntArray, limit_ns: int) -> FloatArray:
@@ -92,7 +98,7 @@ class Stream:
         t = self.t
         if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
             return np.repeat(self.v[:1], len(rows), axis=0)
-        at = np.searchsorted(t, rows, side="right") - 1
+        at = t.searchsorted(rows, side="right") - 1
         values: FloatArray = self.v[np.maximum(at, 0)]
         values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
         return values

@@ -20,6 +20,7 @@ __all__ = [
     "forgetting",
     "highpass",
     "sliding_mean",
+    "spans",
     "start_mean",
     "window_all",
     "window_mean",
@@ -75,6 +76,16 @@ def window_all(flags: BoolArray, window: int) -> BoolArray:
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
     return whole
+
+
+def spans(flags: BoolArray) -> list[tuple[int, int]]:
+    """Half-open spans [first, stop) of True, (n,).
+
+    >>> spans(np.array([True, False, True, True]))
+    [(0, 1), (2, 4)]
+    """
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,13 @@ there are as many, and each piece is scored by a fit to the rest.
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.monitors.base import Flights, Monitor
+from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import NS_PER_S, FloatArray, IntArray
 
@@ -23,7 +24,6 @@ MAX_FOLDS = 10  # models that share the work of judging flights they did not see
 PIECES = 5  # of a single flight, one per block at most (our choice)
 
 Spec = TypeVar("Spec")
-Flights: TypeAlias = Sequence[Sequence[Rows]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Scores:
     block_s: float = BLOCK_S
 
 
-def score(monitor: Monitor[Any], flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
+def score(monitor: Monitor[Any, Any], flight: Sequence[Rows], block_s: float = BLOCK_S) -> Scores:
     """Block maxima of a monitor over one flight.
 
     A block is `block_s` of one segment, counted from its first valid row. A remainder counts if half a block of it
@@ -57,7 +57,10 @@ def score(monitor: Monitor[Any], flight: Sequence[Rows], block_s: float = BLOCK_
 
 
 def held_out_scores(
-    flights: Flights, fit: Callable[[Flights], Spec], watch: Callable[[Spec], Monitor[Any]], block_s: float = BLOCK_S
+    flights: Flights,
+    fit: Callable[[Flights], Spec],
+    watch: Callable[[Spec], Monitor[Any, Any]],
+    block_s: float = BLOCK_S,
 ) -> Scores:
     """Scores of all flights, each by a fit that did not see it. watch: the monitor of a fit.
 
@@ -84,19 +87,21 @@ def folds(flights: Flights, block_s: float = BLOCK_S) -> Iterator[tuple[Flights,
         yield left_out, [flight for i, flight in enumerate(flights) if i % count != fold]
 
 
-def _judged(monitor: Monitor[Any], flight: Sequence[Rows]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+def _judged(monitor: Monitor[Any, Any], flight: Sequence[Rows]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     """For each segment: time since its first valid row [s] and statistic of the judged rows, and their period."""
-    state = monitor.start()
+    state, last = monitor.start(), -1
     first_ns: dict[int, int] = {}
     times: dict[int, list[IntArray]] = {}
     values: dict[int, list[FloatArray]] = {}
     for rows in flight:
+        state = state if rows.block.segment == last else monitor.start()
+        last = rows.block.segment
         state, reading = monitor.step(state, rows)
         segment, valid = rows.block.segment, rows.block.valid
         if segment not in first_ns and valid.any():
             first_ns[segment] = int(rows.block.t_ns[np.argmax(valid)])
         times.setdefault(segment, []).append(reading.t_ns[reading.valid])
-        values.setdefault(segment, []).append(reading.statistic[reading.valid])
+        values.setdefault(segment, []).append(reading.value[reading.valid])
     for segment, start_ns in first_ns.items():
         t_ns = np.concatenate(times[segment])
         if len(t_ns):
@@ -147,4 +152,12 @@ def _between(flight: Sequence[Rows], low_ns: int, high_ns: int, part: int) -> li
 
 def _cut_rates(rates: RateBlock, low_ns: int, high_ns: int, segment: int) -> RateBlock:
     kept = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns]).tolist())
-    return RateBlock(segment, rates.dt_s, rates.t_ns[kept], rates.u[kept], rates.y[kept], rates.valid[kept])
+    return RateBlock(
+        segment,
+        rates.dt_s,
+        rates.t_ns[kept],
+        rates.u[kept],
+        rates.y[kept],
+        rates.valid[kept],
+        rates.commanded[kept],
+    )

@@ -27,8 +27,8 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.margin import false_alarms_per_flight
 from mavdiag.telemetry import FloatArray
+from mavdiag.thresholds.guard import Guard
 from mavdiag.thresholds.heldout import Flights, Scores, held_out_scores
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "Threshold",
     "ThresholdRule",
     "calibrate",
+    "false_alarms_per_flight",
     "flights_for_guarantee",
     "flights_for_maximum",
     "more_flights",
@@ -48,6 +49,7 @@ EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
 ONE_SIDED_95 = 1.645  # quantile of the normal law
 SECONDS_PER_HOUR = 3600.0
+NO_GUARD = Guard()
 
 Spec = TypeVar("Spec")
 
@@ -57,30 +59,6 @@ class ThresholdRule(StrEnum):
 
     GUMBEL = "gumbel"  # extreme-value level for a budget of alarms per hour
     MAXIMUM = "max"  # the largest of them; the next flight beats it with probability 1/(n + 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Guard:
-    """What a monitor knows that its few healthy flights cannot show; in the statistic's unit.
-
-    few_flights: added with one flight, and linearly less up to `enough_flights`, where it is zero. above_mean: least
-    distance from the mean healthy maximum. least: least threshold at all. scale_share: least beta as a share of the
-    mean maximum. Raises UsageError if one is negative.
-    """
-
-    few_flights: float = 0.0
-    enough_flights: int = 5
-    above_mean: float = 0.0
-    least: float = 0.0
-    scale_share: float = 0.1
-
-    def __post_init__(self) -> None:
-        if min(self.few_flights, self.above_mean, self.least, self.scale_share) < 0 or self.enough_flights < 2:
-            raise UsageError("a guard's figures must not be negative, and enough flights are at least 2")
-
-    def allowance(self, flights: int) -> float:
-        """What is added for having only that many flights."""
-        return self.few_flights * max(0, self.enough_flights - flights) / (self.enough_flights - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +103,17 @@ class Threshold:
         return f"{kind} to {self.budget_per_hour:.3g} alarms/h from {basis}; {shown}"
 
 
+def false_alarms_per_flight(flights: int) -> float:
+    """Probability that a healthy flight exceeds the maximum of `flights` equal healthy ones: 1/(n + 1)."""
+    return 1.0 / (flights + 1)
+
+
 def threshold_of(
     scores: Scores,
     *,
     flights: int,
     budget_per_hour: float = BUDGET_PER_HOUR,
-    guard: Guard = Guard(),
+    guard: Guard = NO_GUARD,
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> Threshold:
     """The threshold that scores of healthy flights allow. budget_per_hour: this monitor's share.
@@ -175,10 +158,10 @@ def threshold_of(
 def calibrate(
     flights: Flights,
     fit: Callable[[Flights], Spec],
-    watch: Callable[[Spec], Monitor[Any]],
+    watch: Callable[[Spec], Monitor[Any, Any]],
     *,
     budget_per_hour: float = BUDGET_PER_HOUR,
-    guard: Guard = Guard(),
+    guard: Guard = NO_GUARD,
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> tuple[Spec, Threshold]:
     """A monitor's spec, fitted to all flights, and its threshold, from fits that did not see what they score."""

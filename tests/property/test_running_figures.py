@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from mavdiag.rows.running import ema, forgetting, sliding_mean, start_mean
+from mavdiag.rows.windows import ema, forgetting, sliding_mean, start_mean
 from mavdiag.telemetry import BoolArray, FloatArray
 
 

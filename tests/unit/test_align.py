@@ -1,13 +1,16 @@
 """Alignment: gaps, losses, disorder and separate rates, each with an answer known beforehand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
-from made_telemetry import DT_NS, flight, series
+from made_telemetry import DT_NS, cut, flight, series
+from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
-from mavdiag.rows.align import AlignCounts, AlignSpec, Grid, align, finish, measure_grid, start
+from mavdiag.rows.align import AlignSpec, AlignState, Grid, measure_grid
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 
 SPEC = AlignSpec(0.001)
 
@@ -26,10 +29,13 @@ def linear_flight(gyro_t: IntArray, setpoint_t: IntArray) -> Telemetry:
     )
 
 
-def whole(telemetry: Telemetry, spec: AlignSpec = SPEC) -> tuple[list[Block], AlignCounts]:
-    state, blocks = align(spec, start(), telemetry)
-    state, rest = finish(spec, state)
-    return [*blocks, *rest], state.counts
+def whole(telemetry: Telemetry, spec: AlignSpec = SPEC) -> list[Block]:
+    state, blocks = spec.step(spec.start(), telemetry)
+    return [*blocks, *spec.finish(state)[1]]
+
+
+def column(blocks: list[Block], name: str) -> NDArray[Any]:
+    return np.concatenate([getattr(block, name) for block in blocks])
 
 
 def clock(n: int) -> IntArray:
@@ -38,16 +44,15 @@ def clock(n: int) -> IntArray:
 
 def test_a_clean_flight_is_taken_sample_for_sample() -> None:
     telemetry = flight(3000, seed=1)
-    blocks, counts = whole(telemetry)
+    blocks = whole(telemetry)
     assert {block.segment for block in blocks} == {0}
-    rate = np.concatenate([block.rate for block in blocks])
+    rate = column(blocks, "rate")
     assert np.array_equal(rate, telemetry.need(Signal.BODY_RATE).values)
-    assert counts == AlignCounts(breaks=1)
 
 
 def test_the_first_second_of_a_segment_is_blanked() -> None:
-    blocks, _ = whole(flight(3000, seed=1))
-    valid = np.concatenate([block.valid for block in blocks])
+    blocks = whole(flight(3000, seed=1))
+    valid = column(blocks, "valid")
     assert not valid[:1001].any()
     assert valid[1001:].all()
 
@@ -55,20 +60,19 @@ def test_the_first_second_of_a_segment_is_blanked() -> None:
 def test_lost_gyro_samples_become_rows_between_their_neighbours() -> None:
     t = clock(2000)
     kept = np.delete(t, [1500, 1501, 1700])
-    blocks, counts = whole(linear_flight(kept, t))
-    rows = np.concatenate([block.t_ns for block in blocks])
+    blocks = whole(linear_flight(kept, t))
+    rows = column(blocks, "t_ns")
     assert np.array_equal(rows, t)
-    np.testing.assert_allclose(np.concatenate([b.rate for b in blocks]), ramp(t), atol=1e-9)
-    assert counts.filled == 3
-    assert np.concatenate([b.valid for b in blocks])[1100:].all()  # 2 ms is no gap
+    np.testing.assert_allclose(column(blocks, "rate"), ramp(t), atol=1e-9)
+    assert column(blocks, "valid")[1100:].all()  # 2 ms is no gap
 
 
 def test_a_long_gap_is_blanked_with_what_follows_it_for_300_ms() -> None:
     t = clock(3000)
     gyro = np.delete(t, slice(1500, 1600))
-    blocks, _ = whole(linear_flight(gyro, t))
-    rows = np.concatenate([b.t_ns for b in blocks])
-    valid = np.concatenate([b.valid for b in blocks])
+    blocks = whole(linear_flight(gyro, t))
+    rows = column(blocks, "t_ns")
+    valid = column(blocks, "valid")
     seconds = (rows - t[0]) / 1e9
     assert valid[(seconds > 1.001) & (seconds < 1.4995)].all()
     assert not valid[(seconds > 1.4995) & (seconds < 1.599 + 0.3)].any()
@@ -76,27 +80,23 @@ def test_a_long_gap_is_blanked_with_what_follows_it_for_300_ms() -> None:
     assert {b.segment for b in blocks} == {0}
 
 
-@pytest.mark.parametrize("which", ["gyro", "setpoint"])
-def test_a_gap_above_one_second_starts_a_new_segment(which: str) -> None:
+def test_a_gyro_gap_above_one_second_starts_a_new_segment() -> None:
     t = clock(6000)
     holed = np.delete(t, slice(2000, 3500))
-    blocks, counts = whole(linear_flight(holed, t) if which == "gyro" else linear_flight(t, holed))
-    assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
-    assert {b.segment for b in blocks} == {0, 1}
-    assert counts.breaks == 2
-    rows = np.concatenate([b.t_ns for b in blocks])
-    assert np.array_equal(rows, holed)  # nothing is invented in between
+    blocks = whole(linear_flight(holed, t))
+    assert np.array_equal(np.concatenate([np.full(len(b), b.segment) for b in blocks]), np.arange(4500) >= 2000)
+    assert np.array_equal(column(blocks, "t_ns"), holed)  # nothing is invented in between
 
 
 def test_slow_setpoints_are_interpolated_to_the_gyro() -> None:
     t = clock(2000)
-    blocks, _ = whole(linear_flight(t, t[::20]))
-    got = np.concatenate([b.setpoint for b in blocks])
-    rows = np.concatenate([b.t_ns for b in blocks])
-    np.testing.assert_allclose(got, 3 * ramp(rows), atol=1e-9)
+    blocks = whole(linear_flight(t, t[::20]))
+    got = column(blocks, "setpoint")
+    np.testing.assert_allclose(got[:1981], 3 * ramp(t[:1981]), atol=1e-9)
+    assert (got[1981:] == got[1980]).all()  # after the last one
 
 
-def test_duplicates_and_late_samples_are_dropped_and_counted() -> None:
+def test_duplicates_and_late_samples_are_dropped() -> None:
     t = clock(2000)
     order = np.arange(2000)
     order[[300, 301]] = order[[301, 300]]  # a swap within the window is repaired
@@ -106,10 +106,9 @@ def test_duplicates_and_late_samples_are_dropped_and_counted() -> None:
     telemetry = Telemetry(
         (series(Signal.BODY_RATE, shuffled, ramp(shuffled)), series(Signal.ATTITUDE_SETPOINT, t, 3 * ramp(t)))
     )
-    blocks, counts = whole(telemetry)
-    assert np.array_equal(np.concatenate([b.t_ns for b in blocks]), t)
-    np.testing.assert_allclose(np.concatenate([b.rate for b in blocks]), ramp(t), atol=1e-9)
-    assert (counts.duplicate, counts.late) == (1, 1)
+    blocks = whole(telemetry)
+    assert np.array_equal(column(blocks, "t_ns"), t)
+    np.testing.assert_allclose(column(blocks, "rate"), ramp(t), atol=1e-9)
 
 
 def test_uneven_senders_are_resampled() -> None:
@@ -117,10 +116,10 @@ def test_uneven_senders_are_resampled() -> None:
     t = np.sort(clock(4000) + rng.integers(-450_000, 450_000, 4000))
     dt_s, grid = measure_grid(linear_flight(t, t))
     assert grid is Grid.RESAMPLED
-    blocks, _ = whole(linear_flight(t, t), AlignSpec(dt_s, grid))
-    rows = np.concatenate([b.t_ns for b in blocks])
+    blocks = whole(linear_flight(t, t), AlignSpec(dt_s, grid))
+    rows = column(blocks, "t_ns")
     assert np.unique(np.diff(rows)).tolist() == [round(dt_s * 1e9)]
-    np.testing.assert_allclose(np.concatenate([b.rate for b in blocks]), ramp(rows), atol=1e-9)
+    np.testing.assert_allclose(column(blocks, "rate"), ramp(rows), atol=1e-9)
 
 
 def test_the_rate_is_measured_through_losses() -> None:
@@ -144,13 +143,167 @@ def test_too_few_samples_have_no_rate() -> None:
         measure_grid(linear_flight(t, t))
 
 
-def test_without_setpoints_nothing_comes_out_and_memory_stays_bounded() -> None:
-    state = start()
+def test_r8_a_resampled_rate_is_the_mean_rate_of_a_logger_that_drops_samples() -> None:
+    """Steps of 4 ms with every third between 4.5 and 13 ms: the median step says 250 Hz."""
+    rng = np.random.default_rng(8)
+    steps = np.where(np.arange(3000) % 3 == 0, rng.integers(4_500_000, 13_000_000, 3000), 4_000_000)
+    t = 5_000_000_000 + np.cumsum(steps)
+    t[1500:] += 20_000_000_000  # a pause is no step
+    dt_s, grid = measure_grid(linear_flight(t, t))
+    assert grid is Grid.RESAMPLED
+    assert dt_s == pytest.approx(float(np.mean(steps)) / 1e9, rel=1e-3)
+
+
+def test_without_setpoints_the_rows_flow_and_memory_stays_bounded() -> None:
+    state = SPEC.start()
+    blocks: list[Block] = []
     for i in range(50):
         t = clock(1000) + i * 1_000_000_000
-        state, blocks = align(SPEC, state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
-        assert blocks == ()
+        state, found = SPEC.step(state, Telemetry((series(Signal.BODY_RATE, t, ramp(t)),)))
+        blocks += found
     assert len(state.streams[Signal.BODY_RATE].t) <= 3000
+    assert len(column(blocks, "t_ns")) == 50_000 - 50
+    assert column(blocks, "valid")[1001:].all()
+    assert not column(blocks, "setpoint_valid").any()
+    assert (column(blocks, "setpoint") == 0).all()
+
+
+def test_a_setpoint_that_stops_leaves_the_gyro_rows_valid_and_is_waited_for_one_second() -> None:
+    t = clock(8000)
+    stopped = np.delete(t, slice(2000, 4500))
+    blocks = whole(linear_flight(t, stopped))
+    assert {b.segment for b in blocks} == {0}
+    assert column(blocks, "valid")[1001:].all()
+    usable, setpoint = column(blocks, "setpoint_valid"), column(blocks, "setpoint")
+    assert usable[:2000].all()
+    assert not usable[2000 : 4500 + 999].any()  # the outage, and a second to settle
+    assert usable[5501:].all()
+    assert (setpoint[2000:4500] == setpoint[1999]).all()  # the last one, not a ramp to one that is not known yet
+    head = Telemetry(
+        tuple(
+            Series(s.signal, s.t_ns[:n], s.host_ns[:n], s.values[:n])
+            for s, n in zip(linear_flight(t, stopped).series, (3100, 2000), strict=True)
+        )
+    )
+    _, early = SPEC.step(SPEC.start(), head)
+    assert len(column(list(early), "t_ns")) == 3100 - 50  # no wait any more
+
+
+def test_a_setpoint_gap_is_interpolated_and_not_used_until_it_has_settled() -> None:
+    t = clock(4000)
+    blocks = whole(linear_flight(t, np.delete(t, slice(2000, 2100))))
+    np.testing.assert_allclose(column(blocks, "setpoint"), 3 * ramp(t), atol=1e-9)
+    usable = column(blocks, "setpoint_valid")
+    assert usable[:2000].all()
+    assert not usable[2000:2399].any()
+    assert usable[2400:].all()
+
+
+def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, list[Block]]:
+    """Rows of 12 s at 100 Hz in which one more signal stops after 4 s."""
+    t = clock(1200)[0] + 10 * DT_NS * np.arange(1200, dtype=np.int64)
+    base = linear_flight(t, t)
+    extra = series(signal, t[:400:step], np.ones((len(t[:400:step]), width)))
+    return t, whole(Telemetry((*base.series, extra)), AlignSpec(0.01))
+
+
+@pytest.mark.parametrize(
+    ("signal", "width", "step", "limit_s"),
+    [
+        (Signal.SPECIFIC_FORCE, 3, 1, 0.0),
+        (Signal.TORQUE_COMMAND, 3, 20, 0.0),
+        (Signal.RATE_SETPOINT, 3, 2, 0.0),
+        (Signal.THRUST_SETPOINT, 1, 1, 1.0),
+        (Signal.ACTUATOR, 4, 10, 1.0),
+        (Signal.VIBRATION, 3, 50, 2.0),
+        (Signal.HEIGHT, 1, 10, 2.0),
+        (Signal.ARMED, 1, 399, 99.0),
+    ],
+)
+def test_b2_a_signal_that_stops_is_unknown_after_its_limit(
+    signal: Signal, width: int, step: int, limit_s: float
+) -> None:
+    t, blocks = with_stopped(signal, width, step)
+    known = np.concatenate([block.known(signal) for block in blocks])
+    last_ns = t[:400:step][-1]
+    np.testing.assert_array_equal(known, t <= last_ns + round(limit_s * 1e9))
+    assert column(blocks, "valid")[101:].all()  # the gyro does not depend on it
+
+
+def test_b2_a_force_gap_is_not_bridged_and_a_signal_without_a_column_is_unknown() -> None:
+    t = clock(3000)
+    base, force_t = linear_flight(t, t), np.delete(t, slice(2000, 2100))
+    blocks = whole(Telemetry((*base.series, series(Signal.SPECIFIC_FORCE, force_t, ramp(force_t)))))
+    known = np.concatenate([block.known(Signal.SPECIFIC_FORCE) for block in blocks])
+    assert np.flatnonzero(~known).tolist() == list(range(2000, 2100))
+    assert not any(block.known(signal).any() for block in blocks for signal in (Signal.ACTUATOR, Signal.VOLTAGE))
+    assert all(block.known(Signal.BODY_RATE) is block.valid for block in blocks)
+
+
+def test_a_vehicle_that_logs_one_axis_of_the_accelerometer_is_known_by_that_axis() -> None:
+    t = clock(300)
+    force = np.column_stack((np.full((300, 2), np.nan), np.full(300, -9.81)))
+    telemetry = Telemetry((*linear_flight(t, t).series, series(Signal.SPECIFIC_FORCE, t, force)))
+    (block,) = SPEC.step(SPEC.start(), telemetry)[1]
+    assert not block.known(Signal.SPECIFIC_FORCE).any()
+    assert block.known(Signal.SPECIFIC_FORCE, 2).all()
+
+
+def test_b22_memory_stays_bounded_when_the_gyro_stops_and_others_go_on() -> None:
+    t = clock(1000)
+    state, blocks = SPEC.step(SPEC.start(), linear_flight(t, t))
+    extra: list[Block] = []
+    for i in range(1, 40):
+        later = clock(1000) + i * 1_000_000_000
+        chunk = [series(s, later, ramp(later)) for s in (Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE)]
+        state, found = SPEC.step(state, Telemetry(tuple(chunk)))
+        extra += found
+    assert sum(len(stream.t) for stream in state.streams.values()) < 5000
+    assert np.array_equal(column([*blocks, *extra], "t_ns"), t)  # the last rows do not wait for ever
+    t = clock(1000) + 40_000_000_000
+    _, found = SPEC.step(state, linear_flight(t, t))
+    assert {block.segment for block in found} == {1}
+
+
+def test_b22_a_flood_without_any_gyro_is_bounded() -> None:
+    state: AlignState = SPEC.start()
+    for i in range(20):
+        t = clock(1000) + i * 1_000_000_000
+        state, blocks = SPEC.step(state, Telemetry((series(Signal.ATTITUDE_SETPOINT, t, ramp(t)),)))
+        assert blocks == ()
+    assert len(state.streams[Signal.ATTITUDE_SETPOINT].t) <= 3000
+
+
+@pytest.mark.parametrize("size", [1, 3, 40, 3000])
+def test_l1_the_yaw_setpoint_is_unwrapped_before_it_is_interpolated(size: int) -> None:
+    """A heading that turns three times, sent at 50 Hz in chunks of any size: no row lies on a ramp through zero."""
+    t = clock(6000)
+    heading = 1.0 + np.pi * (t - t[0]) / 1e9
+    wrapped = np.mod(heading + np.pi, 2 * np.pi) - np.pi
+    sent = t[::20]
+    telemetry = Telemetry(
+        (
+            series(Signal.BODY_RATE, t, ramp(t)),
+            series(Signal.ATTITUDE_SETPOINT, sent, np.outer(wrapped[::20], [0, 0, 1])),
+        )
+    )
+    state = SPEC.start()
+    blocks: list[Block] = []
+    for chunk in cut(telemetry, [int(t[0]) + 5_000_000 + edge * DT_NS for edge in range(0, 6000, size)]):
+        state, found = SPEC.step(state, chunk)
+        blocks += found
+    blocks += SPEC.finish(state)[1]
+    np.testing.assert_allclose(column(blocks, "setpoint")[:5981, 2], heading[:5981], atol=1e-9)
+
+
+def test_a_sample_that_is_no_number_is_a_lost_sample() -> None:
+    t = clock(3000)
+    base = linear_flight(t, t)
+    for one in base.series:
+        one.values[1500] = np.nan
+    blocks = whole(base)
+    np.testing.assert_allclose(column(blocks, "setpoint"), 3 * ramp(t), atol=1e-9)
+    np.testing.assert_allclose(column(blocks, "rate"), ramp(t), atol=1e-9)
 
 
 def test_held_signals_keep_their_last_value_and_are_nan_before_the_first() -> None:
@@ -158,8 +311,8 @@ def test_held_signals_keep_their_last_value_and_are_nan_before_the_first() -> No
     base = linear_flight(t, t)
     armed_t = t[[500, 2000]]
     telemetry = Telemetry((*base.series, series(Signal.ARMED, armed_t, np.array([[0.0], [1.0]]))))
-    blocks, _ = whole(telemetry)
-    armed = np.concatenate([b.armed for b in blocks])
+    blocks = whole(telemetry)
+    armed = column(blocks, "armed")
     assert np.isnan(armed[:500]).all()
     assert (armed[500:2000] == 0).all()
     assert (armed[2000:] == 1).all()

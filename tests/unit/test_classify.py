@@ -1,12 +1,19 @@
 """The thesis's plane on synthetic clusters: what is named, and what is honestly not."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mavdiag.airframe.propellers import FaultType, propeller
-from mavdiag.decision.thesis_plane import (
+from mavdiag.errors import InputError, UsageError
+from mavdiag.monitors.run_length import Run
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from thesis_plane_rules import (
     Classification,
     Example,
     FaultPoint,
@@ -17,8 +24,6 @@ from mavdiag.decision.thesis_plane import (
     fault_point,
     fit_plane,
 )
-from mavdiag.errors import InputError, UsageError
-from mavdiag.monitors.exceedance import Run
 
 F1, F2, F3 = FaultType
 # FSD [s] and excess [rad/s] by type as T Fig 5.10 and Table 5.2 describe them: F1 short and low, F2 long and high, F3

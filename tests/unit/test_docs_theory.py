@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from mavdiag.airframe.propellers import PROPELLERS
 from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.monitors.margin import false_alarms_per_flight
+from mavdiag.thresholds.rule import false_alarms_per_flight
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
 

@@ -1,6 +1,4 @@
-"""Runs above the margin and the events they make, against a plain count by hand."""
-
-import itertools
+"""The events that a statistic above its threshold makes."""
 
 import numpy as np
 import pytest
@@ -9,43 +7,13 @@ from hypothesis import strategies as st
 
 from mavdiag.decision import events as event_step
 from mavdiag.decision.events import Event, EventSpec, Reading, events
-from mavdiag.monitors.exceedance import exceedance, runs, start
 from mavdiag.telemetry import BoolArray, FloatArray
-
-DT = 0.01
 
 
 def reading(statistic: FloatArray, valid: BoolArray | None = None, first: int = 0) -> Reading:
     n = len(statistic)
     t_ns = 10_000_000 * np.arange(first, first + n, dtype=np.int64)
     return Reading(t_ns, statistic, statistic, statistic, np.ones(n, dtype=np.bool_) if valid is None else valid)
-
-
-levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.booleans()), min_size=1, max_size=60)
-
-
-@given(rows=levels, cuts=st.lists(st.integers(0, 60), max_size=5))
-def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], cuts: list[int]) -> None:
-    r, valid = np.array([x for x, _ in rows]), np.array([v for _, v in rows])
-    expected, count = [], 0
-    for x, v in rows:
-        count = count + 1 if v and abs(x) > 1.0 else 0
-        expected.append(count)
-    state, got = start(), []
-    bounds = sorted({0, len(r), *(c for c in cuts if c < len(r))})
-    for low, high in itertools.pairwise(bounds):
-        state, trace = exceedance(state, r[low:high], valid[low:high], margin=1.0, dt_s=DT)
-        got += trace.fsd_s.tolist()
-    assert got == [n * DT for n in expected]
-
-
-def test_runs_report_their_length_and_highest_excess() -> None:
-    r = np.array([0.0, 2.0, 5.0, 0.0, -3.0])
-    t_ns = np.arange(5) * 1000
-    _, trace = exceedance(start(), r, np.ones(5, dtype=np.bool_), margin=1.0, dt_s=0.1)
-    first, second = runs(trace, t_ns)
-    assert (first.start_ns, first.end_ns, first.fsd_s, first.peak) == (1000, 2000, 0.2, 4.0)
-    assert (second.start_ns, second.end_ns, second.peak) == (4000, 4000, 2.0)
 
 
 def test_an_alert_needs_strictly_more_than_the_threshold() -> None:

@@ -4,21 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying_telemetry import flying, flying_rows
+from flying_telemetry import body_rates, flying, flying_rows
 from scipy.optimize import nnls
 from scipy.signal import lfilter
 
-from mavdiag.decision.events import Reading
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Rows
-from mavdiag.monitors.innovation import Innovation, InnovationSpec, fit, judgeable
+from mavdiag.monitors import innovation
+from mavdiag.monitors.base import Flights
+from mavdiag.monitors.innovation import Innovation, InnovationSpec
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
+from mavdiag.testing import example_context, example_rows
 
 DT_S = 0.01
 
 
-def read(spec: InnovationSpec, rows: Rows) -> Reading:
+def fit(flights: Flights, dt_s: float = DT_S) -> InnovationSpec:
+    (spec,) = Innovation.fit(flights, example_context(dt_s=dt_s))
+    return spec
+
+
+def read(spec: InnovationSpec, rows: Rows) -> Statistic:
     monitor = Innovation(spec)
     return monitor.step(monitor.start(), rows)[1]
 
@@ -27,7 +34,7 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
     """A gyro that follows the commanded rate, with process noise of `noise` rad/s."""
     rng = np.random.default_rng(seed)
     angle = np.asarray(lfilter([0.02], [1, -0.98], np.repeat(rng.normal(0, busy, (n // 100, 3)), 100, axis=0), axis=0))
-    wanted = np.gradient(angle, DT_S, axis=0)
+    wanted = body_rates(angle)
     rate = np.asarray(lfilter([0, 0.3], [1, -0.7], wanted, axis=0))
     rate += np.asarray(lfilter([1], [1, -0.7], noise * rng.standard_normal((n, 3)), axis=0))
     return example_rows(n, DT_S, setpoint=angle, rate=rate + bias)
@@ -35,7 +42,7 @@ def responding(n: int, seed: int, *, noise: float = 0.02, busy: float = 0.2, bia
 
 def test_the_level_is_that_of_textbook_filters() -> None:
     rows, spec = responding(3000, 1), fit([[responding(6000, 2)]])
-    reading = read(spec, rows)
+    found = read(spec, rows)
     t = np.searchsorted(rows.block.t_ns, rows.rates.t_ns)
     z = []
     for k in range(3):
@@ -46,8 +53,8 @@ def test_the_level_is_that_of_textbook_filters() -> None:
         z.append(e / np.sqrt(spec.k0[k] + spec.k1[k] * busy))
     square = np.mean(np.square(z), axis=0)
     expected = [np.sqrt(square[i - 99 : i + 1].mean()) for i in range(103, len(t))]
-    assert np.flatnonzero(reading.valid).tolist() == list(range(103, len(t)))
-    np.testing.assert_allclose(reading.statistic[reading.valid], expected, rtol=1e-9)
+    assert np.flatnonzero(found.valid).tolist() == list(range(103, len(t)))
+    np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-9)
 
 
 def test_the_fit_is_least_squares_and_the_variance_non_negative() -> None:
@@ -74,16 +81,16 @@ def test_a_rough_flight_shows_in_proportion() -> None:
     spec = fit([[responding(8000, seed)] for seed in range(2)])
     calm = read(spec, responding(4000, 5))
     rough = read(spec, responding(4000, 5, noise=0.06))
-    assert float(np.median(calm.statistic[calm.valid])) == pytest.approx(1.0, abs=0.1)
-    assert float(np.median(rough.statistic[rough.valid])) == pytest.approx(3.0, abs=0.3)
+    assert float(np.median(calm.value[calm.valid])) == pytest.approx(1.0, abs=0.1)
+    assert float(np.median(rough.value[rough.valid])) == pytest.approx(3.0, abs=0.3)
     assert rough.signal[rough.valid].max() > 6.0
 
 
 def test_a_gyro_bias_like_the_healthy_one_does_not_count() -> None:
     spec = fit([[responding(6000, 6, bias=0.05)]])
     assert spec.mean == pytest.approx((0.05, 0.05, 0.05), abs=0.02)
-    reading = read(spec, responding(3000, 7, bias=0.05))
-    assert float(np.median(reading.statistic[reading.valid])) == pytest.approx(1.0, abs=0.1)
+    found = read(spec, responding(3000, 7, bias=0.05))
+    assert float(np.median(found.value[found.valid])) == pytest.approx(1.0, abs=0.1)
 
 
 def test_an_axis_that_is_never_commanded_is_predicted_from_itself() -> None:
@@ -109,7 +116,7 @@ def test_broken_samples_leave_no_trace() -> None:
     broken = read(spec, example_rows(2000, DT_S, rate=spoilt(rate), valid=valid))
     np.testing.assert_array_equal(broken.valid, clean.valid)
     assert not broken.valid[598:700].any()
-    np.testing.assert_allclose(broken.statistic[broken.valid], clean.statistic[clean.valid], rtol=1e-9)
+    np.testing.assert_allclose(broken.value[broken.valid], clean.value[clean.valid], rtol=1e-9)
 
 
 def test_one_wild_sample_is_seen_and_forgotten() -> None:
@@ -118,9 +125,9 @@ def test_one_wild_sample_is_seen_and_forgotten() -> None:
     wild = rate.copy()
     wild[1000] = 1e300
     calm, shocked = (read(spec, example_rows(3000, DT_S, rate=x)) for x in (rate, wild))
-    assert np.isfinite(shocked.statistic).all()
-    assert shocked.statistic[1000] > 1e3
-    np.testing.assert_allclose(shocked.statistic[1200:], calm.statistic[1200:], atol=1e-3)
+    assert np.isfinite(shocked.value).all()
+    assert shocked.value[1000] > 1e3
+    np.testing.assert_allclose(shocked.value[1200:], calm.value[1200:], atol=1e-3)
 
 
 def test_refusals() -> None:
@@ -129,8 +136,10 @@ def test_refusals() -> None:
     with pytest.raises(IdentificationError, match="constant"):
         fit([[example_rows(2000)]])
     slow = example_rows(2000, 0.1, rate=np.random.default_rng(14).normal(0, 0.1, (2000, 3)))
-    assert "10 Hz" in (judgeable([slow]) or "")
-    assert judgeable([example_rows(2)]) == "no flight with a gyro and an attitude set-point"
+    with pytest.raises(InputError, match="10 Hz"):
+        fit([[slow]], 0.1)
+    with pytest.raises(InputError, match="no flight with a gyro and an attitude set-point"):
+        fit([[example_rows(2)]])
     spec = fit([[responding(3000, 15)]])
     with pytest.raises(InputError, match="three rows"):
         replace(spec, a=spec.a[:2])
@@ -140,5 +149,25 @@ def test_refusals() -> None:
 
 def test_the_made_flight_can_be_learnt() -> None:
     spec = fit([flying_rows(flying(3000, seed)) for seed in range(2)])
-    reading = read(spec, flying_rows(flying(3000, 9))[0])
-    assert 0.8 < float(np.median(reading.statistic[reading.valid])) < 1.3
+    found = read(spec, flying_rows(flying(3000, 9))[0])
+    assert 0.8 < float(np.median(found.value[found.valid])) < 1.3
+
+
+def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """B10: the fit took the first flights until a limit of rows; now a like share of every flight."""
+    calm, rough = [responding(4000, 20)], [responding(4000, 21, noise=0.2)]
+    monkeypatch.setattr(innovation, "TRAIN_ROWS", 4000)
+    one, other = fit([calm, rough]), fit([rough, calm])
+    assert one.k0 == pytest.approx(other.k0, rel=1e-6)
+    assert one.k0[0] > 10 * fit([calm]).k0[0]
+
+
+def test_b2_a_set_point_that_stops_is_not_judged() -> None:
+    """B2: without a set-point there is no prediction."""
+    rows = responding(3000, 22)
+    stopped = np.arange(3000) < 1500
+    spec = fit([[responding(6000, 23)]])
+    silent = example_rows(3000, DT_S, setpoint=rows.block.setpoint, rate=rows.block.rate, setpoint_valid=stopped)
+    found = read(spec, silent)
+    assert found.valid[:1400].any()
+    assert not found.valid[1500:].any()

@@ -33,4 +33,4 @@ def test_coefficients_as_printed() -> None:
 
 def test_the_scale_acts_on_the_input() -> None:
     u = np.random.default_rng(1).standard_normal(100)
-    assert_allclose(THESIS_ROLL.simulate(u) * 75, THESIS_ROLL.model.simulate(u), rtol=1e-9)
+    assert_allclose(THESIS_ROLL.scaled.simulate(u) * 75, THESIS_ROLL.model.simulate(u), rtol=1e-9)

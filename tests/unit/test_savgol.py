@@ -9,7 +9,16 @@ from numpy.testing import assert_allclose
 from shared_data import shared
 
 from mavdiag.errors import UsageError
-from mavdiag.rows.savgol import SavgolFilter, coefficients, derivative, smooth, window_samples
+from mavdiag.rows.savgol import SavgolFilter, coefficients, window_samples
+from mavdiag.telemetry import FloatArray
+
+
+def smooth(x: FloatArray, window: int) -> FloatArray:
+    return SavgolFilter.smoother(window).batch(x)
+
+
+def derivative(x: FloatArray, dt_s: float, window: int) -> FloatArray:
+    return SavgolFilter.differentiator(window, dt_s).batch(x)
 
 
 @pytest.mark.parametrize(("window", "order"), [(5, 2), (11, 2), (25, 3), (101, 2), (101, 4), (401, 2)])

@@ -8,7 +8,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method
 from mavdiag.identify.data import Records
 from mavdiag.identify.lab.sweep import best_row, order_sweep, window_sweep
-from mavdiag.rows.savgol import smooth
+from mavdiag.rows.savgol import SavgolFilter
 from mavdiag.telemetry import FloatArray
 
 
@@ -54,7 +54,8 @@ def test_window_sweep_has_an_optimum_for_least_squares() -> None:
     other_y = slow.simulate(other_u)
 
     def filtered(u: FloatArray, y: FloatArray, window: int) -> tuple[Records, Records]:
-        return smooth(u, window), smooth(y, window)
+        smoother = SavgolFilter.smoother(window)
+        return smoother.batch(u), smoother.batch(y)
 
     rows = window_sweep(
         lambda window: filtered(u, y, window),

@@ -1,1 +1,1 @@
-"""Tools for looking at a model: order and window sweeps, recursive and frequency-response estimates, the published models."""
+"""Tools for looking at a model: sweeps, recursive and frequency-response estimates, the published models."""

@@ -6,12 +6,12 @@ scales 1/75 and 1/298 are fitted (our estimate, not the thesis's); with them the
 0.85 (pitch) of the output variance of the emulated aircraft, without them R_T^2 is about -3e3 and -7e4.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.identify.model import ArxModel, Method
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import Axis
 
 __all__ = ["THESIS_PITCH", "THESIS_ROLL", "ReferenceModel"]
 
@@ -22,25 +22,25 @@ ASSUMED_DT_S = 0.001  # the logs were taken at 1 kHz (T 5.3); the models do not 
 class ReferenceModel:
     """A published model with the scale that its input needs.
 
-    model: as printed, input and output in the thesis's unstated units. input_scale: factor on an input in
-    `input_unit`; estimated. output_unit: of what `simulate` returns.
+    model: as printed, input and output in the thesis's unstated units.
+    input_scale: factor on an input in rad/s that gives an output in rad/s; estimated.
+    source: equation of the thesis.
     """
 
     axis: Axis
     model: ArxModel
     input_scale: float
-    input_unit: str
-    output_unit: str
     source: str
 
-    def simulate(self, u: FloatArray) -> FloatArray:
-        """Free-run rate [rad/s] for a reference rate u [rad/s], (n,) -> (n,), from rest."""
-        return self.model.simulate(u * self.input_scale)
+    @property
+    def scaled(self) -> ArxModel:
+        """The model from a commanded to a measured rate, both in rad/s."""
+        return replace(self.model, b=self.model.b * self.input_scale)
 
 
 def _printed(axis: Axis, b: tuple[float, float], a: tuple[float, float], scale: float, source: str) -> ReferenceModel:
     model = ArxModel(np.array([1.0, *a]), np.array([0.0, *b]), ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
-    return ReferenceModel(axis, model, scale, "rad/s", "rad/s", source)
+    return ReferenceModel(axis, model, scale, source)
 
 
 #: Poles 0.9985 and 0.534, gain 194.

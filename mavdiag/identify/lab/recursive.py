@@ -123,12 +123,11 @@ def _update(
 
 
 def snapshot(spec: RecursiveSpec, state: RecursiveState, dt: float) -> ArxModel:
-    """The tracked model at this moment, with standard errors sqrt(diag P x loss). dt: sample time [s].
+    """The tracked model at this moment, with the covariance P x loss. dt: sample time [s].
 
     It may be unstable: look at `stable`. Raises IdentificationError before there are more samples than parameters.
     """
     if state.weight <= len(state.theta):
         raise IdentificationError("the recursive estimate has seen too few samples; keep feeding it")
     a, b = polynomials(state.theta, spec.order)
-    errors = np.sqrt(np.diag(state.P) * state.loss)
-    return ArxModel(a, b, dt, spec.order, Method.RLS, standard_errors=errors)
+    return ArxModel(a, b, dt, spec.order, Method.RLS, covariance=state.P * state.loss)

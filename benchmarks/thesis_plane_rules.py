@@ -32,7 +32,7 @@ from typing import TypeAlias
 
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError, UsageError
-from mavdiag.monitors.exceedance import Run
+from mavdiag.monitors.run_length import Run
 
 __all__ = [
     "Classification",

@@ -4,40 +4,45 @@ import numpy as np
 import pytest
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.vibration_level import GUARD, VibrationLevel, VibrationLevelSpec, fit, judgeable
-from mavdiag.testing import example_rows
+from mavdiag.monitors.base import Flights
+from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
+from mavdiag.testing import example_context, example_rows
 from mavdiag.thresholds.rule import calibrate
+
+
+def fit(flights: Flights) -> VibrationLevelSpec:
+    (spec,) = VibrationLevel.fit(flights, example_context())
+    return spec
 
 
 def test_the_statistic_is_the_mean_norm_of_five_seconds() -> None:
     vibration = np.abs(np.random.default_rng(1).normal(1.0, 0.3, (1500, 3)))
     monitor = VibrationLevel(VibrationLevelSpec(healthy=1.0))
-    _, reading = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
+    _, found = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
     size = np.sqrt((vibration**2).sum(axis=1))
     expected = [size[i - 499 : i + 1].mean() for i in range(499, 1500)]
-    np.testing.assert_allclose(reading.statistic[reading.valid], expected, rtol=1e-12)
-    np.testing.assert_allclose(reading.level, reading.statistic - 1.0)
-    assert int(reading.valid.sum()) == 1001
+    np.testing.assert_allclose(found.value[found.valid], expected, rtol=1e-12)
+    np.testing.assert_allclose(found.level, found.value - 1.0)
+    assert int(found.valid.sum()) == 1001
 
 
 def test_before_the_first_message_nothing_is_judged() -> None:
     vibration = np.full((1500, 3), 0.2)
     vibration[:400] = np.nan
     monitor = VibrationLevel(VibrationLevelSpec(healthy=0.3))
-    _, reading = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
-    assert np.flatnonzero(reading.valid)[0] == 899
-    assert np.isfinite(reading.statistic).all()
+    _, found = monitor.step(monitor.start(), example_rows(1500, vibration=vibration))
+    assert np.flatnonzero(found.valid)[0] == 899
+    assert np.isfinite(found.value).all()
 
 
 def test_a_still_vehicle_gets_room_of_half_a_metre_per_second_squared() -> None:
     flights = [[example_rows(3000, segment=i, vibration=np.full((3000, 3), 0.01))] for i in range(3)]
-    spec, threshold = calibrate(flights, fit, VibrationLevel, guard=GUARD)
+    spec, threshold = calibrate(flights, fit, VibrationLevel, guard=VibrationLevel.guard)
     assert spec.healthy == pytest.approx(0.01 * np.sqrt(3))
     assert threshold.value == pytest.approx(spec.healthy + 0.5)
 
 
 def test_refusals() -> None:
-    assert judgeable([example_rows(100)]) == "the vehicle sends no VIBRATION message with acceleration per axis"
     with pytest.raises(InputError, match="no VIBRATION"):
         fit([[example_rows(100)]])
     with pytest.raises(InputError, match="finite"):

@@ -10,14 +10,23 @@ from pydantic import TypeAdapter
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Rows
-from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, fit, judgeable
+from mavdiag.monitors.base import Flights
+from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec, corner_of
+from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
-from mavdiag.testing import example_rows
+from mavdiag.testing import example_context, example_rows
 
 MASS, HOVER = 1.504, 1047.2
 N = 3000
 T = np.arange(N) * 0.001
+
+
+def fit(
+    flights: Flights, frame: str | None = None, hover: tuple[float, float] | None = None, dt_s: float = 0.001
+) -> UnbalanceSpec:
+    mass_kg, hover_rad_s = hover or (None, None)
+    (spec,) = Unbalance.fit(flights, example_context(frame, dt_s, mass_kg=mass_kg, hover_rad_s=hover_rad_s))
+    return spec
 
 
 def noise(seed: int) -> tuple[FloatArray, FloatArray]:
@@ -45,23 +54,23 @@ def shaken(rotor: int, unbalance_g_mm: float, *, speed: float = HOVER, gyro_dela
 @pytest.fixture(scope="module")
 def spec() -> UnbalanceSpec:
     force, gyro = noise(99)
-    return fit([[example_rows(N, 0.001, force=force, rate=gyro)]], layout_named("qdrone2"), (MASS, HOVER))
+    return fit([[example_rows(N, 0.001, force=force, rate=gyro)]], "qdrone2", (MASS, HOVER))
 
 
 @pytest.mark.parametrize("unbalance", [0.5, 1.4, 5.52])
 def test_the_figure_is_the_unbalance_that_shakes(spec: UnbalanceSpec, unbalance: float) -> None:
     monitor = Unbalance(spec)
-    _, reading = monitor.step(monitor.start(), shaken(1, unbalance))
+    _, found = monitor.step(monitor.start(), shaken(1, unbalance))
     assert monitor.unit == "g mm"
-    np.testing.assert_allclose(reading.level[reading.valid], unbalance, rtol=0.03)
+    np.testing.assert_allclose(found.level[found.valid], unbalance, rtol=0.03)
 
 
 def test_two_rotors_add_as_squares(spec: UnbalanceSpec) -> None:
     one, two = shaken(1, 3.0), shaken(2, 4.0, speed=1010.0)
     both = example_rows(N, 0.001, force=one.block.force + two.block.force, rate=one.block.rate + two.block.rate)
-    _, reading = Unbalance(spec).step(Unbalance(spec).start(), both)
+    _, found = Unbalance(spec).step(Unbalance(spec).start(), both)
     expected = math.hypot(3.0, 4.0 * (1010.0 / HOVER) ** 2)
-    np.testing.assert_allclose(reading.statistic[reading.valid].mean(), expected, rtol=0.02)
+    np.testing.assert_allclose(found.value[found.valid].mean(), expected, rtol=0.02)
 
 
 @pytest.mark.parametrize("rotor", [1, 2, 3, 4])
@@ -70,8 +79,8 @@ def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apa
     spec: UnbalanceSpec, rotor: int, delay_s: float
 ) -> None:
     monitor = Unbalance(spec)
-    _, reading = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
-    evidence = reading.rotors[reading.valid]
+    _, found = monitor.step(monitor.start(), shaken(rotor, 1.4, gyro_delay_s=delay_s))
+    evidence = found.rotors[found.valid]
     assert (evidence.argmax(axis=1) + 1 == rotor).all()
     first, second = np.sort(evidence, axis=1)[:, [-1, -2]].T
     assert float((first - second).min()) > (0.35 if delay_s else 0.9)
@@ -79,33 +88,33 @@ def test_the_rotor_is_named_even_if_gyro_and_accelerometer_are_a_millisecond_apa
 
 def test_a_healthy_flight_says_little_of_rotors(spec: UnbalanceSpec) -> None:
     force, gyro = noise(5)
-    _, reading = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
-    assert float(np.abs(reading.rotors[reading.valid]).max()) < 0.8
-    assert float(reading.statistic[reading.valid].max()) < 0.1
+    _, found = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
+    assert float(np.abs(found.rotors[found.valid]).max()) < 0.8
+    assert float(found.value[found.valid].max()) < 0.1
 
 
 def test_slow_motion_does_not_count(spec: UnbalanceSpec) -> None:
     force, gyro = noise(6)
     force[:, 0] += 5.0 * np.sin(2 * np.pi * 5 * T)
-    _, reading = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
-    assert float(reading.statistic[reading.valid].max()) < 0.1
+    _, found = Unbalance(spec).step(Unbalance(spec).start(), example_rows(N, 0.001, force=force, rate=gyro))
+    assert float(found.value[found.valid].max()) < 0.1
 
 
 def test_without_mass_and_speed_it_is_metres_per_second_squared() -> None:
     force, gyro = noise(7)
     bare = Unbalance(fit([[example_rows(N, 0.001, force=force, rate=gyro)]]))
-    _, reading = bare.step(bare.start(), shaken(1, 1.4))
+    _, found = bare.step(bare.start(), shaken(1, 1.4))
     assert bare.unit == "m/s^2"
-    assert reading.rotors.shape == (len(reading.t_ns), 0)
-    np.testing.assert_allclose(reading.level[reading.valid], 1e-6 * 1.4 * HOVER**2 / MASS, rtol=0.03)
+    assert found.rotors.shape == (len(found.t_ns), 0)
+    np.testing.assert_allclose(found.level[found.valid], 1e-6 * 1.4 * HOVER**2 / MASS, rtol=0.03)
 
 
 def test_a_reading_stands_at_the_newest_row_that_it_rests_on(spec: UnbalanceSpec) -> None:
     rows = shaken(1, 1.4)
     broken = dataclasses.replace(rows.block, valid=rows.block.t_ns != rows.block.t_ns[1500])
-    _, reading = Unbalance(spec).step(Unbalance(spec).start(), Rows(broken, rows.rates))
-    t_s = reading.t_ns / 1e9
-    bad = ~reading.valid
+    _, found = Unbalance(spec).step(Unbalance(spec).start(), Rows(broken, rows.rates))
+    t_s = found.t_ns / 1e9
+    bad = ~found.valid
     assert t_s[0] == pytest.approx(0.06 + 0.5, abs=0.02)
     assert float(t_s[bad].min()) >= 1.5
     assert float(t_s[bad].max()) <= 1.5 + 0.5 + 0.08 + 0.001
@@ -115,16 +124,16 @@ def test_a_reading_stands_at_the_newest_row_that_it_rests_on(spec: UnbalanceSpec
 def test_a_number_that_is_none_spoils_its_windows_only(spec: UnbalanceSpec) -> None:
     rows = shaken(1, 1.4)
     rows.block.force[1500, 0] = np.nan
-    _, reading = Unbalance(spec).step(Unbalance(spec).start(), rows)
-    assert not reading.valid.all()
-    assert reading.valid[-1]
-    assert np.isfinite(reading.statistic[reading.valid]).all()
+    _, found = Unbalance(spec).step(Unbalance(spec).start(), rows)
+    assert not found.valid.all()
+    assert found.valid[-1]
+    assert np.isfinite(found.value[found.valid]).all()
 
 
 def test_the_sense_of_turning_is_left_out_where_the_line_is_folded() -> None:
     rng = np.random.default_rng(8)
     slow = example_rows(2000, 0.005, force=rng.normal(0, 0.1, (2000, 3)), rate=rng.normal(0, 0.01, (2000, 3)))
-    spec = fit([[slow]], layout_named("qdrone2"))
+    spec = fit([[slow]], "qdrone2", dt_s=0.005)
     assert spec.corner_hz == pytest.approx(50.0)
     assert Unbalance(spec).step(Unbalance(spec).start(), slow)[1].valid.any()
 
@@ -139,13 +148,20 @@ def test_the_sense_of_turning_is_left_out_where_the_line_is_folded() -> None:
         (50.0, None, None, "comes at 50 Hz"),
         (160.0, None, 167.0, "fold to 7 Hz"),  # PX4's HIGHRES_IMU
         (250.0, None, 167.0, None),  # folds to 83 Hz
+        (1000.0, 40.0, 50.0, "low-passed at 40 Hz"),  # a large propeller's line
+        (250.0, None, 50.0, "50 Hz are 50 Hz, among"),  # below a quarter of the rate
+        (400.0, None, 395.0, "fold to 5 Hz"),
     ],
 )
 def test_a_link_that_cannot_carry_it_is_refused_with_a_reason(
     rate_hz: float, corner_hz: float | None, rotor_hz: float | None, word: str | None
 ) -> None:
-    reason = judgeable(rate_hz, corner_hz, rotor_hz)
-    assert reason is None if word is None else word in str(reason)
+    hover_rad_s = None if rotor_hz is None else 2 * math.pi * rotor_hz
+    if word is None:
+        assert 0 < corner_of(rate_hz, corner_hz, hover_rad_s) <= max(60.0, rate_hz / 4)
+    else:
+        with pytest.raises(InputError, match=word):
+            corner_of(rate_hz, corner_hz, hover_rad_s)
 
 
 def test_every_pair_of_rotors_of_every_frame_has_another_place() -> None:
@@ -179,4 +195,19 @@ def test_flights_that_cannot_teach_are_refused() -> None:
     with pytest.raises(IdentificationError, match="constant"):
         fit([[example_rows(N, 0.001, force=np.tile([0.0, 0.0, -9.81], (N, 1)), rate=np.zeros((N, 3)))]])
     with pytest.raises(InputError, match="20 Hz"):
-        fit([[example_rows(N, 0.05, force=force, rate=gyro)]])
+        fit([[example_rows(N, 0.05, force=force, rate=gyro)]], dt_s=0.05)
+
+
+def test_b12_the_high_pass_leaves_the_line_of_a_slow_rotor() -> None:
+    """B12: the corner was 60 Hz whatever the rotor, and took out the line of one that turns at 50 Hz."""
+    hover = 2 * math.pi * 50.0
+    force, gyro = noise(10)
+    spec = fit([[example_rows(N, 0.001, force=force, rate=gyro)]], "qdrone2", (10.0, hover))
+    assert spec.corner_hz == pytest.approx(0.36 * 50.0)
+    unbalance_g_mm = 100.0
+    pull = 1e-6 * unbalance_g_mm * hover**2 / 10.0
+    force[:, :2] += pull * np.column_stack((np.cos(hover * T), np.sin(hover * T)))
+    force[:, 0] += 1.0 * np.sin(2 * np.pi * 2 * T)  # the flight's own motion
+    monitor = Unbalance(spec)
+    _, found = monitor.step(monitor.start(), example_rows(N, 0.001, force=force, rate=gyro))
+    np.testing.assert_allclose(found.level[found.valid], unbalance_g_mm, rtol=0.05)

@@ -1,0 +1,330 @@
+"""`mavdiag model`: what a control engineer asks of a model, from a baseline or fitted to a log.
+
+`mavdiag model FILE` shows it; `sweep`, `compare` and `track` are the lab's tools on a log.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import typer
+from typer.core import TyperGroup
+
+from mavdiag import commandline
+from mavdiag.baseline import Baseline
+from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Vehicle, parse_order
+from mavdiag.commands.progress import working
+from mavdiag.errors import BaselineError, IdentificationError, UsageError
+from mavdiag.face import FlightRates, rates, read_log
+from mavdiag.identify import ArxModel, Method, ModelRecord, fit
+from mavdiag.identify.lab import recursive
+from mavdiag.identify.lab.drawing import draw_model
+from mavdiag.identify.lab.figures import Figure, ModelFigures, model_figures
+from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_response
+from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
+from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
+from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
+from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.storage import check_output, load_baseline
+from mavdiag.telemetry import Axis, Log
+
+__all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
+
+SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
+WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
+SHOWN_ROWS = 12
+RESPONSE_WINDOW_S = 2.0  # of the frequency-response estimate: lines 0.5 Hz apart (our choice)
+MIN_WINDOW = 5  # samples: the shortest Savitzky-Golay window of a parabola that smooths
+PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no longer pass alike (our choice)
+
+
+class _ShowByDefault(TyperGroup):
+    """`mavdiag model FILE` means `mavdiag model show FILE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in (*self.commands, "--help"):
+            args = ["show", *args]
+        return super().parse_args(ctx, args)
+
+
+app = commandline.application(
+    "Look at a model: `model FILE` shows that of a baseline, or one fitted to a log.", cls=_ShowByDefault
+)
+
+LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
+OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
+Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", help="Model order.")]
+Methods: TypeAlias = Annotated[MethodChoice, typer.Option("--method", help="How the model is fitted.")]
+WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help="Savitzky-Golay window.")]
+
+
+def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
+    """The models of a baseline's axes: those of its fsd monitors. Raises BaselineError if it has none."""
+    specs = (entry.spec for entry in baseline.monitors)
+    found = {spec.axis: spec.model for spec in specs if isinstance(spec, RunLengthSpec)}
+    if not found:
+        raise BaselineError("the baseline has no fsd monitor, so no model; `mavdiag model LOG` fits one to a flight")
+    return found
+
+
+@app.command()
+def show(
+    file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
+    axis: Annotated[AxisChoice, typer.Option(help="Axes to show.")] = AxisChoice.BOTH,
+    order: Orders = "2,2,1",
+    method: Methods = MethodChoice.SRIV,
+    window: WindowS = 0.1,
+    vehicle: Vehicle = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual correlation.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
+    if plot is not None:
+        check_output(plot)
+    if _is_baseline(file):
+        models = {one: record.model() for one, record in models_of(load_baseline(file)).items() if one in axis.axes}
+        if not models:
+            raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
+        flights: dict[Axis, FlightRates] = {}
+    else:
+        log = read_log(file, vehicle=vehicle)
+        flights = {one: rates(log, one, window) for one in axis.axes}
+        models = {one: _fitted(flight, order, method) for one, flight in flights.items()}
+    for one, model in models.items():
+        figures = model_figures(model)
+        typer.echo(json.dumps(_as_json(one, model, figures)) if as_json else "\n".join(_lines(one, model, figures)))
+        if plot is not None:
+            path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{one}")
+            flight = flights.get(one)
+            residual = None if flight is None else _residual(model, flight)
+            measured = None if flight is None else _response(flight, window)
+            draw_model(path, model, f"{file.name}, {one}", residual=residual, measured=measured)
+
+
+class Over(StrEnum):
+    """What a sweep varies."""
+
+    ORDER = "order"
+    WINDOW = "window"
+
+
+@app.command()
+def sweep(
+    log: LogFile,
+    over: Annotated[Over, typer.Option(help="What to vary (T 5.3, 5.4).")] = Over.ORDER,
+    axis: OneAxis = Axis.ROLL,
+    validation: Annotated[
+        Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
+    ] = None,
+    order: Orders = "2,2,1",
+    method: Methods = MethodChoice.SRIV,
+    window: WindowS = 0.1,
+    vehicle: Vehicle = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit one model for each order or filter window; the best fit with the best known parameters is marked."""
+    train = read_log(log, vehicle=vehicle)
+    other = None if validation is None else read_log(validation, vehicle=vehicle)
+    with working("fitting ..."):
+        if over is Over.ORDER:
+            flight = rates(train, axis, window)
+            held_out = None if other is None else _pair(rates(other, axis, window))
+            rows = order_sweep(_pair(flight), held_out, dt=flight.dt_s, method=method.value)
+        else:
+            rows = _windows(train, other, axis, order, method)
+    best = best_row(rows)
+    ranked = sorted(rows, key=lambda row: (row is best, row.score), reverse=True)
+    known = [_sweep_line(row, best=row is best) for row in ranked if row.model is not None]
+    _print([_sweep_line(row, best=row is best) for row in rows] if as_json else known[:SHOWN_ROWS], as_json=as_json)
+    if not as_json:
+        typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
+
+
+@app.command(name="compare")
+def compare_models(
+    log: LogFile,
+    axis: OneAxis = Axis.ROLL,
+    order: Orders = "2,2,1",
+    method: Methods = MethodChoice.SRIV,
+    window: WindowS = 0.1,
+    vehicle: Vehicle = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
+    flight = rates(read_log(log, vehicle=vehicle), axis, window)
+    models = {f"fit {method} {order}": _fitted(flight, order, method)}
+    published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
+    if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
+        models[published.source] = published.scaled
+    measured = _response(flight, window)
+    if measured is None:
+        raise IdentificationError(f"{log}: no stretch of {2 * RESPONSE_WINDOW_S:g} s; record a longer flight")
+    lines = []
+    for name, model in models.items():
+        gap, fitness = compare(measured, model), validate(model, flight.u, flight.y, SETTLE_S)
+        lines.append({"model": name, "r2t": fitness.r2t, **asdict(gap)})
+    _print(lines, as_json=as_json)
+    if len(models) == 1 and not as_json:
+        typer.echo(f"the thesis's models are of roll and pitch at 1 kHz; this is {axis} at {1 / flight.dt_s:.0f} Hz")
+
+
+@app.command()
+def track(
+    log: LogFile,
+    axis: OneAxis = Axis.ROLL,
+    every: Annotated[float, typer.Option(metavar="S", help="Flight time between two lines.")] = 5.0,
+    memory: Annotated[float, typer.Option(metavar="S", help="Memory of the estimate.")] = 10.0,
+    order: Orders = "2,2,1",
+    window: WindowS = 0.1,
+    vehicle: Vehicle = None,
+    as_json: AsJson = False,
+) -> None:
+    """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?
+
+    The estimate has the bias of least squares under noise: look at its changes, not at its values.
+    """
+    flight = rates(read_log(log, vehicle=vehicle), axis, window)
+    if not (every >= flight.dt_s and memory > flight.dt_s):
+        raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
+    lines = []
+    for t_s, model in _tracked(flight, every, memory, parse_order(order)):
+        found = model_figures(model)
+        slowest = found.poles[0]
+        figures = {"dc_gain": found.dc_gain, "pole_hz": slowest.natural_hz, "damping": slowest.damping}
+        lines.append({"flight_s": round(t_s, 3), **figures, "stable": model.stable})
+    _print(lines, as_json=as_json)
+
+
+def _is_baseline(file: Path) -> bool:
+    """Whether a file begins as JSON does; no log begins with a brace."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(64).lstrip().startswith(b"{")
+    except OSError:
+        return False  # the reader of logs says what is wrong with it
+
+
+def _fitted(flight: FlightRates, order: str, method: MethodChoice) -> ArxModel:
+    return fit(flight.u, flight.y, parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S)
+
+
+def _pair(flight: FlightRates) -> tuple[list[Any], list[Any]]:
+    return flight.u, flight.y
+
+
+def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
+    """Tests of the residual over the longest stretch: y - y_sim, or for LS the one-step error, which it makes white."""
+    u, y = max(zip(flight.u, flight.y, strict=True), key=lambda pair: len(pair[0]))
+    if model.method is Method.LS:
+        return one_step_report(model, u, y)
+    settled = round(SETTLE_S / model.dt)
+    return examine_residual((y - model.simulate(u))[settled:], u[settled:])
+
+
+def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
+    """The measured frequency response, as far as the filters pass it; None if the flight is too short for one."""
+    segment = round(RESPONSE_WINDOW_S / flight.dt_s)
+    if max(map(len, flight.u)) < 2 * segment:
+        return None
+    found = estimate_response(flight.u, flight.y, dt=flight.dt_s, segment=segment)
+    n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
+    cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
+    return FrequencyResponse(*cut, found.averages)
+
+
+def _windows(train: Log, other: Log | None, axis: Axis, order: str, method: MethodChoice) -> tuple[SweepRow, ...]:
+    dt_s = rates(train, axis).dt_s
+    samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+    return window_sweep(
+        lambda n: _pair(rates(train, axis, n * dt_s)),
+        samples,
+        dt=dt_s,
+        order=parse_order(order),
+        method=method.value,
+        prepare_validation=None if other is None else lambda n: _pair(rates(other, axis, n * dt_s)),
+    )
+
+
+def _tracked(
+    flight: FlightRates, every_s: float, memory_s: float, order: tuple[int, int, int]
+) -> Iterable[tuple[float, ArxModel]]:
+    """Flight time [s] and the model at that time."""
+    spec = recursive.RecursiveSpec(order, forgetting=1.0 - flight.dt_s / memory_s)
+    state, count, flown = recursive.start(spec), max(1, round(every_s / flight.dt_s)), 0
+    for u, y in zip(flight.u, flight.y, strict=True):
+        state = recursive.new_segment(state)
+        for first in range(0, len(u), count):
+            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
+            flown += len(u[first : first + count])
+            yield flown * flight.dt_s, recursive.snapshot(spec, state, flight.dt_s)
+
+
+def _as_json(axis: Axis, model: ArxModel, figures: ModelFigures) -> dict[str, Any]:
+    return {"axis": axis, **asdict(ModelRecord.of(model)), **asdict(figures)}
+
+
+def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
+    order = ",".join(map(str, model.order))
+    lines = [f"{axis}: {model.method} {order}, {1 / model.dt:.1f} Hz, R_T2 {model.r2t:.4f}, {model.samples} samples"]
+    for one in figures.poles:
+        pair = "" if not one.imaginary.value else f" ± j ({_text(one.imaginary)})"
+        lines.append(
+            f"  pole            {_text(one.real)}{pair}: {_text(one.natural_hz)} Hz, damping {_text(one.damping)}"
+        )
+    named = (
+        ("DC gain", figures.dc_gain, ""),
+        ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)"),
+        ("gain margin", figures.gain_margin_db, " dB"),
+        ("phase margin", figures.phase_margin_deg, " °"),
+        ("modulus margin", figures.modulus_margin, ""),
+    )
+    lines += [f"  {name:<15} {_text(figure)}{unit}" for name, figure, unit in named]
+    lines.append("  margins are of the loop that unit feedback closes to this model")
+    return [*lines, f"  standard errors from {figures.errors_from}"]
+
+
+def _text(figure: Figure) -> str:
+    """A figure with its standard error, to the digits that the error leaves."""
+    if figure.value is None:
+        return "none"
+    if not figure.standard_error:
+        return f"{figure.value:.4g}"
+    places = min(max(0, 1 - math.floor(math.log10(figure.standard_error))), 9)
+    return f"{figure.value:.{places}f} ± {figure.standard_error:.{places}f}"
+
+
+def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
+    model, order = row.model, ",".join(map(str, row.order))
+    fitted = {"r2t": math.nan, "yic": math.nan} if model is None else {"r2t": model.r2t, "yic": model.yic}
+    figures = {**fitted, "r2t_validation": row.r2t_validation}
+    known = {name: value if math.isfinite(value) else None for name, value in figures.items()}
+    reason = {"refused": row.refused} if row.refused else {}
+    return {"order": order, "window": row.window or None, **known, "best": best, **reason}
+
+
+def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
+    """Lines of equal keys, as JSON objects or as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    if as_json:
+        for line in lines:
+            typer.echo(json.dumps({key: asdict(one) if isinstance(one, Figure) else one for key, one in line.items()}))
+        return
+    table = Table(*(lines[0] if lines else ()), box=None, padding=(0, 2, 0, 0))
+    for line in lines:
+        table.add_row(*map(_cell, line.values()))
+    Console(highlight=False).print(table)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool) or value is None:
+        return "yes" if value else "-"
+    return _text(value) if isinstance(value, Figure) else f"{value:.4f}" if isinstance(value, float) else str(value)

@@ -1,0 +1,180 @@
+"""What `import mavdiag as md` offers beside its values: short ways for a notebook (edge: files and the clock).
+
+Nothing is decided here. Each function reads what it was given, fills in the present time where a time stamp is wanted,
+and calls the part that does the work.
+"""
+
+import datetime
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+from mavdiag import judging, learning
+from mavdiag import logs as log_files
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.load import airframe_from
+from mavdiag.baseline import Baseline
+from mavdiag.chain import ChainOutput, chain_of
+from mavdiag.decision.alarm import Change, Diagnosis, Event
+from mavdiag.errors import InputError, UsageError
+from mavdiag.judging import LogVerdict
+from mavdiag.learning import LearnOptions
+from mavdiag.learning.flights import front_for
+from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
+from mavdiag.rows.gate import Border
+from mavdiag.storage import load_baseline
+from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
+
+__all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "with_airframe"]
+
+Source: TypeAlias = Log | str | Path  # a log, or where it is
+
+
+class FlightRates(NamedTuple):
+    """Rates of one axis while it flew, one array a stretch without a break.
+
+    u: commanded rate of each stretch, (n,) [rad/s].
+    y: measured rate of each stretch, (n,) [rad/s].
+    dt_s: sample time [s].
+    """
+
+    u: list[FloatArray]
+    y: list[FloatArray]
+    dt_s: float
+
+
+def read_log(path: str | Path, *, vehicle: int | None = None, profile: str | None = None) -> Log:
+    """A flight from a .tlog, DataFlash .bin, .ulg or Crazyflie log; its kind is found from its content.
+
+    vehicle: MAVLink system id, where a file holds several. profile: link profile of a .tlog whose messages do not tell.
+    Raises InputError, in one line, if it cannot be read.
+    """
+    return log_files.read_log(Path(path), vehicle, profile)
+
+
+def learn(
+    flights: Source | Iterable[Source],
+    airframe: Airframe | str | Path | None = None,
+    *,
+    name: str | None = None,
+    options: LearnOptions | None = None,
+    vehicle: int | None = None,
+    created: str | None = None,
+) -> Baseline:
+    """A baseline from healthy flights.
+
+    flights: logs, or files, folders and patterns like "healthy/*.tlog".
+    airframe: a value, the name of one that is shipped, or a TOML file; None for what the flights themselves show.
+    name: what to call it, instead of the airframe's own name.
+    options: how to learn.
+    vehicle: MAVLink system id, where files hold several.
+    created: time stamp to record, ISO 8601 UTC; the present time if None.
+    Raises InputError, IdentificationError or UsageError, in one line that says what to do.
+    """
+    chosen = with_airframe(options or LearnOptions(), airframe, name)
+    found = [log for source in _each(flights) for log in _logs(source, vehicle)]
+    return learning.learn(found, chosen, created=now() if created is None else created)
+
+
+def judge(flight: Source, baseline: Baseline | str | Path, *, vehicle: int | None = None) -> LogVerdict:
+    """The verdict on one flight: a log or its path, by a baseline or its file.
+
+    Raises InputError or BaselineError if a file cannot be read. A log that cannot be judged is a verdict, with reason.
+    """
+    log = flight if isinstance(flight, Log) else read_log(flight, vehicle=vehicle)
+    return judging.judge(log, _loaded(baseline))
+
+
+def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRates:
+    """Commanded and measured body rate of one axis, while flying, on one grid: what `md.identify` takes.
+
+    axis: "roll", "pitch" or "yaw". window_s: Savitzky-Golay window of both [s]. There is one array for each unbroken
+    stretch of two seconds or more, always in a list, since many flights have several.
+    Raises InputError if no stretch is long enough, UsageError for an axis that there is not.
+    """
+    if axis not in tuple(Axis):
+        raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
+    log = flight if isinstance(flight, Log) else read_log(flight)
+    front = front_for([log], window_s)
+    state, first = front.step(front.start(), log.telemetry)
+    rows = [part for part in (*first, *front.finish(state)[1]) if not isinstance(part, Border)]
+    pieces = training_pieces(rows, Axis(axis))
+    if not pieces:
+        raise InputError(f"{log.name}: no unbroken flight of {MIN_PIECE_S:g} s with a set-point; fly longer")
+    return FlightRates([u for u, _ in pieces], [y for _, y in pieces], front.align.dt_s)
+
+
+class Watch:
+    """A live flight judged by a baseline: the same chain as in the detector and in `judge`, without texts.
+
+    baseline: a baseline, or its file.
+    """
+
+    def __init__(self, baseline: Baseline | str | Path) -> None:
+        self._chain = chain_of(_loaded(baseline))
+        self._state = self._chain.start()
+        #: Everything that the last step brought, with the latest value of each monitor.
+        self.output = ChainOutput()
+
+    def step(self, telemetry: Telemetry) -> tuple[Event | Change, ...]:
+        """Take what has arrived; return the monitors' alarms and the changes of the decision, in order of time."""
+        self._state, self.output = self._chain.step(self._state, telemetry)
+        return _in_order(self.output)
+
+    def end_flight(self) -> tuple[Event | Change, ...]:
+        """The vehicle landed or the link was lost: close what is open."""
+        self._state, self.output = self._chain.end_flight(self._state)
+        return _in_order(self.output)
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What is held of the vehicle now."""
+        return self._state.diagnosis
+
+    def __repr__(self) -> str:
+        return f"<Watch: {self.diagnosis.stage}, {self.diagnosis.reason}>"
+
+
+def with_airframe(options: LearnOptions, airframe: Airframe | str | Path | None, name: str | None) -> LearnOptions:
+    """The options with an airframe (a value, a name, a TOML file) and a name for it; None leaves what they say."""
+    if airframe is not None:
+        value = airframe if isinstance(airframe, Airframe) else airframe_from(str(airframe))
+        options = replace(options, airframe=value)
+    return options if name is None else replace(options, airframe=replace(options.airframe, name=name))
+
+
+def now() -> str:
+    """The present time as a baseline records it."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def _each(flights: Source | Iterable[Source]) -> list[Source]:
+    return [flights] if isinstance(flights, Log | str | Path) else list(flights)
+
+
+def _logs(source: Source, vehicle: int | None) -> list[Log]:
+    """The logs that one source names: itself, a file, a pattern, all files of a folder. Raises InputError if none."""
+    if isinstance(source, Log):
+        return [source]
+    path = Path(source)
+    found: Iterable[Path] = (path,)
+    if path.is_dir():
+        found = path.iterdir()
+    elif not path.exists() and any(sign in str(path) for sign in "*?["):
+        found = Path(path.anchor).glob(str(path.relative_to(path.anchor)))
+    logs = [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in sorted(found) if not one.is_dir()]
+    if not logs:
+        raise InputError(f"{source}: no log there; name files, a folder, or a pattern like 'healthy/*.tlog'")
+    return logs
+
+
+def _loaded(baseline: Baseline | str | Path) -> Baseline:
+    return baseline if isinstance(baseline, Baseline) else load_baseline(Path(baseline))
+
+
+def _in_order(output: ChainOutput) -> tuple[Event | Change, ...]:
+    def at(one: Event | Change) -> int:
+        return one.t_ns if isinstance(one, Change) else one.end_ns or one.start_ns
+
+    return tuple(sorted((*output.events, *output.changes), key=at))

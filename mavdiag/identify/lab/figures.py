@@ -1,0 +1,176 @@
+"""What a control engineer reads off a model: poles, damping, bandwidth, margins, DC gain, each with a standard error.
+
+The standard errors follow from the covariance of the parameters by the delta method: the change of a figure along each
+principal direction of the covariance, for a hundredth of a standard deviation, summed in squares.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavdiag.identify.arx import polynomials
+from mavdiag.identify.lab.frequency import model_response
+from mavdiag.identify.model import ArxModel
+from mavdiag.telemetry import FloatArray
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Figure", "ModelFigures", "PoleFigures", "deviations", "model_figures"]
+
+STEP = 0.01  # of a standard deviation: small enough to be linear, large enough for the root finders (our choice)
+GRID_LINES = 2000  # frequencies in which the bandwidth is bracketed
+DROP = 10 ** (-3 / 20)  # bandwidth: where the gain is 3 dB below the gain at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure.
+
+    value: None where it does not exist.
+    standard_error: in the unit of the value; None where it is not known.
+    """
+
+    value: float | None
+    standard_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PoleFigures:
+    """One pole of the discrete model, or a conjugate pair.
+
+    real, imaginary: of z; imaginary is 0 or positive.
+    natural_hz: |ln z| / (2 pi dt).
+    damping: ratio -Re(ln z) / |ln z|; 1 for a real pole between 0 and 1.
+    """
+
+    real: Figure
+    imaginary: Figure
+    natural_hz: Figure
+    damping: Figure
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFigures:
+    """The figures of a model T from commanded to measured rate.
+
+    dc_gain: B(1)/A(1).
+    bandwidth_hz: lowest frequency at which |T| is 3 dB below the DC gain; None if it never is.
+    gain_margin_db, phase_margin_deg: of the loop L = T / (1 - T), which unit feedback closes to T.
+    modulus_margin: least distance of L from -1, 1 / max |1 - T|; 0.5 and more is a robust loop.
+    errors_from: what the standard errors rest on.
+    """
+
+    poles: tuple[PoleFigures, ...]
+    dc_gain: Figure
+    bandwidth_hz: Figure
+    gain_margin_db: Figure
+    phase_margin_deg: Figure
+    modulus_margin: Figure
+    errors_from: str
+
+
+def model_figures(model: ArxModel) -> ModelFigures:
+    """All figures of a model.
+
+    >>> from mavdiag.identify.model import Method
+    >>> model = ArxModel(np.array([1, -0.9]), np.array([0, 0.1]), 0.01, (1, 1, 1), Method.PUBLISHED)
+    >>> found = model_figures(model)
+    >>> round(found.poles[0].natural_hz.value, 3), round(found.dc_gain.value, 6), found.dc_gain.standard_error
+    (1.677, 1.0, None)
+    """
+    upper = model.poles[model.poles.imag >= 0.0]
+
+    def all_values(one: ArxModel) -> FloatArray:
+        return np.concatenate((_pole_values(one, upper).ravel(), _loop_values(one)))
+
+    found = [_figure(*pair) for pair in zip(all_values(model), deviations(model, all_values), strict=True)]
+    poles = tuple(PoleFigures(*found[4 * i : 4 * i + 4]) for i in range(len(upper)))
+    dc_gain, bandwidth, gain, phase, modulus = found[4 * len(upper) :]
+    return ModelFigures(poles, dc_gain, bandwidth, gain, phase, modulus, _errors_from(model))
+
+
+def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> FloatArray:
+    """Standard errors of any figures of a model, (k,); nan where the parameters' own are not known.
+
+    values: the figures of a model, (k,). Where the correlations of the parameters are not known, none are assumed.
+    """
+    known = np.isfinite(model.covariance).all()
+    covariance = model.covariance if known else np.diag(model.standard_errors**2)
+    if not np.isfinite(covariance).all():
+        return np.full_like(values(model), np.nan)
+    variances, directions = np.linalg.eigh(covariance)
+    squares = np.zeros_like(values(model))
+    for move in (directions * np.sqrt(np.maximum(variances, 0.0))).T:
+        ahead, behind = (values(_moved(model, sign * STEP * move)) for sign in (1.0, -1.0))
+        squares += ((ahead - behind) / (2.0 * STEP)) ** 2
+    return np.asarray(np.sqrt(squares), dtype=np.float64)
+
+
+def _moved(model: ArxModel, move: FloatArray) -> ArxModel:
+    a, b = polynomials(model.theta + move, model.order)
+    return ArxModel(a, b, model.dt, model.order, model.method)
+
+
+def _errors_from(model: ArxModel) -> str:
+    if np.isfinite(model.covariance).all():
+        return "the covariance of the parameters"
+    if np.isfinite(model.standard_errors).all():
+        return "the standard errors of the parameters; their correlations are not known, so these are rough"
+    return "nothing: the model carries no standard errors"
+
+
+def _figure(value: float, standard_error: float) -> Figure:
+    known = np.isfinite(value)
+    return Figure(
+        float(value) if known else None, float(standard_error) if known and np.isfinite(standard_error) else None
+    )
+
+
+def _pole_values(model: ArxModel, reference: "NDArray[np.complex128]") -> FloatArray:
+    """Real and imaginary part, natural frequency [Hz] and damping of the poles next to the reference, (p, 4)."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a pole at z = 0 has no frequency: nan
+        natural, damping, poles = _damp(model)
+    nearest = [int(np.argmin(np.abs(poles - one))) for one in reference]
+    columns = (poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping)
+    return np.column_stack([column[nearest] for column in columns])
+
+
+def _damp(model: ArxModel) -> "tuple[FloatArray, FloatArray, NDArray[np.complex128]]":
+    import control
+
+    return control.damp(model.to_control(), doprint=False)
+
+
+def _loop_values(model: ArxModel) -> FloatArray:
+    """DC gain, bandwidth [Hz], gain margin [dB], phase margin [deg], modulus margin; nan where there is none."""
+    import control
+
+    size = model.lag + 1
+    B, A = np.pad(model.b, (0, size - len(model.b))), np.pad(model.a, (0, size - len(model.a)))
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it tells which of its two ways it takes
+        loop = control.TransferFunction(B, A - B, model.dt)
+        gain, phase, modulus = control.stability_margins(loop)[:3]
+        at_nyquist = float(np.real(loop(-1.0)))
+        if not np.isfinite(gain) and at_nyquist < 0.0:  # it does not look for a crossing there
+            gain = -1.0 / at_nyquist
+        return np.array([model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
+
+
+def _bandwidth_hz(model: ArxModel) -> float:
+    """By the bracket on a grid; `control.bandwidth` evaluates discrete models at s = j omega."""
+    from scipy.optimize import brentq
+
+    def above(frequency_hz: FloatArray) -> FloatArray:
+        return np.abs(model_response(model, frequency_hz)) - DROP * abs(model.dc_gain)
+
+    grid = np.geomspace(1e-5, 0.5, GRID_LINES) / model.dt
+    below = np.flatnonzero(above(grid) < 0.0)
+    if not np.isfinite(model.dc_gain) or len(below) == 0 or below[0] == 0:
+        return float("nan")
+    return float(brentq(lambda f: float(above(np.array([f]))[0]), grid[below[0] - 1], grid[below[0]]))

@@ -1,0 +1,112 @@
+"""`mavdiag model` and its neighbours as a user meets them, on flights of the emulator."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mavdiag import cli
+from mavdiag.demo.subprocesses import run_child
+
+Ran = tuple[int, str, str]
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("flights")
+    record = ("record", "-o", str(folder / "f.tlog"), "--flights", "3", "--duration", "20", "--seed", "70")
+    run_child("sitl_plant", *record)
+    return sorted(folder.glob("*.tlog"))
+
+
+@pytest.fixture
+def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    def run(*arguments: object) -> Ran:
+        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(str(caught.value.code)), out, err
+
+    return run
+
+
+def test_the_model_of_a_log_has_figures_with_standard_errors(mavdiag: Any, flights: list[Path], tmp_path: Path) -> None:
+    picture = tmp_path / "m.svg"
+    code, out, _ = mavdiag("model", flights[0], "--axis", "both", "--plot", picture)
+    assert code == 0
+    assert out.count("standard errors from the covariance of the parameters") == 2
+    assert "bandwidth" in out
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["m-pitch.svg", "m-roll.svg"]
+    _, out, _ = mavdiag("model", "show", flights[0], "--axis", "roll", "--json")
+    found = json.loads(out)
+    assert found["dc_gain"]["value"] == pytest.approx(0.93, abs=0.05)
+    assert 0 < found["dc_gain"]["standard_error"] < 0.05
+    assert found["poles"][0]["damping"]["value"] > 0
+
+
+def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
+    mavdiag: Any, flights: list[Path], tmp_path: Path
+) -> None:
+    baseline = tmp_path / "b.json"
+    code, out, _ = mavdiag("identify", *flights, "-o", baseline, "--airframe", "qdrone2", "--monitors", "thesis")
+    assert code == 0
+    assert f"written to {baseline}" in out
+    code, out, _ = mavdiag("model", baseline, "--json", "--plot", tmp_path / "b.svg")
+    assert code == 0
+    assert [json.loads(line)["axis"] for line in out.splitlines()] == ["roll", "pitch"]  # B26: both by default
+    code, out, _ = mavdiag("scan", flights[0], "--baseline", baseline, "--json")
+    assert json.loads(out)["log"] == str(flights[0])  # R1
+    assert json.loads(out)["monitors"]["fsd"]["judged_s"] > 5.0
+    assert code in (0, 1)
+
+
+def test_the_lab_tools_print_their_tables(mavdiag: Any, flights: list[Path]) -> None:
+    code, out, _ = mavdiag("model", "sweep", flights[0], "--over", "window", "--validate", flights[1])
+    assert (code, out.count("yes")) == (0, 1)
+    code, out, _ = mavdiag("model", "compare", flights[0], "--json")
+    fitted, published = (json.loads(line) for line in out.splitlines())
+    assert fitted["gain_db"] < 2.0 < published["gain_db"]
+    assert published["model"] == "T Eq 5.1"
+    code, out, _ = mavdiag("model", "track", flights[0], "--every", "5", "--json")
+    assert [json.loads(line)["stable"] for line in out.splitlines()] == [True] * len(out.splitlines())
+    assert len(out.splitlines()) >= 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["model", "absent.tlog"], "absent.tlog: cannot be read"),
+        (["model", "track", "LOG", "--every", "0"], "--every and --memory must be longer"),
+        (["model", "LOG", "--plot", "/dev/null"], "not a regular file"),
+        (["model", "LOG", "--order", "2;2"], "three whole numbers"),
+        (["identify", "LOG", "-o", "/dev/null"], "not a regular file"),  # R5
+        (["identify", "LOG", "-o", "x.json", "--airframe", "absent"], "qdrone2"),
+        (["identify", "LOG", "-o", "x.json", "--from", "nan"], "--from nan: give a time"),  # R3
+        (["baseline", "upgrade", "LOG", "-o", "x.json"], "not UTF-8 text"),
+        (["baseline", "show", "absent.json"], "no such file; make a baseline"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    mavdiag: Any, flights: list[Path], arguments: list[str], words: str
+) -> None:
+    code, out, err = mavdiag(*[str(flights[0]) if one == "LOG" else one for one in arguments])
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+
+
+def test_inspect_tells_the_mean_rate_of_each_signal(mavdiag: Any, flights: list[Path]) -> None:
+    code, out, err = mavdiag("inspect", flights[0], "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert found["profile"] == "qdrone2"
+    rates = {one["signal"]: one["rate_hz"] for one in found["signals"]}
+    assert rates["body_rate"] == pytest.approx(1000.0, rel=0.01)
+    code, out, _ = mavdiag("inspect", flights[0])
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_the_version_is_told(mavdiag: Any) -> None:
+    code, out, _ = mavdiag("--version")
+    assert (code, out.split()[0]) == (0, "mavdiag")

@@ -1,0 +1,157 @@
+"""The monitors on recorded flights: healthy ones stay quiet, damaged ones are found and the rotor is named."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from shared_data import shared
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import LAYOUTS, RotorLayout, detect_layout, layout_named
+from mavdiag.logs import read_log
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.innovation import Innovation
+from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.monitors.vibration_level import VibrationLevel
+from mavdiag.rows.align import AlignSpec, measure_grid
+from mavdiag.rows.front import Front, Rows
+from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import window_samples
+from mavdiag.telemetry import Series, Signal, Telemetry
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, calibrate
+
+SHARE = BUDGET_PER_HOUR / 4
+GATES = {
+    "crazyflie": GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
+    "ardupilot-log": GateSpec(min_thrust=0.1, trim_start_s=1.0, trim_end_s=0.6),
+}
+
+
+def between(telemetry: Telemetry, from_s: float, to_s: float) -> Telemetry:
+    parts = []
+    for one in telemetry.series:
+        keep = (one.t_ns >= from_s * 1e9) & (one.t_ns < to_s * 1e9)
+        parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+    return Telemetry(tuple(parts))
+
+
+@cache
+def flight(path: Path, from_s: float = -1e9, to_s: float = 1e9) -> tuple[Rows, ...]:
+    """Airborne rows of a log, between two times of the vehicle's clock."""
+    log = read_log(path)
+    telemetry = between(log.telemetry, from_s, to_s)
+    dt_s, grid = measure_grid(telemetry)
+    setpoint_s = float(np.median(np.diff(np.unique(telemetry.need(Signal.ATTITUDE_SETPOINT).t_ns)))) / 1e9
+    gate = GATES.get(log.profile, GateSpec(min_thrust=0.1))
+    front = Front(AlignSpec(dt_s, grid, max(0.035, 2.5 * setpoint_s)), gate, RateSpec.of(dt_s, window_samples(dt_s)))
+    state, rows = front.step(front.start(), telemetry)
+    return tuple(one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows))
+
+
+def learnt(
+    kind: type[Monitor[Any, Any]], flights: Flights, layout: RotorLayout | None = None
+) -> tuple[Monitor[Any, Any], float]:
+    """The monitor fitted to healthy flights, and its threshold."""
+    dt_s = flights[0][0].block.dt_s
+    context = LearnContext(Airframe(layout=layout), None, dt_s, window_samples(dt_s))
+    spec, threshold = calibrate(
+        flights, lambda rest: kind.fit(rest, context)[0], kind, budget_per_hour=SHARE, guard=kind.guard
+    )
+    return kind(spec), threshold.value
+
+
+def highest(fitted: tuple[Monitor[Any, Any], float], rows: tuple[Rows, ...]) -> tuple[float, int]:
+    """Highest judged statistic over its threshold, and the rotor named there."""
+    monitor, threshold = fitted
+    best, rotor = 0.0, 0
+    for found in monitor.over(rows):
+        x = np.where(found.valid, found.value, 0.0)
+        if len(x) and x.max() > best:
+            best = float(x.max())
+            rotor = int(found.rotors[x.argmax()].argmax()) + 1 if found.rotors.size else 0
+    return best / threshold, rotor
+
+
+@pytest.fixture(scope="module")
+def crazypad() -> dict[str, list[tuple[Rows, ...]]]:
+    names = ("normal_flight", "cut_propeller_M3_3.5mm_3mm_40.5mm", "cut_propeller_M3_2.5mm_2.5mm_42mm")
+    extra = ("add_weight_W1_near_M3_M4", "tape_on_propeller_M3_M4")
+    folders = {name: shared("data/crazypad") / name for name in (*names, *extra)}
+    return {name: [flight(path) for path in sorted(folder.glob("E8_log*"))] for name, folder in folders.items()}
+
+
+def test_healthy_crazyflies_stay_quiet_when_left_out(crazypad: dict[str, list[tuple[Rows, ...]]]) -> None:
+    healthy = crazypad["normal_flight"]
+    for one in healthy:
+        fitted = learnt(RotorTrim, [other for other in healthy if other is not one], layout_named("crazyflie"))
+        assert highest(fitted, one)[0] < 0.6
+
+
+def test_a_cut_propeller_is_found_and_named(crazypad: dict[str, list[tuple[Rows, ...]]]) -> None:
+    fitted = learnt(RotorTrim, crazypad["normal_flight"], layout_named("crazyflie"))
+    for name, flights in crazypad.items():
+        for one in flights:
+            ratio, rotor = highest(fitted, one)
+            if name.startswith("cut"):
+                assert ratio > 1.2, name
+                assert rotor == 3, name
+            else:
+                assert ratio < 0.9, name  # weight and tape are no lost thrust
+
+
+@pytest.mark.parametrize(
+    ("name", "frame"),
+    [
+        ("arducopter_sitl/healthy_quad3kg_sq1.tlog", "plus"),
+        ("arducopter_sitl/fault_quad3kg_m1_080_sq5.tlog", "plus"),
+        ("arducopter_sitl/healthy_jsonplant2_sq1.tlog", "x"),
+        ("arducopter_sitl/jsonplant_flight.bin", "x"),
+    ],
+)
+def test_the_frame_is_found_from_the_log(name: str, frame: str) -> None:
+    assert detect_layout(flight(shared("data") / name)) is LAYOUTS[frame]
+
+
+def test_a_crazyflie_log_without_outputs_names_no_frame() -> None:
+    assert detect_layout(flight(shared("data/crazypad/normal_flight/E8_log00"))) is None
+
+
+@pytest.mark.parametrize("taught", ["sq1", "sq5"])
+def test_arducopter_hides_a_weak_motor_but_its_outputs_show_it(taught: str) -> None:
+    folder = shared("data/arducopter_sitl")
+    rows = flight(folder / f"healthy_quad3kg_{taught}.tlog")
+    fitted = learnt(RotorTrim, [rows], detect_layout(rows))
+    for square in ("sq1", "sq5"):
+        assert highest(fitted, flight(folder / f"healthy_quad3kg_{square}.tlog"))[0] < 0.1
+        for share in ("080", "090"):
+            ratio, rotor = highest(fitted, flight(folder / f"fault_quad3kg_m1_{share}_{square}.tlog"))
+            assert ratio > 1.5
+            assert rotor == 1
+
+
+def test_unbalance_shows_in_the_vibration_level() -> None:
+    folder = shared("data/arducopter_sitl")
+    healthy = folder / "healthy_jsonplant2_sq1.tlog"
+    middle_s = float(flight(healthy)[0].block.t_ns[0]) / 1e9 + 60
+    fitted = learnt(VibrationLevel, [flight(healthy, -1e9, middle_s)])
+    faulty = flight(folder / "fault_jsonplant2_m1_eff090_imb_sq1.tlog")
+    assert highest(fitted, flight(healthy, middle_s))[0] < 1.0 < highest(fitted, faulty)[0]
+
+
+def test_the_upset_is_found_before_the_crash_and_the_loiter_is_not() -> None:
+    log = shared("data/ardupilot_real/log171.bin")
+    monitor, threshold = learnt(Innovation, [flight(log, 75, 146)])
+    first: list[float | None] = []
+    for span in ((146, 217), (217, 239.6)):
+        above = [
+            t_ns / 1e9
+            for found in monitor.over(flight(log, *span))
+            for t_ns in found.t_ns[found.valid & (found.value > threshold)]
+        ]
+        first.append(above[0] if above else None)
+    assert first[0] is None
+    assert first[1] is not None
+    assert 238.5 < first[1] < 239.6

@@ -1,0 +1,59 @@
+"""The demo's processes and its kept baseline."""
+
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mavdiag.demo.subprocesses import child
+from mavdiag.errors import LinkError
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "made_program.py").write_text(
+        "import sys, time\n"
+        "print('first line', flush=True)\n"
+        "for _ in range(int(sys.argv[1])):\n"
+        "    time.sleep(0.1); print('tick', flush=True)\n"
+        "print('last line', flush=True)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    return "made_program"
+
+
+@pytest.mark.realtime
+def test_b15_a_process_that_died_is_not_waited_for(module: str) -> None:
+    with child(module, "0") as one:
+        assert one.wait_for("last", 20.0) == "last line"
+        begun = time.monotonic()
+        with pytest.raises(LinkError, match="made_program stopped: last line"):
+            one.wait_for("ready", 20.0)
+        assert time.monotonic() - begun < 10.0
+
+
+@pytest.mark.realtime
+def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) -> None:
+    with child(module, "100") as one:
+        one.wait_for("first", 20.0)
+        with pytest.raises(LinkError, match="did not get ready: tick"):
+            one.wait_for("ready", 1.0)
+
+
+def test_b25_the_kept_baseline_belongs_to_the_sources_that_made_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mavdiag.demo.command import source_digest
+
+    package = tmp_path / "made_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    first = source_digest(["made_package"])
+    assert first == source_digest(["made_package"])
+    (package / "vehicle.toml").write_text("mass = 1")
+    second = source_digest(["made_package"])
+    (package / "vehicle.toml").write_text("mass = 2")
+    assert len({first, second, source_digest(["made_package"])}) == 3
+    assert "made_package" not in sys.modules

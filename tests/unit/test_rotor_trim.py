@@ -1,0 +1,139 @@
+"""The trim monitor: amplitude, rotor, what it must not react to, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors.base import Flights
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray, Signal
+from mavdiag.testing import example_context, example_rows
+from mavdiag.thresholds.rule import calibrate
+
+CALM = (0.03, 0.03, 0.01)
+
+
+def read(spec: RotorTrimSpec, rows: list[Rows]) -> Statistic:
+    monitor = RotorTrim(spec)
+    return monitor.step(monitor.start(), rows[0])[1]
+
+
+def fit(flights: Flights, frame: str | None) -> RotorTrimSpec:
+    (spec,) = RotorTrim.fit(flights, example_context(frame))
+    return spec
+
+
+def spec_of(frame: str = "x") -> RotorTrimSpec:
+    return RotorTrimSpec(layout=layout_named(frame), source="actuator", mean=(0.0, 0.0, 0.0), spread=CALM)
+
+
+@given(frame=st.sampled_from(sorted(LAYOUTS)), which=st.integers(0, 7), rise=st.floats(0.02, 0.5))
+def test_the_rise_and_its_rotor_come_out_exactly(frame: str, which: int, rise: float) -> None:
+    n = layout_named(frame).rotors
+    w, rotor = np.full(n, -rise / n), which % n
+    w[rotor] += rise  # one rotor rises, the mean stays
+    found = read(spec_of(frame), [example_rows(600, actuator=np.tile(0.5 * (1 + w), (600, 1)))])
+    assert found.valid.tolist() == [False] * 499 + [True] * 101
+    np.testing.assert_allclose(found.value[found.valid], rise, rtol=1e-9)
+    assert int(found.rotors[-1].argmax()) == rotor
+    np.testing.assert_array_equal(found.level, found.value)
+
+
+def test_a_shifted_centre_of_mass_counts_little() -> None:
+    shift = np.array([0.06, 0.04, 0.0])  # roll and pitch only
+    w = layout_named("x").mixing @ shift
+    found = read(spec_of(), [example_rows(600, actuator=np.tile(0.5 * (1 + w), (600, 1)))])
+    weak = read(spec_of(), [example_rows(600, actuator=0.5 * (1 + np.tile([0.2, 0.0, 0.0, 0.0], (600, 1))))])
+    assert found.value[-1] < 0.1
+    assert weak.value[-1] > 0.15
+    assert abs(found.signal[-1]) < 1e-12  # yaw did not move
+
+
+def test_torque_commands_give_the_same_as_outputs() -> None:
+    frame = layout_named("crazyflie")
+    gain = np.array([0.25, 0.25, 0.5]) * 65534 / 65535
+    rng, n = np.random.default_rng(2), 800
+    torque, thrust = rng.normal([0.02, -0.03, 0.1], 0.05, (n, 3)), rng.uniform(0.5, 0.6, n)
+    outputs = thrust[:, None] + (torque * gain) @ frame.mixing.T
+    spec = RotorTrimSpec(layout=layout_named("crazyflie"), source="torque", mean=(0.0, 0.0, 0.0), spread=CALM)
+    by_torque = read(spec, [example_rows(n, torque=torque, thrust=thrust)])
+    by_outputs = read(replace(spec, source="actuator"), [example_rows(n, actuator=outputs)])
+    np.testing.assert_allclose(by_torque.rotors, by_outputs.rotors, atol=1e-12)
+
+
+def test_it_finds_the_weak_rotor_that_healthy_flights_lack() -> None:
+    flights = [flying_rows(flying(3000, seed)) for seed in range(3)]
+    spec, threshold = calibrate(flights, lambda rest: fit(rest, "x"), RotorTrim, guard=RotorTrim.guard)
+    assert spec.source == "actuator"
+    assert spec.spread[0] >= 3 * spec.spread[2] >= 3 * 0.002
+    for seed, rotor in ((11, 1), (12, 2), (13, 3), (14, 4)):
+        found = read(spec, flying_rows(flying(2000, seed, weak_rotor=rotor, rise=0.15)))
+        assert found.value[found.valid].min() > threshold.value, f"seed {seed}"
+        assert (found.rotors[found.valid].argmax(axis=1) + 1 == rotor).all(), f"seed {seed}"
+    calm = read(spec, flying_rows(flying(3000, 15)))
+    assert calm.value[calm.valid].max() < threshold.value
+
+
+def damaged(outputs: FloatArray) -> FloatArray:
+    outputs = outputs.copy()
+    outputs[700:710] = np.nan
+    outputs[1400] = np.inf
+    outputs[1401] = 0.0  # all motors off for a row
+    return outputs
+
+
+def test_broken_outputs_are_not_judged_and_leave_no_trace() -> None:
+    sound = np.random.default_rng(5).normal(0.5, 0.01, (2500, 4))
+    clean, broken = (read(spec_of(), [example_rows(2500, actuator=x)]) for x in (sound, damaged(sound)))
+    assert not broken.valid[700:1209].any()
+    assert not broken.valid[1400:1901].any()
+    assert broken.valid[1901:].all()
+    np.testing.assert_allclose(broken.value[1901:], clean.value[1901:], atol=1e-12)
+
+
+def test_why_it_cannot_judge() -> None:
+    outputs = np.full((1000, 4), 0.5)
+    with pytest.raises(InputError, match="layout"):
+        fit([[example_rows(1000, actuator=outputs)]], None)
+    for rows in (
+        example_rows(1000),
+        example_rows(1000, actuator=outputs[:, :3]),
+        example_rows(1000, actuator=0 * outputs),
+    ):
+        with pytest.raises(InputError, match="outputs of 4 motors"):
+            fit([[rows]], "x")
+    by_torque = example_rows(1000, torque=np.zeros((1000, 3)), thrust=np.full(1000, 0.5))
+    with pytest.raises(InputError, match="mixing is known"):
+        fit([[by_torque]], "x")
+    assert RotorTrim(fit([[by_torque]], "crazyflie")).signals == {Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}
+    assert RotorTrim(fit([[example_rows(1000, actuator=outputs)]], "x")).signals == {Signal.ACTUATOR}
+    with pytest.raises(IdentificationError, match="no unbroken 5 s"):
+        fit([[example_rows(300, actuator=outputs[:300])]], "x")
+
+
+def test_a_spec_that_describes_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="spread"):
+        RotorTrimSpec(layout=layout_named("x"), source="actuator", mean=(0.0, 0.0, 0.0), spread=(0.0, 1.0, 1.0))
+    with pytest.raises(InputError, match="not known"):
+        RotorTrimSpec(layout=layout_named("x"), source="torque", mean=(0.0, 0.0, 0.0), spread=CALM)
+
+
+def test_more_outputs_than_rotors_do_no_harm() -> None:
+    outputs = np.random.default_rng(6).normal(0.5, 0.01, (800, 4))
+    with_gimbal = np.column_stack((outputs, np.full((800, 2), 0.9)))
+    four, six = (read(spec_of(), [example_rows(800, actuator=x)]) for x in (outputs, with_gimbal))
+    np.testing.assert_array_equal(four.value, six.value)
+
+
+def test_no_frame_hides_a_rotor() -> None:
+    for frame in LAYOUTS.values():
+        assert isinstance(frame, RotorLayout)
+        assert (np.abs(frame.unmixing[2]) > 0.8 / frame.rotors).all()  # every rotor shows on yaw

@@ -1,0 +1,170 @@
+"""Runs above the margin by a plain count, margins and longest runs of healthy flights, and the fit of both axes."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors import run_length
+from mavdiag.monitors.run_length import (
+    Exceedance,
+    MarginRule,
+    Residual,
+    RunLength,
+    exceedance,
+    longest_runs,
+    margin_of,
+    residuals,
+    runs,
+    training_pieces,
+)
+from mavdiag.rows.front import Rows
+from mavdiag.rows.rates import RateBlock
+from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.testing import example_context, example_rows
+
+DT_S = 0.01
+CONTEXT = replace(example_context(), window=11)
+
+levels = st.lists(st.tuples(st.sampled_from([0.0, 0.5, 1.0, 1.5, -2.0]), st.booleans()), min_size=1, max_size=60)
+
+
+def piece(r: FloatArray) -> Residual:
+    n = len(r)
+    return Residual(np.arange(n, dtype=np.int64) * 10_000_000, r, np.ones(n, dtype=np.bool_), DT_S)
+
+
+@given(rows=levels, cuts=st.lists(st.integers(0, 60), max_size=5))
+def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], cuts: list[int]) -> None:
+    r, valid = np.array([x for x, _ in rows]), np.array([v for _, v in rows])
+    expected, count = [], 0
+    for x, v in rows:
+        count = count + 1 if v and abs(x) > 1.0 else 0
+        expected.append(count)
+    state, got = Exceedance(), []
+    bounds = sorted({0, len(r), *(c for c in cuts if c < len(r))})
+    for low, high in itertools.pairwise(bounds):
+        state, fsd_s, _ = exceedance(state, r[low:high], valid[low:high], margin=1.0, dt_s=DT_S)
+        got += fsd_s.tolist()
+    assert got == [n * DT_S for n in expected]
+
+
+def test_runs_report_their_length_and_highest_excess() -> None:
+    first, second = runs(piece(np.array([0.0, 2.0, 5.0, 0.0, -3.0])), 1.0)
+    assert (first.start_ns, first.end_ns, first.fsd_s, first.peak) == (10_000_000, 20_000_000, 0.02, 4.0)
+    assert (second.start_ns, second.end_ns, second.peak) == (40_000_000, 40_000_000, 2.0)
+
+
+def test_the_margin_is_hazen_s_90th_percentile_of_the_size() -> None:
+    r = np.array([-3.0, 1.0, 2.0, -5.0, 4.0])
+    assert margin_of([[piece(r)]]) == 5.0  # Hazen: p = (i - 0.5)/n, so 90 % of five values is the fifth
+    assert margin_of([[piece(np.arange(1.0, 11.0))]]) == 9.5
+    assert margin_of([[piece(r)]], MarginRule.MAXIMUM) == 5.0
+
+
+def test_unjudged_rows_do_not_count() -> None:
+    hidden = Residual(np.arange(2, dtype=np.int64), np.array([1.0, 99.0]), np.array([True, False]), DT_S)
+    assert margin_of([[hidden]], MarginRule.MAXIMUM) == 1.0
+
+
+def test_no_judged_rows_is_an_error_that_says_so() -> None:
+    with pytest.raises(InputError, match="no judged rows"):
+        margin_of([[]])
+
+
+def test_fml_is_the_longest_healthy_run() -> None:
+    flights = [[piece(np.array([0, 2, 2, 0, 2.0]))], [piece(np.array([2, 2, 2.0])), piece(np.zeros(3))]]
+    assert longest_runs(flights, 1.0).tolist() == [0.02, 0.03]
+
+
+def test_b4_a_chunk_does_not_end_a_run() -> None:
+    """B4: runs were counted in every chunk for itself, and a flight has two of them."""
+    (rows,) = (one for one in flying_rows(flying(2000, 1)) if len(one.block) > 1000)
+    (whole,) = RunLength.fit([[rows]], CONTEXT)[:1]
+    model = whole.model.model()
+    cut = [
+        Rows(rows.block.rows(low, high), _part(rows, low, high))
+        for low, high in itertools.pairwise((0, 700, 701, 1990))
+    ]
+    one, other = (longest_runs([residuals(flight, Axis.ROLL, model)], 0.001) for flight in ([rows], cut))
+    assert len(residuals(cut, Axis.ROLL, model)) == 1
+    assert one.tolist() == other.tolist()
+
+
+def _part(rows: Rows, low: int, high: int) -> RateBlock:
+    rates, kept = rows.rates, slice(low, high)
+    return replace(
+        rates,
+        t_ns=rates.t_ns[kept],
+        u=rates.u[kept],
+        y=rates.y[kept],
+        valid=rates.valid[kept],
+        commanded=rates.commanded[kept],
+    )
+
+
+def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """B10: the model was of the first flights; now a like share of every flight is taken."""
+    monkeypatch.setattr(run_length, "TRAIN_ROWS", 2000)
+    flights = [flying_rows(flying(2000, seed)) for seed in range(4)]
+    (spec,) = RunLength.fit(flights, replace(CONTEXT, axes=(Axis.ROLL,)))
+    (backwards,) = RunLength.fit(flights[::-1], replace(CONTEXT, axes=(Axis.ROLL,)))
+    assert spec.model.samples == backwards.model.samples < 2100
+    np.testing.assert_allclose(spec.model.a, backwards.model.a, rtol=1e-6)
+
+
+def test_an_axis_that_cannot_be_learnt_does_not_veto_the_other() -> None:
+    rows = flying_rows(flying(3000, 2))
+    for one in rows:
+        one.rates.u[:, 1] = 0.0
+    specs = RunLength.fit([rows], CONTEXT)
+    assert [spec.axis for spec in specs] == [Axis.ROLL]
+    assert specs[0].delay_s == pytest.approx(0.05)
+    for one in rows:
+        one.rates.u[:, 0] = 0.0
+    with pytest.raises(IdentificationError, match=r"roll: u is constant.*; pitch: u is constant"):
+        RunLength.fit([rows], CONTEXT)
+
+
+def test_a_gyro_that_turns_against_its_set_point_is_refused() -> None:
+    rows = flying_rows(flying(3000, 3))
+    for one in rows:
+        np.negative(one.rates.u, out=one.rates.u)
+    with pytest.raises(IdentificationError, match="sign conventions"):
+        RunLength.fit([rows], CONTEXT)
+
+
+def test_b2_rows_without_a_set_point_train_and_judge_nothing() -> None:
+    """B2: the gyro goes on, the set-point does not."""
+    rng = np.random.default_rng(4)
+    there = np.arange(2000) < 1000
+    rows = example_rows(2000, rate=rng.normal(0, 0.01, (2000, 3)), setpoint_valid=there)
+    assert [len(u) for u, _ in training_pieces([rows], Axis.ROLL)] == [996]
+    spec = RunLength.fit([flying_rows(flying(2000, 5))], CONTEXT)[0]
+    monitor = RunLength(spec)
+    _, found = monitor.step(monitor.start(), rows)
+    assert int(found.valid.sum()) == 996
+
+
+def coloured(rng: np.random.Generator, n: int) -> FloatArray:
+    """A residual with memory, so that it has runs."""
+    return np.convolve(rng.standard_normal(n + 20), np.ones(20) / 20, mode="valid")[:n]
+
+
+@pytest.mark.parametrize("n", [3, 10])
+def test_the_next_healthy_flight_beats_the_longest_of_n_with_probability_one_in_n_plus_one(n: int) -> None:
+    seed, trials = 20 + n, 1500
+    rng = np.random.default_rng(seed)
+    beaten = 0
+    for _ in range(trials):
+        longest = longest_runs([[piece(coloured(rng, 400))] for _ in range(n + 1)], 0.37)
+        beaten += longest[-1] > longest[:-1].max()
+    rate, expected = beaten / trials, 1 / (n + 1)
+    spread = np.sqrt(expected * (1 - expected) / trials)
+    # Ties of equal length count for no alarm, so the rate may lie a little below.
+    assert expected - 4 * spread - 0.03 < rate < expected + 4 * spread, f"seed {seed}: {rate} against {expected}"
