@@ -10,6 +10,7 @@ baseline   digest, airframe          note        text                      start
 """
 
 import json
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -78,8 +79,11 @@ def _event(event: Event, when: When) -> dict[str, object]:
 
 
 def _stage(change: Change) -> dict[str, object]:
-    fields = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
-    return {"t_s": round(change.t_ns / NS_PER_S, 6)} | {name: getattr(change, name) for name in fields}
+    """Numbers that are not finite become null, as in an event."""
+    names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
+    fields = {name: getattr(change, name) for name in names}
+    sound = {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in fields.items()}
+    return {"t_s": round(change.t_ns / NS_PER_S, 6)} | sound
 
 
 def _line(when: When, kind: str, content: dict[str, object]) -> str:

@@ -98,6 +98,7 @@ def test_an_event_that_lasts_has_no_end() -> None:
         (SendText(Severity.INFO, "hello"), {"kind": "text", "severity": 6, "text": "hello"}),
         (TextSuppressed("hello", 3), {"kind": "suppressed", "text": "hello", "count": 3}),
         (CHANGE, {"kind": "stage", "stage": "suspected", "t_s": 60.0, "monitor": "fsd", "rotor": None}),
+        (replace(CHANGE, statistic=float("inf")), {"kind": "stage", "statistic": None}),
         (Note("got it"), {"kind": "note", "text": "got it"}),
         (baseline_for(), {"kind": "baseline", "airframe": "made"}),
     ],
