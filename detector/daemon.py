@@ -96,7 +96,7 @@ class Daemon:
     ) -> None:
         self._settings, self._host, self._link = settings, host, link
         self._baseline, self._fitter, self._journal, self._metrics = baseline, fitter, journal, metrics
-        self._airframe = airframe or Airframe()
+        self._airframe = airframe
         kind = parse_address(settings.connect).kind
         self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
         self._announces = kind in _ANNOUNCING
@@ -218,7 +218,8 @@ class Daemon:
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
             case Learn(profile, telemetry):
-                airframe = replace(self._airframe, name=self._settings.name or f"vehicle {sysid}")
+                airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
+                airframe = replace(airframe, name=self._settings.name or airframe.name)
                 self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry))
             case Baseline():
                 self._save(sysid, effect)

@@ -246,14 +246,17 @@ def test_b29_what_a_learned_baseline_rests_on_is_printed(benches: Benches) -> No
         assert f"vehicle 1: {line}" in bench.host.lines
 
 
-def test_what_is_known_of_the_airframe_goes_to_the_fit_with_its_label(benches: Benches) -> None:
+@pytest.mark.parametrize(("label", "name"), [(None, "made"), ("survey quad", "survey quad")])
+def test_what_is_known_of_the_airframe_goes_to_the_fit_with_its_label(
+    benches: Benches, label: str | None, name: str
+) -> None:
     fitter = FakeFitter()
-    settings = Settings(connect=UDP_IN, learn=5.0, airframe="made.toml", name="survey quad")
+    settings = Settings(connect=UDP_IN, learn=5.0, airframe="made.toml", name=label)
     airframe = Airframe(name="made", mass_kg=1.2)
     bench = benches(settings, MadeVehicle(1), fitter=fitter, airframe=airframe)
     bench.run(9.0)
     [job] = fitter.jobs
-    assert (job.airframe.name, job.airframe.mass_kg) == ("survey quad", 1.2)
+    assert (job.airframe.name, job.airframe.mass_kg) == (name, 1.2)
 
 
 def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Benches, tmp_path: Path) -> None:
