@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -10,10 +11,22 @@ from detector.config import SessionSettings
 from detector.session import Session, SessionState
 from detector.states import State
 from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
-from mavdiag.baseline import Baseline, made
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
+from mavdiag.identify import Method
+from mavdiag.identify.model import ModelRecord
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
+from mavdiag.monitors.rotor_trim import RotorTrimSpec
+from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.monitors.unbalance import UnbalanceSpec
+from mavdiag.monitors.vibration_level import VibrationLevelSpec
+from mavdiag.rows.align import Grid
+from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.thresholds.heldout import Scores
+from mavdiag.thresholds.rule import ThresholdRule, threshold_of
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 
@@ -34,8 +47,68 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
     return setpoint, clean + NOISE * rng.standard_normal((n, 3))
 
 
-def baseline_for(profile="qdrone2", rate_hz=RATE_HZ, axes=(Axis.ROLL,), names=("fsd",)):
-    return made(profile, rate_hz, axes, names)
+def _specs(name: str, axes: tuple[Axis, ...]) -> list[tuple[Any, float]]:
+    """Fits of a monitor, with a threshold for each."""
+    match name:
+        case "fsd":
+            model = ModelRecord(
+                a=tuple(A.tolist()), b=tuple(B.tolist()), dt_s=1 / RATE_HZ, order=(1, 1, 1), method=Method.SRIV
+            )
+            return [(RunLengthSpec(axis=axis, model=model, margin_rad_s=MARGIN), FML_S) for axis in axes]
+        case "rotor_trim":
+            still, spread = (0.0, 0.0, 0.0), (0.03, 0.03, 0.01)
+            return [(RotorTrimSpec(layout=layout_named("x"), source="actuator", mean=still, spread=spread), 0.1)]
+        case "vibration_level":
+            return [(VibrationLevelSpec(healthy=0.4), 1.5)]
+        case _:
+            spec = UnbalanceSpec(
+                dt_s=1 / RATE_HZ,
+                corner_hz=20.0,
+                layout=None,
+                covariance=(0.0, 0.0),
+                spread=(1.0, 1.0),
+                turning=0.0,
+                power=1.0,
+            )
+            return [(spec, 10.0)]
+
+
+def baseline_for(
+    profile: str = "qdrone2",
+    rate_hz: float = RATE_HZ,
+    axes: tuple[Axis, ...] = (Axis.ROLL,),
+    names: tuple[str, ...] = ("fsd",),
+) -> Baseline:
+    """A baseline that knows the made airframe exactly, with these monitors."""
+    monitors = tuple(
+        MonitorEntry(
+            spec=spec,
+            threshold=threshold_of(
+                Scores(np.array([limit]), 3600.0), flights=1, budget_per_hour=0.05, rule=ThresholdRule.MAXIMUM
+            ),
+        )
+        for name in names
+        for spec, limit in _specs(name, axes)
+    )
+    return sealed(
+        Baseline(
+            airframe=Airframe(name="made"),
+            link=Link(
+                profile=profile,
+                dt_s=1 / rate_hz,
+                grid=Grid.NATIVE,
+                max_gap_s=0.035,
+                gate=GateSpec(min_thrust=0.1, need_armed=True),
+            ),
+            window=Window(samples=11, order=2),
+            monitors=monitors,
+            not_judgeable=(),
+            healthy_hours=1.0,
+            provenance=Provenance(
+                logs=(SourceLog(name="made", sha256="0" * 64, judged_s=3600.0),), created="2026-01-01", tool="test"
+            ),
+        )
+    )
 
 
 LEARNING = SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))

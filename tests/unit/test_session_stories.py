@@ -297,7 +297,7 @@ def test_b16_nothing_is_asked_for_that_no_monitor_needs() -> None:
 
 
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
-    story = Story(ardupilot("unbalance", "rotor_trim"))
+    story = Story(ardupilot("fsd", "rotor_trim"))
     story.fly(12.0)
     assert story.at(State.MONITORING)
     trim = label_of("rotor_trim")
@@ -314,7 +314,7 @@ def test_l2_set_points_that_stop_leave_the_other_monitors_judging() -> None:
     story.fly(6.0)
     story.fly(10.0, without=(Signal.ATTITUDE_SETPOINT,))
     assert story.at(State.MONITORING)
-    assert story.state.reason == "monitoring; FSD not judged: no set-points"
+    assert "FSD not judged: no set-points" in story.state.reason
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
