@@ -24,9 +24,10 @@ from mavdiag.monitors.unbalance import UnbalanceSpec
 from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import ThresholdRule, threshold_of
+from mavdiag.units import NS_PER_S
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 

@@ -281,10 +281,11 @@ class SlowHost(VirtualHost):
 def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
     host = SlowHost()
     bench = benches(Settings(connect=UDP_IN, learn=5.0), host=host)
-    bench.daemon._metrics = NoMetrics()  # type: ignore[assignment]  # asks for the processor time at every heartbeat
+    metrics = NoMetrics()
+    bench.daemon._metrics = metrics  # type: ignore[assignment]  # asks for the processor time at every heartbeat
     bench.daemon.run(lambda: host.looks >= 5)
     assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
-    assert bench.daemon._metrics.late == 4  # as told with the last heartbeat
+    assert metrics.late == 4  # as told with the last heartbeat
 
 
 class NoMetrics:
