@@ -159,17 +159,20 @@ def cause_of(finding: Change | Diagnosis) -> str:
 
 
 def evidence_of(finding: Change | Diagnosis) -> str:
-    """Statistic against threshold, with as many decimals as it takes to tell them apart."""
-    if finding.statistic is None or finding.threshold is None or finding.monitor is None:
+    """Statistic and threshold, with as many decimals as it takes to tell them apart; "" without evidence.
+
+    A suspicion begins, and a fault lasts, somewhat below the threshold: the sign tells.
+    """
+    if finding.monitor is None:
         return ""
-    label, one, other = _LABELS.get(finding.monitor, (label_of(finding.monitor), "", ""))
     if finding.monitor == TRIM and finding.rotor is not None:
         return f"weak {figure(100.0 * finding.statistic, 0)}%"
+    label, one, other = _LABELS.get(finding.monitor, (label_of(finding.monitor), "", ""))
     found, limit = figure(finding.statistic), figure(finding.threshold)
     if found == limit:
         found, limit = figure(finding.statistic, 3), figure(finding.threshold, 3)
-    unit = str(finding.unit) if one else ""
-    return f"{one or label + ' '}{found}{unit}>{other}{limit}{unit}"
+    sign, unit = ">" if finding.statistic > finding.threshold else "<", finding.unit if one else ""
+    return f"{one or label + ' '}{found}{unit}{sign}{other}{limit}{unit}"
 
 
 def alert_notice(finding: Change | Diagnosis, *, fault: bool, key: str, silent: bool = False) -> Notice:

@@ -133,6 +133,11 @@ def test_figures_that_round_alike_get_another_decimal() -> None:
     assert text(finding(found=0.124, limit=0.121)) == "PROP FAULT roll FSD 0.124s>FML 0.121s"
 
 
+def test_a_figure_below_its_threshold_is_not_said_to_be_above_it() -> None:
+    """A suspicion begins at 0.8 of the threshold."""
+    assert text(finding("innovation", None, 2.1, 2.5, stage=Stage.SUSPECTED)) == "PROP suspect innovation 2.10<2.50"
+
+
 def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
     critical = {kind for kind, policy in POLICY.items() if policy.severity <= Severity.CRITICAL}
     assert critical == {Kind.FAULT}

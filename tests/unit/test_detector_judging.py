@@ -9,20 +9,7 @@ from mavdiag.decision.alarm import Diagnosis, Stage
 from mavdiag.telemetry import Instant
 
 ROWS = ChainOutput(events=(), changes=(), gauges=(), flight_s=0.1, judged_s=0.1, now_ns=1)
-QUIET = Diagnosis(
-    stage=Stage.QUIET,
-    reason="",
-    since_ns=0,
-    monitor=None,
-    axis=None,
-    unit="",
-    statistic=None,
-    threshold=None,
-    rotor=None,
-    confidence=None,
-    fault_type=None,
-    severity=None,
-)
+QUIET = Diagnosis(stage=Stage.QUIET, reason="monitors judge")
 FAULT = replace(QUIET, stage=Stage.FAULT, monitor="innovation", statistic=3.0, threshold=2.0)
 SUSPECTED = replace(FAULT, stage=Stage.SUSPECTED)
 
