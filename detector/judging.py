@@ -63,8 +63,8 @@ class Alert:
     latest: when there was a suspicion or a fault last (host).
     finding: the latest of them.
     confirmed: whether a fault was declared, not only suspected.
-    active: whether the finding holds at this moment.
-    waned: whether it did not at some moment; what comes after is the fault going, and no news.
+    active: whether the finding is above its threshold at this moment; the stage lasts somewhat longer.
+    waned: whether the stage was left at some moment; what comes after is the fault going, and no news.
     named: whether a rotor was named; it is news once.
     """
 
@@ -94,11 +94,12 @@ def alert_after(
     faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
     if not found or (alert is not None and alert.confirmed and not faults):
         return alert and replace(alert, active=False, waned=True, latest=now if found else alert.latest)
-    finding = (faults or found)[-1]
+    above = [one for one in faults if one.statistic > one.threshold]
+    finding, active = (above or faults or found)[-1], bool(above) or not faults
     if alert is None:
-        return Alert(now, now, finding, bool(faults), named=finding.rotor is not None)
+        return Alert(now, now, finding, bool(faults), active, named=finding.rotor is not None)
     named = alert.named or (not alert.waned and finding.rotor is not None)
-    return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=True, named=named)
+    return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=active, named=named)
 
 
 def records_of(output: ChainOutput) -> tuple[Record, ...]:

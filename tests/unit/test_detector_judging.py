@@ -42,6 +42,15 @@ def test_l8_a_rotor_that_is_named_while_the_fault_goes_is_no_news() -> None:
     assert silent.notice.silent
 
 
+def test_l8_a_fault_that_is_only_held_is_not_repeated_with_a_figure_below_its_threshold() -> None:
+    held = after(FAULT, replace(FAULT, statistic=0.1))
+    assert held is not None
+    assert held.notice.silent
+    again = after(FAULT, replace(FAULT, statistic=0.1), FAULT)
+    assert again is not None
+    assert not again.notice.silent
+
+
 def test_a_monitor_named_as_suspect_only_raises_a_suspicion() -> None:
     alert = after(FAULT, suspect=frozenset({"innovation"}))
     assert alert is not None
