@@ -309,7 +309,7 @@ class Session:
             self._notices.append(notice)
             return
         # Cleared if flight was judged since; else it only could not be followed any longer.
-        if judge.judged > alert.latest:
+        if judge.judged - alert.latest > self._settings.clear_s / 2:
             self._say(Kind.CLEARED, figure(alert.latest - alert.since, 1))
         else:
             self._say(Kind.UNSETTLED, (ground or Hindrance(Reason.GAPS)).text)
@@ -324,7 +324,7 @@ class Session:
             Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.told
         ]
         diagnosis, why, short = judge.memory.diagnosis, "", ""
-        if now - judge.judged >= IDLE_S:
+        if now - judge.judged >= IDLE_S and (ground or not unjudged):
             why = short = f": {ground.text if ground else diagnosis.reason or Reason.GAPS}"
         elif unjudged:
             why = "".join(f"; {label} not judged: {reason}" for label, reason in unjudged)

@@ -44,7 +44,17 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
     n, rng = seconds * RATE_HZ, np.random.default_rng(seed)
     steps = np.repeat(rng.normal(0, 0.1, (n // 50 + 1, 3)), 50, axis=0)[:n]
     setpoint = np.asarray(lfilter([0.01], np.poly([0.9, 0.9]), steps, axis=0), dtype=np.float64)
-    clean = np.asarray(lfilter(B, A, np.gradient(setpoint, 1 / RATE_HZ, axis=0), axis=0), dtype=np.float64)
+    phi, theta = setpoint[:, 0], setpoint[:, 1]
+    dphi, dtheta, dpsi = np.gradient(setpoint, 1 / RATE_HZ, axis=0).T
+    commanded = np.stack(
+        (
+            dphi - np.sin(theta) * dpsi,
+            np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi,
+            -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi,
+        ),
+        axis=1,
+    )
+    clean = np.asarray(lfilter(B, A, commanded, axis=0), dtype=np.float64)
     return setpoint, clean + NOISE * rng.standard_normal((n, 3))
 
 
@@ -85,7 +95,10 @@ def baseline_for(
         MonitorEntry(
             spec=spec,
             threshold=threshold_of(
-                Scores(np.array([limit]), 3600.0), flights=1, budget_per_hour=0.05, rule=ThresholdRule.MAXIMUM
+                Scores(np.array([limit]), np.array([3600.0])),
+                flights=1,
+                budget_per_hour=0.05,
+                rule=ThresholdRule.MAXIMUM,
             ),
         )
         for name in names
