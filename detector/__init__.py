@@ -1,8 +1,9 @@
-"""The detector: a daemon that listens to vehicles over MAVLink and says when a propeller is damaged.
+"""The detector: a daemon that watches vehicles over MAVLink and reports when a propeller is damaged.
 
     endpoint ─bytes▶ fleet ─one inbox a vehicle▶ session ─effects▶ daemon ─▶ STATUSTEXT, journal, metrics
 
-`session` and what it is made of (`states`, `streams`, `collect`, `negotiate`, `alerts`, `twins`) are pure: values and
-`now` in, values out. Sockets, files, clocks and processes live in `daemon`, `journal`, `fitting`, `metrics` and
-`__main__`.
+`session` and what it is made of are pure: values and `now` in, values out. `states` has the table of its states,
+`values` what goes in and comes out, `streams` the measured rates, `negotiate` the requests for streams, `judging` the
+chain at work, `alerts` the texts, `named_values` the figures; `sender` encodes them. Sockets, files, clocks and
+processes live in `daemon`, `relay`, `journal`, `fitting`, `metrics` and `__main__`.
 """

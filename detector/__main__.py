@@ -4,9 +4,8 @@ Exit codes: 0 stopped by SIGINT or SIGTERM; 2 a wrong option, baseline or addres
 """
 
 import contextlib
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+import time
+from contextlib import ExitStack, closing
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -16,10 +15,11 @@ import typer
 from detector.config import Settings, load_settings, split_metrics_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
-from detector.journal import Journal
-from mavdiag import __version__, commandline
+from detector.journal import Journal, Recorder
+from mavdiag import commandline
+from mavdiag.airframe.load import airframe_from
+from mavdiag.baseline import Baseline
 from mavdiag.link.ports import open_endpoint
-from mavdiag.storage import load_baseline
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics
@@ -29,14 +29,9 @@ __all__ = ["app", "detect", "main"]
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        typer.echo(f"mavdiag-detector {__version__}")
-        raise typer.Exit
-
-
 @app.command()
 def detect(
+    context: typer.Context,
     connect: Annotated[
         str | None,
         typer.Option(
@@ -49,6 +44,13 @@ def detect(
         float | None, typer.Option(metavar="SECONDS", help="Learn a baseline first, from so much healthy flight.")
     ] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Keep what was learned.")] = None,
+    airframe: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE.toml", help="What is learned about: its rotors, mass, hover speed and gate."),
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(metavar="LABEL", help='Label of what is learned.  [default: "vehicle" and its id]')
+    ] = None,
     forward: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,6 +58,9 @@ def detect(
         ),
     ] = None,
     journal: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help="Append every event as a line.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE.tlog", help="Append every frame that the link brings.")
+    ] = None,
     metrics: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
     ] = None,
@@ -67,9 +72,7 @@ def detect(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Settings; options given here win over it.")
     ] = None,
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
-    ] = False,
+    version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
 ) -> None:
     """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
 
@@ -78,30 +81,20 @@ def detect(
 
     Exit code 0 when stopped, 2 for a wrong option, baseline or address.
     """
-    settings = load_settings(
-        config,
-        {
-            "connect": connect,
-            "baseline": baseline,
-            "learn": learn,
-            "save": save,
-            "forward": forward or None,
-            "journal": journal,
-            "metrics": metrics,
-            "vehicle": vehicle,
-            "profile": profile,
-        },
-    )
-    _serve(settings)
+    own = ("config", "version")
+    given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
+    _serve(load_settings(config, {name: value for name, value in given.items() if name not in own}))
 
 
 def _serve(settings: Settings) -> None:
     with ExitStack() as stack:
-        stop = stack.enter_context(_stop_signals())
-        baseline = None if settings.baseline is None else load_baseline(settings.baseline)
+        stop = stack.enter_context(commandline.stop_signals())
+        baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
+        airframe = None if settings.airframe is None else airframe_from(settings.airframe)
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address)) for address in settings.forward]
         journal = None if settings.journal is None else stack.enter_context(closing(Journal(settings.journal, _say)))
+        recorder = None if settings.record is None else stack.enter_context(closing(_recorder(settings.record)))
         metrics = None if settings.metrics is None else stack.enter_context(closing(_metrics(settings.metrics)))
         daemon = Daemon(
             settings,
@@ -110,29 +103,22 @@ def _serve(settings: Settings) -> None:
             behind,
             baseline=baseline,
             fitter=ProcessFitter(),
+            airframe=airframe,
             journal=journal,
+            recorder=recorder,
             metrics=metrics,
         )
         daemon.run(stop)
+
+
+def _recorder(path: Path) -> Recorder:
+    return Recorder(path, time.time_ns() - time.monotonic_ns(), _say)
 
 
 def _metrics(address: str) -> "Metrics":
     from detector.metrics import Metrics  # only if asked for: the import takes its time
 
     return Metrics(*split_metrics_address(address))
-
-
-@contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM end the loop after its tick instead of the process at once."""
-    caught: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
-    try:
-        yield lambda: bool(caught)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _say(text: str) -> None:

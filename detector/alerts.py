@@ -1,38 +1,44 @@
-"""What is said to the operator, how loudly and how often: a table, and a speaker that keeps to it.
+"""What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
 A text is one STATUSTEXT of at most 50 bytes. A declared fault is CRITICAL, a suspicion or a detector that cannot work
 is a WARNING, everything else INFO. A *lasting* matter is offered at every step: it is said when it begins, when what it
-is about changes, and every `repeat_s` while it lasts. Anything else is offered once and said once. Nothing of a kind
-is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a vehicle keep to a budget
-a minute, half of it for declared faults and half for the rest. What the budget holds back is counted and recorded.
+is about changes, and at the times after its beginning that the table gives. Anything else is offered once and said
+once. Nothing of a kind is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a
+vehicle keep to a budget a minute, half of it for declared faults and half for the rest. What the budget holds back is
+counted and recorded.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import pairwise
 
-from detector.effects import Effect, SendText, TextSuppressed
-from mavdiag.decision.events import Event
+from detector.values import Effect, SendText, TextSuppressed
+from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.link.messages import Severity
+from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant
 
 __all__ = [
     "GAP_S",
     "POLICY",
     "TEXT_BYTES",
-    "Cause",
     "Kind",
     "Notice",
     "Policy",
-    "Speaker",
-    "evidence",
+    "Presenter",
+    "alert_notice",
+    "cause_of",
+    "evidence_of",
     "figure",
-    "speak",
+    "label_of",
+    "present",
 ]
 
 TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
 MINUTE_S = 60.0
+THESIS, TRIM = "fsd", "rotor_trim"  # the monitors whose texts have a form of their own
 
 
 class Kind(StrEnum):
@@ -46,6 +52,7 @@ class Kind(StrEnum):
     LEARNING = "learning"
     FITTING = "fitting"
     LEARNED = "learned"
+    NOT_LEARNED = "not learned"
     MONITORING = "monitoring"
     LINK_LOST = "link lost"
     LINK_BACK = "link back"
@@ -56,40 +63,67 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """How a kind is said. template: takes the notice's words; repeat_s: how often a lasting matter is said again, None
-    for what is said once."""
+    """How a kind is said.
+
+    severity: of the STATUSTEXT.
+    template: takes the notice's words.
+    again_s: times after its beginning at which a lasting matter is said again; from the last on it is said again and
+        again, as far apart as the last two (or as the only one from the beginning). Empty for what is said once.
+    """
 
     severity: Severity
     template: str
-    repeat_s: float | None = None
+    again_s: tuple[float, ...] = ()
+
+    def times(self, begun_s: float) -> int:
+        """How often a matter that began so long ago ought to have been said.
+
+        >>> fault = Policy(Severity.CRITICAL, "", (5.0, 15.0, 60.0, 120.0))
+        >>> [fault.times(s) for s in (0.0, 4.9, 5.0, 15.0, 60.0, 120.0, 180.0)]
+        [1, 1, 2, 3, 4, 5, 6]
+        """
+        if not self.again_s or begun_s < self.again_s[-1]:
+            return 1 + sum(begun_s >= time_s for time_s in self.again_s)
+        *_, period_s = (b - a for a, b in pairwise((0.0, *self.again_s)))
+        return 1 + len(self.again_s) + int((begun_s - self.again_s[-1]) / period_s)
 
 
-# Repeat times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
+_ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
+
+# Times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
 POLICY: Mapping[Kind, Policy] = {
-    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {} {}", 5.0),  # who, evidence
-    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {} {}", 5.0),  # who, evidence
-    Kind.CLEARED: Policy(Severity.INFO, "PROP clear after {}s max {}"),  # how long, evidence
-    Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert unjudged, max {}"),  # evidence
-    Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", 60.0),  # reason
-    Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", 60.0),  # progress, ": reason"
+    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # cause and evidence
+    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # cause and evidence
+    Kind.CLEARED: Policy(Severity.INFO, "PROP clear after {}s"),  # how long
+    Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert over: {}"),  # why it is not judged any longer
+    Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", (60.0,)),  # reason
+    Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", (60.0,)),  # progress, ": reason"
     Kind.FITTING: Policy(Severity.INFO, "PROP fitting the baseline"),
-    Kind.LEARNED: Policy(Severity.INFO, "PROP baseline learned, FML {}s"),  # FML
-    Kind.MONITORING: Policy(Severity.INFO, "PROP monitoring {}{}", 300.0),  # axes, ": reason"
+    Kind.LEARNED: Policy(Severity.INFO, "PROP baseline learned: {} monitors{}"),  # how many, ", N cannot"
+    Kind.NOT_LEARNED: Policy(Severity.WARNING, "PROP not learned, goes on: {}"),  # reason
+    Kind.MONITORING: Policy(Severity.INFO, "PROP monitoring{}", (300.0,)),  # ": reason" or "; what is not judged"
     Kind.LINK_LOST: Policy(Severity.INFO, "PROP link lost"),
     Kind.LINK_BACK: Policy(Severity.INFO, "PROP link back after {}s"),  # how long
     Kind.REBOOT: Policy(Severity.INFO, "PROP vehicle rebooted, starting anew"),
-    Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", 60.0),  # reason
+    Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", (60.0,)),  # reason
     Kind.RATES: Policy(Severity.INFO, "PROP got {}"),  # message and rate, ...
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something to say. words: fill the template; key: what a lasting matter is about (another key is news)."""
+    """Something to say.
+
+    kind: what it is about.
+    words: fill the template.
+    key: what a lasting matter is about (another key is news).
+    silent: the matter lasts, but must not be said now.
+    """
 
     kind: Kind
     words: tuple[str, ...] = ()
     key: str = ""
+    silent: bool = False
 
     @property
     def text(self) -> str:
@@ -100,48 +134,51 @@ class Notice:
         return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
 
 
-@dataclass(frozen=True, slots=True)
-class Cause:
-    """Who did it, as far as it is known. rotor: from 1; fault_type: F1 to F3; severity: 1 to 3 (T Tables 3.1, 3.2)."""
-
-    rotor: int | None = None
-    fault_type: str | None = None
-    severity: int | None = None
-
-    def who(self, event: Event) -> str:
-        """Rotor and fault where known, else the axis.
-
-        >>> Cause(1, "F2", 2).who(Event("latency", None, 0, None, 0.4, 0.1, 0.0))
-        'r1 F2/SV2'
-        """
-        rotor = f"r{self.rotor}" if self.rotor is not None else ""
-        level = f"/SV{self.severity}" if self.severity is not None else ""
-        fault = f"{self.fault_type}{level}" if self.fault_type is not None else ""
-        axis = event.axis.value if event.axis is not None else "vehicle"
-        return " ".join(part for part in (rotor, fault) if part) or axis
+_LABELS = {monitor.name: (monitor.label, monitor.statistic_label, monitor.threshold_label) for monitor in MONITORS}
 
 
-# How a monitor's statistic and threshold are called and in what unit; another one goes by its name.
-_LABELS: Mapping[str, tuple[str, str, str]] = {
-    "latency": ("FSD ", "FML ", "s"),
-    "effort": ("trim shift ", "", ""),
-}
-_NAME_CHARS = 9
+def label_of(monitor: str) -> str:
+    """How a text calls a monitor: by its label, of at most 10 characters."""
+    return _LABELS.get(monitor, (monitor[:10],))[0]
 
 
-def evidence(event: Event) -> str:
-    """Statistic against threshold, with as many decimals as it takes to tell them apart.
+def cause_of(finding: Change | Diagnosis) -> str:
+    """Rotor and fault as far as they are known, else the axis, else nothing; as the thesis has it or for a pilot.
 
-    >>> evidence(Event("latency", None, 0, None, 0.41, 0.12, 0.0))
-    'FSD 0.41s>FML 0.12s'
-    >>> evidence(Event("latency", None, 0, None, 0.124, 0.121, 0.0))
-    'FSD 0.124s>FML 0.121s'
+    The type is left out of a suspicion.
     """
-    one, other, unit = _LABELS.get(event.monitor, (f"{event.monitor[:_NAME_CHARS]} ", "", ""))
-    found, limit = figure(event.statistic), figure(event.threshold)
+    thesis, parts = finding.monitor == THESIS, list[str]()
+    if finding.rotor is not None:
+        parts.append(f"r{finding.rotor}" if thesis else f"motor {finding.rotor}")
+    if finding.fault_type is not None and finding.stage is Stage.FAULT:
+        level = f"/SV{finding.severity}" if finding.severity is not None else ""
+        parts.append(f"{finding.fault_type}{level}")
+    if not parts and finding.axis is not None:
+        parts.append(finding.axis.value)
+    return " ".join(parts)
+
+
+def evidence_of(finding: Change | Diagnosis) -> str:
+    """Statistic and threshold, with as many decimals as it takes to tell them apart; "" without evidence.
+
+    A suspicion begins, and a fault lasts, somewhat below the threshold: the sign tells.
+    """
+    if finding.monitor is None:
+        return ""
+    if finding.monitor == TRIM and finding.rotor is not None:
+        return f"weak {figure(100.0 * finding.statistic, 0)}%"
+    label, one, other = _LABELS.get(finding.monitor, (label_of(finding.monitor), "", ""))
+    found, limit = figure(finding.statistic), figure(finding.threshold)
     if found == limit:
-        found, limit = figure(event.statistic, 3), figure(event.threshold, 3)
-    return f"{one}{found}{unit}>{other}{limit}{unit}"
+        found, limit = figure(finding.statistic, 3), figure(finding.threshold, 3)
+    sign, unit = ">" if finding.statistic > finding.threshold else "<", finding.unit if one else ""
+    return f"{one or label + ' '}{found}{unit}{sign}{other}{limit}{unit}"
+
+
+def alert_notice(finding: Change | Diagnosis, *, fault: bool, key: str, silent: bool = False) -> Notice:
+    """An alert as it is said while it lasts. fault: declared, not suspected."""
+    words = " ".join(part for part in (cause_of(finding), evidence_of(finding)) if part)
+    return Notice(Kind.FAULT if fault else Kind.SUSPECT, (words,), key, silent)
 
 
 def figure(value: float, decimals: int = 2) -> str:
@@ -155,74 +192,83 @@ def figure(value: float, decimals: int = 2) -> str:
     size = abs(value)
     if size >= 9999.5:
         return ">9999" if value > 0 else "<-9999"
-    places = decimals if size < 9.995 else 1 if size < 99.95 else 0
+    places = decimals if size < 9.995 else min(decimals, 1) if size < 99.95 else 0
     return f"{value:.{places}f}"
 
 
 @dataclass(frozen=True, slots=True)
 class _Said:
+    """A matter. begun: when it was said first; at: when it was said last; times: how often it was due by then."""
+
     kind: Kind
     key: str
+    begun: Instant
     at: Instant
+    times: int = 1
 
 
 @dataclass(frozen=True, slots=True)
-class _Sent:
-    loud: bool
-    at: Instant
+class Presenter:
+    """What was said lately.
 
-
-@dataclass(frozen=True, slots=True)
-class Speaker:
-    """What was said lately. per_minute: the budget. held: matters that were held back and counted already."""
+    per_minute: the budget.
+    sent: texts of the last minute: whether loud, and when.
+    said: matters that last.
+    held: matters that were held back and counted already.
+    suppressed: texts held back so far.
+    """
 
     per_minute: int = 30
-    sent: tuple[_Sent, ...] = ()
+    sent: tuple[tuple[bool, Instant], ...] = ()
     said: tuple[_Said, ...] = ()
     held: frozenset[tuple[Kind, str]] = frozenset()
     suppressed: int = 0
 
 
-def speak(speaker: Speaker, notices: tuple[Notice, ...], now: Instant) -> tuple[Speaker, tuple[Effect, ...]]:
-    """Say what is due of the notices of this step, loudest first."""
+def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> tuple[Presenter, tuple[Effect, ...]]:
+    """Say what is to be said of the notices of this step, loudest first."""
     out: list[Effect] = []
-    speaker = replace(speaker, sent=tuple(one for one in speaker.sent if now - one.at < MINUTE_S))
+    presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one[1] < MINUTE_S))
     for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
-        if _due(speaker, notice, now):
-            speaker, effect = _say(speaker, notice, now)
+        if not notice.silent and _to_say(presenter, notice, now):
+            presenter, effect = _say(presenter, notice, now)
             out += () if effect is None else (effect,)
-    # A lasting matter that was not offered is over: the next one is news again.
+    # A lasting matter that was not offered is over: the next one begins anew.
     offered = {notice.kind for notice in notices}
-    said = tuple(one for one in speaker.said if one.kind in offered or not _forgettable(one, now))
-    held = frozenset(one for one in speaker.held if one[0] in offered)
-    return replace(speaker, said=said, held=held), tuple(out)
+    said = tuple(one for one in presenter.said if one.kind in offered or now - one.at < GAP_S)
+    held = frozenset(one for one in presenter.held if one[0] in offered)
+    return replace(presenter, said=said, held=held), tuple(out)
 
 
-def _forgettable(said: _Said, now: Instant) -> bool:
-    return now - said.at >= GAP_S
-
-
-def _due(speaker: Speaker, notice: Notice, now: Instant) -> bool:
+def _to_say(presenter: Presenter, notice: Notice, now: Instant) -> bool:
     """Whether a lasting matter has something to say; what is offered once always has."""
-    repeat_s = POLICY[notice.kind].repeat_s
-    last = next((one for one in speaker.said if one.kind is notice.kind), None)
-    if repeat_s is None or last is None:
+    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
+    if not policy.again_s or last is None:
         return True
-    return now - last.at >= (repeat_s if last.key == notice.key else GAP_S)
+    if last.key != notice.key:
+        return now - last.at >= GAP_S
+    return policy.times(now - last.begun) > last.times
 
 
-def _say(speaker: Speaker, notice: Notice, now: Instant) -> tuple[Speaker, Effect | None]:
-    policy = POLICY[notice.kind]
+def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter, Effect | None]:
+    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
     loud = policy.severity <= Severity.CRITICAL
-    spent = sum(one.loud == loud for one in speaker.sent) >= speaker.per_minute // 2
-    if spent or any(one.kind is notice.kind and now - one.at < GAP_S for one in speaker.said):
+    spent = sum(one == loud for one, _ in presenter.sent) >= presenter.per_minute // 2
+    if spent or (last is not None and now - last.at < GAP_S):
         matter = (notice.kind, notice.key)
-        if policy.repeat_s is not None and matter in speaker.held:
-            return speaker, None
-        held = speaker.held | {matter} if policy.repeat_s is not None else speaker.held
-        count = speaker.suppressed + 1
-        return replace(speaker, suppressed=count, held=held), TextSuppressed(notice.text, count)
-    said = (*(one for one in speaker.said if one.kind is not notice.kind), _Said(notice.kind, notice.key, now))
-    held = frozenset(one for one in speaker.held if one[0] is not notice.kind)
-    said_now = replace(speaker, said=said, held=held, sent=(*speaker.sent, _Sent(loud, now)))
-    return said_now, SendText(policy.severity, notice.text)
+        if policy.again_s and matter in presenter.held:
+            return presenter, None
+        held = presenter.held | {matter} if policy.again_s else presenter.held
+        count = presenter.suppressed + 1
+        return replace(presenter, suppressed=count, held=held), TextSuppressed(notice.text, count)
+    begun = now if last is None else last.begun
+    fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun))
+    said = (*(one for one in presenter.said if one.kind is not notice.kind), fresh)
+    held = frozenset(one for one in presenter.held if one[0] is not notice.kind)
+    return replace(presenter, said=said, held=held, sent=(*presenter.sent, (loud, now))), SendText(
+        policy.severity, notice.text
+    )
+
+
+def _last(presenter: Presenter, kind: Kind) -> _Said | None:
+    return next((one for one in presenter.said if one.kind is kind), None)

@@ -15,43 +15,45 @@ from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
 from mavdiag.telemetry import Axis
 
-__all__ = ["Settings", "load_settings", "split_metrics_address"]
+__all__ = ["SessionSettings", "Settings", "load_settings", "split_metrics_address"]
 
 LOOPBACK = "127.0.0.1"
 
 Positive = Annotated[float, Field(gt=0)]
 
 
-class Settings(BaseModel):
-    """Everything that can be set. The first block has a command-line option each; the rest is for the file.
-
-    connect: the vehicle's link. baseline or learn: a file, or seconds of healthy flight. forward: further links that
-    get the vehicle's frames and the alerts. vehicle: the only system id to watch, None for all. profile: how the
-    vehicle speaks, None to go by its heartbeat.
-    """
+class SessionSettings(BaseModel):
+    """How a session works."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    connect: str = "udpin:127.0.0.1:14550"
-    baseline: Path | None = None
-    learn: Positive | None = None
-    save: Path | None = None
-    forward: tuple[str, ...] = ()
-    journal: Path | None = None
-    metrics: str | None = None
-    vehicle: Annotated[int, Field(ge=1, le=255)] | None = None
-    profile: str | None = None
-
-    airframe: str = ""  # name for a learned baseline; default: "vehicle" and its id
+    learn: Positive | None = None  # seconds of healthy flight to learn from, in place of a baseline
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Positive | None = None  # rate to ask for when learning; default: the profile's
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
     clear_s: Positive = 5.0  # quiet time that ends an alert
-    suspect: tuple[str, ...] = ()  # monitors ("latency", "latency.pitch") that only raise a suspicion
+    takeoff_s: Annotated[float, Field(ge=0)] = 3.0  # time after a take-off in which no alert is raised
+    suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
-    twins_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOAT twins
-    twins_axis: Axis = Axis.ROLL
+    named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
+    named_values_axis: Axis = Axis.ROLL  # whose figures they carry
+
+
+class Settings(SessionSettings):
+    """Everything that can be set; most of it has a command-line option."""
+
+    connect: str = "udpin:127.0.0.1:14550"  # the vehicle's link
+    baseline: Path | None = None  # file to judge by
+    save: Path | None = None  # file that keeps what was learned
+    airframe: str | None = None  # what is learned about: a built-in name or a TOML file
+    name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
+    forward: tuple[str, ...] = ()  # further links that get the vehicle's frames and the alerts
+    journal: Path | None = None  # file for the events
+    record: Path | None = None  # .tlog file for all frames received
+    metrics: str | None = None  # address to serve figures on
+    vehicle: Annotated[int, Field(ge=1, le=255)] | None = None  # the only system id to watch
+    profile: str | None = None  # of the link; default: by what the vehicle sends
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links
 
     @model_validator(mode="after")
@@ -60,8 +62,9 @@ class Settings(BaseModel):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
-        if self.save is not None and self.learn is None:
-            raise ValueError("--save keeps what --learn SECONDS has learned; without it there is nothing to save")
+        for option in ("save", "airframe", "name"):
+            if getattr(self, option) is not None and self.learn is None:
+                raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         return self
 
 

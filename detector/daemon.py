@@ -7,38 +7,39 @@ its work, falls silent.
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
-from detector.effects import (
+from detector.fitting import Fitter, FittingJob
+from detector.fleet import Fleet, Turn
+from detector.journal import Journal, Recorder, When, line, mark
+from detector.relay import Relay
+from detector.sender import MavlinkSender
+from detector.states import State
+from detector.values import (
     AskInterval,
-    BaselineLearned,
     Effect,
     EventOpened,
     Learn,
     Note,
     SendFloat,
     SendText,
+    SessionSpec,
     StateChanged,
     TextSuppressed,
 )
-from detector.fitting import Fitter, FittingJob
-from detector.fleet import Fleet, Turn
-from detector.journal import Journal, When, line, mark
-from detector.relay import Relay
-from detector.session import healthy
-from detector.values import SessionSpec
-from detector.voice import Voice
 from mavdiag import __version__
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
 from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
-from mavdiag.storage import save_baseline
-from mavdiag.telemetry import NS_PER_S, Instant
+from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics  # brings prometheus_client with it
@@ -47,10 +48,10 @@ __all__ = ["Daemon", "Host"]
 
 BEAT_S = 1.0
 DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
-FIRST_VEHICLE = 1  # as whose companion we knock on a link whose other end must be spoken to first
+FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end must be spoken to first
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
-_KNOCKING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
+_ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
 
 
 class Host:
@@ -77,7 +78,7 @@ class Host:
 
 
 class Daemon:
-    """Links on one side, sessions on the other. `run` it, or `tick` it from a test."""
+    """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test."""
 
     def __init__(
         self,
@@ -88,36 +89,37 @@ class Daemon:
         *,
         baseline: Baseline | None,
         fitter: Fitter,
+        airframe: Airframe | None = None,
         journal: Journal | None = None,
+        recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
     ) -> None:
         self._settings, self._host, self._link = settings, host, link
-        self._relay = Relay(link, behind)
         self._baseline, self._fitter, self._journal, self._metrics = baseline, fitter, journal, metrics
+        self._airframe = airframe
         kind = parse_address(settings.connect).kind
-        self._knocks = kind in _KNOCKING
+        self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
+        self._announces = kind in _ANNOUNCING
         profile = None if settings.profile is None else PROFILES[settings.profile]
-        self._fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
-        self._voices: dict[int, Voice] = {}
+        self.fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
+        self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
+        self._late, self._latest_s = 0, 0.0
         self._saved: dict[int, Path] = {}
-
-    @property
-    def fleet(self) -> Fleet:
-        """The vehicles."""
-        return self._fleet
+        self._unclear: dict[int, str] = {}
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Look, again and again, until told to stop; then say what was done."""
         self.begin()
-        due_s = self._now()
+        next_at = self._now()
         while not stop():
             self.tick()
-            due_s = due_s + self._settings.tick_s
-            late_s = self._now() - due_s
+            next_at = next_at + self._settings.tick_s
+            late_s = self._now() - next_at
             if late_s > 0:
-                due_s = self._now()  # behind: look again at once, and do not hurry after lost time
+                self._late, self._latest_s = self._late + 1, max(self._latest_s, late_s)
+                next_at = self._now()  # behind: look again at once, and do not hurry after lost time
             else:
                 self._host.sleep(-late_s)
         self.end()
@@ -135,20 +137,19 @@ class Daemon:
         now = self._now()
         chunks = self._chunks()
         self._relay.pass_on(chunks)
-        known = len(self._fleet.vehicles)
-        for asked in self._fleet.feed(chunks, now):
-            self._relay.ask(self._voice(asked.vehicle).decline(asked.command, asked.sysid, asked.compid))
-        self._greet(known)
-        for vehicle, outcome in self._fitter.poll():
-            self._fleet.vehicles[vehicle].answer(outcome)
-        self._do(self._fleet.step(now))
+        known = len(self.fleet.vehicles)
+        for sysid, outcome in self._fitter.poll():
+            self.fleet.vehicles[sysid].outcome = outcome
+        turns = self.fleet.step(chunks, now)
+        self._report_new(known)
+        self._carry_out(turns)
         if now - self._beat_at >= 0:
             self._beat()
             self._beat_at = max(self._beat_at + BEAT_S, now)
 
     def end(self) -> None:
-        """Close the books: open events, a last line, a summary."""
-        self._do(self._fleet.finish())
+        """Record the open events, write the last line and the summary."""
+        self._carry_out(self.fleet.finish())
         self._fitter.close()
         summary = self._summary()
         self._mark("stop", {"summary": summary})
@@ -158,21 +159,7 @@ class Daemon:
         return Instant(self._host.now_ns())
 
     def _spec(self, profile: Profile) -> SessionSpec:
-        settings = self._settings
-        return SessionSpec(
-            profile,
-            self._baseline,
-            learn_s=settings.learn or 0.0,
-            min_rate_hz=settings.min_rate_hz,
-            ask_hz=settings.ask_hz,
-            negotiate=settings.negotiate,
-            link_lost_s=settings.link_lost_s,
-            clear_s=settings.clear_s,
-            suspect=settings.suspect,
-            texts_per_minute=settings.texts_per_minute,
-            twins_hz=settings.twins_hz,
-            twins_axis=settings.twins_axis,
-        )
+        return SessionSpec(profile, self._baseline, self._settings)
 
     def _chunks(self) -> list[Chunk]:
         chunks: list[Chunk] = []
@@ -183,51 +170,59 @@ class Daemon:
             chunks += more
         return chunks
 
-    def _voice(self, vehicle: int) -> Voice:
-        return self._voices.setdefault(vehicle, Voice(vehicle))
+    def _sender(self, vehicle: int) -> MavlinkSender:
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle))
 
-    def _greet(self, known: int) -> None:
-        """Name the vehicles that are new."""
-        newcomers = list(self._fleet.vehicles.items())[known:]
-        for sysid, vehicle in newcomers:
-            self._host.say(f"vehicle {sysid}: heard, profile {vehicle.spec.profile.name}")
-        if newcomers and known + len(newcomers) > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
+    def _report_new(self, known: int) -> None:
+        """Name the vehicles that are new, and say once why another is not watched."""
+        for sysid, reason in self.fleet.link.waiting.items():
+            if self._unclear.get(sysid) != reason:
+                self._host.say(f"vehicle {sysid}: not watched: {reason}")
+            self._unclear[sysid] = reason
+        new = list(self.fleet.vehicles.items())[known:]
+        for sysid, vehicle in new:
+            self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
+        if new and known + len(new) > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
             name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; choose one with --vehicle")
 
     def _beat(self) -> None:
-        """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before anyone is heard."""
-        for sysid, vehicle in self._fleet.vehicles.items():
-            if healthy(vehicle.state):
-                self._relay.say(self._voice(sysid).heartbeat(vehicle.state.state))
-        if self._knocks and not self._fleet.vehicles:
-            self._relay.ask(self._voice(self._settings.vehicle or FIRST_VEHICLE).knock())
+        """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before a vehicle."""
+        for sysid, vehicle in self.fleet.vehicles.items():
+            if vehicle.session.healthy:
+                self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
+        if self._announces and not self.fleet.vehicles:
+            self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
         if self._metrics is not None:
-            figures = self._fleet.figures()
-            self._metrics.show(figures, overflowed=self._link.traffic.overflowed, cpu_s=self._host.cpu_s())
+            overflowed, cpu_s = self._link.traffic.overflowed, self._host.cpu_s()
+            self._metrics.show(self.fleet.figures(), overflowed=overflowed, late=self._late, cpu_s=cpu_s)
 
-    def _do(self, turns: Sequence[Turn]) -> None:
+    def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
+            for asked in turn.commands:
+                decline = self._sender(turn.vehicle).decline(asked.command, asked.sysid, asked.compid)
+                self._relay.send_to_vehicle(decline)
             for effect in turn.effects:
-                self._send(turn.vehicle, effect)
+                self._act(turn.vehicle, effect)
                 self._record(turn.vehicle, effect)
 
-    def _send(self, sysid: int, effect: Effect) -> None:
+    def _act(self, sysid: int, effect: Effect) -> None:
         """The effects that do something."""
-        voice = self._voice(sysid)
+        sender = self._sender(sysid)
         match effect:
             case SendText():
-                self._relay.say(voice.text(effect))
+                self._relay.send_to_all(sender.text(effect))
             case SendFloat():
-                self._relay.say(voice.value(effect))
+                self._relay.send_to_all(sender.value(effect))
             case AskInterval(msgid, interval_us):
-                self._relay.ask(voice.request(effect))
+                self._relay.send_to_vehicle(sender.request(effect))
                 self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
             case Learn(profile, telemetry):
-                name = self._settings.airframe or f"vehicle {sysid}"
-                self._fitter.begin(FittingJob(sysid, name, profile, telemetry))
-            case BaselineLearned(baseline):
-                self._save(sysid, baseline)
+                airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
+                airframe = replace(airframe, name=self._settings.name or airframe.name)
+                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry))
+            case Baseline():
+                self._save(sysid, effect)
             case EventOpened(event):
                 if self._metrics is not None:
                     self._metrics.count_event(sysid, event.monitor)
@@ -237,10 +232,9 @@ class Daemon:
         if isinstance(effect, AskInterval | Learn | SendFloat):
             return
         if self._journal is not None:
-            when = When(self._host.utc(), sysid, self._fleet.vehicles[sysid].vehicle_ns)
+            when = When(self._host.utc(), sysid, self.fleet.link.vehicles[sysid].vehicle_ns)
             self._journal.write(line(effect, when))
-        words = _words(effect)
-        if words:
+        for words in _log_lines(effect):
             self._host.say(f"vehicle {sysid}: {words}")
 
     def _mark(self, kind: str, content: dict[str, object]) -> None:
@@ -256,7 +250,7 @@ class Daemon:
             path = path.with_stem(f"{path.stem}-{sysid}")
         self._saved[sysid] = path
         try:
-            save_baseline(path, baseline)
+            baseline.save(path)
         except UsageError as error:
             self._record(sysid, Note(f"the baseline is not saved: {error}"))
         else:
@@ -268,25 +262,27 @@ class Daemon:
         parts += [
             f"vehicle {one.vehicle} {one.state}, {one.received} frames, {one.lost} lost on the way, "
             f"{one.judged_s:.1f} s judged, {one.events} events"
-            for one in self._fleet.figures()
+            for one in self.fleet.figures()
         ]
-        cpu = 100.0 * self._host.cpu_s() * NS_PER_S / max(1, round(ran_s * NS_PER_S))
-        parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here, {cpu:.1f} % CPU")
+        late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
+        cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
+        parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}, {cpu:.1f} % CPU")
         return "; ".join(parts)
 
 
-def _words(effect: Effect) -> str:
+def _log_lines(effect: Effect) -> list[str]:
     match effect:
         case StateChanged(old, new, reason):
-            return f"{old} -> {new}: {reason}"
+            return [f"{old} -> {new}: {reason}"]
+        case Change(stage=stage, reason=reason):
+            return [f"decision: {stage}, {reason}"]
         case SendText(severity, text):
-            return f"{severity.name} {text!r}"
-        case BaselineLearned(baseline):
-            fml = ", ".join(f"{spec.axis} FML {limit.value:.3f} s" for spec, limit in baseline.latency)
-            return f"baseline of {baseline.airframe.name} at {1 / baseline.link.dt_s:.1f} Hz: {fml}"
+            return [f"{severity.name} {text!r}"]
+        case Baseline():
+            return str(effect).splitlines()
         case Note(text):
-            return text
+            return [text]
         case TextSuppressed(text, count):
-            return f"held back {text!r} ({count} so far)"
+            return [f"held back {text!r} ({count} so far)"]
         case _:
-            return ""
+            return []

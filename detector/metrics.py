@@ -21,6 +21,7 @@ class Metrics:
         self._rate = self._gauge("gyro_hertz", "Measured rate of the gyro stream.", by_vehicle)
         self._judged = self._gauge("judged_seconds", "Flight time judged.", by_vehicle)
         self._overflowed = self._gauge("datagrams_overflowed", "Datagrams that the system dropped unread.", [])
+        self._late = self._gauge("late_ticks", "Looks at the links that came too late.", [])
         self._cpu = self._gauge("cpu_seconds", "Processor time used by the daemon.", [])
         self._events = Counter(
             "mavdiag_events", "Alarms of the monitors.", [*by_vehicle, "monitor"], registry=self._registry
@@ -37,7 +38,7 @@ class Metrics:
         """The port that was really bound."""
         return int(self._server.server_port)
 
-    def show(self, vehicles: tuple[VehicleFigures, ...], *, overflowed: int, cpu_s: float) -> None:
+    def show(self, vehicles: tuple[VehicleFigures, ...], *, overflowed: int, late: int, cpu_s: float) -> None:
         """Set all figures."""
         for one in vehicles:
             label = str(one.vehicle)
@@ -48,6 +49,7 @@ class Metrics:
             self._rate.labels(label).set(one.gyro_hz)
             self._judged.labels(label).set(one.judged_s)
         self._overflowed.set(overflowed)
+        self._late.set(late)
         self._cpu.set(cpu_s)
 
     def count_event(self, vehicle: int, monitor: str) -> None:

@@ -1,106 +1,147 @@
-"""Asking an autopilot for the streams that are needed, and saying plainly what came of it.
+"""Asking an autopilot for the streams that the monitors need, and saying plainly what came of it.
 
 A stream that is missing, or whose measured rate lies outside of what will do, is asked for by SET_MESSAGE_INTERVAL: at
-once, again every 5 s while nothing comes of it (a ground station may have reverted it), and every minute after five
-tries. A refusal is an answer: it is told and not asked again. Only what was *measured* counts as got.
+once, then every 5 s while nothing comes of it, and every 30 s after five tries. A stream that was right once is asked
+for as if for the first time when it is wrong again (a ground station may have reset it). A refusal is an answer: it is
+recorded and not asked again. Only what was *measured* counts as got.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 from detector.alerts import Kind, Notice
-from detector.effects import AskInterval, Effect, Note
+from detector.values import AskInterval, Effect, Note
 from mavdiag.link.codec import message_name
-from mavdiag.link.messages import MavCmd, MavResult
-from mavdiag.telemetry import Instant
+from mavdiag.link.messages import MavCmd, MavResult, MessageId
+from mavdiag.link.profiles import Profile
+from mavdiag.link.vehicles import Ack
+from mavdiag.telemetry import Instant, Signal
 
-__all__ = ["Ack", "Negotiation", "Want", "in_hand", "negotiate"]
+__all__ = ["LABELS", "Negotiation", "Want", "negotiate", "wants_of"]
 
 AGAIN_S = 5.0
 TRIES = 5
-RARELY_S = 60.0
+RARELY_S = 30.0
+ACK_S = 3.0  # an acknowledgement that has not come by then is lost (our choice)
 _US_PER_S = 1_000_000
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
+
+# Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
+_SLOW: Mapping[Signal, tuple[float, float]] = {
+    Signal.ACTUATOR: (25.0, 10.0),
+    Signal.VIBRATION: (5.0, 2.0),
+    Signal.ROTOR_SPEED: (5.0, 1.0),
+}
+
+# What a signal that does not come is called, in the words of an operator.
+LABELS: Mapping[Signal, str] = {
+    Signal.BODY_RATE: "gyro",
+    Signal.SPECIFIC_FORCE: "accelerometer",
+    Signal.ATTITUDE_SETPOINT: "set-points",
+    Signal.ACTUATOR: "actuator outputs",
+    Signal.VIBRATION: "VIBRATION",
+    Signal.ROTOR_SPEED: "rotor speeds",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Want:
-    """One stream: its message, the rate to ask for, and the rates [Hz] that will do."""
+    """One stream.
 
+    signal: what it carries.
+    msgid: its message.
+    ask_hz: rate to ask for.
+    least_hz, most_hz: measured rates that will do.
+    """
+
+    signal: Signal
     msgid: int
     ask_hz: float
     least_hz: float
     most_hz: float = float("inf")
 
-    def met_by(self, rate_hz: float) -> bool:
-        """Whether a measured rate will do."""
-        return self.least_hz <= rate_hz <= self.most_hz
 
+def wants_of(
+    profile: Profile, needs: Collection[Signal], imu_hz: tuple[float, float, float], setpoint_hz: float
+) -> tuple[Want, ...]:
+    """The streams to ask for, by the signals that are needed.
 
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """A COMMAND_ACK from the autopilot. It does not tell which message it was for."""
-
-    command: int
-    result: int
+    imu_hz: rate to ask for, least and most that will do. setpoint_hz: least rate of the set-points.
+    """
+    wants = [Want(Signal.BODY_RATE, profile.imu, *imu_hz)]
+    if Signal.ATTITUDE_SETPOINT in needs:
+        wants.insert(0, Want(Signal.ATTITUDE_SETPOINT, profile.setpoint, imu_hz[0], setpoint_hz))
+    messages = {Signal.ACTUATOR: profile.actuator, Signal.ROTOR_SPEED: profile.rotor_speed}
+    if profile.vibration:
+        messages[Signal.VIBRATION] = MessageId.VIBRATION
+    wants += [Want(signal, messages[signal], *_SLOW[signal]) for signal in messages if signal in needs]
+    return tuple(wants)
 
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
-    """What was asked for one message. told_hz: the rate that was told last, None if none was."""
+    """What was asked for one message.
 
-    msgid: int
+    tries: since its rate was right last.
+    at: when it was asked for last.
+    refused: whether the autopilot refused it.
+    reported_hz: the rate that was reported last; None if none was.
+    """
+
     tries: int = 0
     at: Instant | None = None
     refused: bool = False
-    told_hz: float | None = None
+    reported_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Negotiation:
-    """All that was asked so far. awaited: messages in the order asked whose acknowledgement has not come."""
+    """All that was asked so far.
 
-    asks: tuple[_Ask, ...] = ()
-    awaited: tuple[int, ...] = ()
+    asks: by message.
+    awaited: messages whose acknowledgement has not come, with the time, in the order asked.
+    """
 
-
-def in_hand(negotiation: Negotiation, msgid: int) -> bool:
-    """Whether asking for this message may still help: not refused, and not in vain all the times."""
-    ask = _of(negotiation, msgid)
-    return not ask.refused and ask.tries < TRIES
+    asks: Mapping[int, _Ask] = field(default_factory=dict)
+    awaited: tuple[tuple[int, Instant], ...] = ()
 
 
 def negotiate(
     negotiation: Negotiation, wants: tuple[tuple[Want, float | None], ...], acks: tuple[Ack, ...], now: Instant
 ) -> tuple[Negotiation, tuple[Effect, ...], tuple[Notice, ...]]:
-    """Take in acknowledgements and measured rates; return what to ask and what to tell.
+    """Take in acknowledgements and measured rates; return what to ask and what to say.
 
     wants: each stream with its measured rate: 0 if it does not come, None while it is being measured.
     """
-    negotiation, notes = _heard(negotiation, acks)
+    negotiation, notes = _acknowledged(negotiation, acks, now)
     effects: list[Effect] = [*notes]
     for want, rate_hz in wants:
-        ask = _of(negotiation, want.msgid)
-        if rate_hz is not None and not want.met_by(rate_hz) and _may_ask(ask, now):
+        ask = negotiation.asks.get(want.msgid, _Ask())
+        if rate_hz is None:
+            continue
+        if want.least_hz <= rate_hz <= want.most_hz:
+            negotiation = _with(negotiation, want.msgid, replace(ask, tries=0, refused=False))
+        elif _may_ask(ask, now):
             effects.append(AskInterval(want.msgid, round(_US_PER_S / want.ask_hz)))
-            negotiation = _with(negotiation, replace(ask, tries=ask.tries + 1, at=now))
-            negotiation = replace(negotiation, awaited=(*negotiation.awaited, want.msgid)[-8:])
-    negotiation, notices = _told(negotiation, wants, now)
+            negotiation = _with(negotiation, want.msgid, replace(ask, tries=ask.tries + 1, at=now))
+            negotiation = replace(negotiation, awaited=(*negotiation.awaited, (want.msgid, now)))
+    negotiation, notices = _reported(negotiation, wants, now)
     return negotiation, tuple(effects), notices
 
 
-def _heard(negotiation: Negotiation, acks: tuple[Ack, ...]) -> tuple[Negotiation, list[Note]]:
+def _acknowledged(negotiation: Negotiation, acks: tuple[Ack, ...], now: Instant) -> tuple[Negotiation, list[Note]]:
     """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
+    awaited = tuple(one for one in negotiation.awaited if now - one[1] <= ACK_S)
     notes: list[Note] = []
     for ack in acks:
-        if ack.command != MavCmd.SET_MESSAGE_INTERVAL or not negotiation.awaited:
+        if ack.command != MavCmd.SET_MESSAGE_INTERVAL or not awaited:
             continue
-        msgid, *rest = negotiation.awaited
-        negotiation = replace(negotiation, awaited=tuple(rest))
-        name, answer = message_name(msgid), _result(ack.result)
-        notes.append(Note(f"{name}: the autopilot answered {answer}"))
+        (msgid, _), *rest = awaited
+        awaited = tuple(rest)
+        notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
         if ack.result in _REFUSED:
-            negotiation = _with(negotiation, replace(_of(negotiation, msgid), refused=True))
-    return negotiation, notes
+            negotiation = _with(negotiation, msgid, replace(negotiation.asks[msgid], refused=True))
+    return replace(negotiation, awaited=awaited), notes
 
 
 def _may_ask(ask: _Ask, now: Instant) -> bool:
@@ -108,33 +149,26 @@ def _may_ask(ask: _Ask, now: Instant) -> bool:
     return not ask.refused and (ask.at is None or now - ask.at >= pause_s)
 
 
-def _told(
+def _reported(
     negotiation: Negotiation, wants: tuple[tuple[Want, float | None], ...], now: Instant
 ) -> tuple[Negotiation, tuple[Notice, ...]]:
-    """Tell the rates that were got, once everything that was asked for is answered by a measurement."""
-    asked = [(_of(negotiation, want.msgid), want, rate) for want, rate in wants]
-    asked = [one for one in asked if one[0].tries]
-    news = any(rate and not _like(rate, ask.told_hz) for ask, _, rate in asked)
-    settled = all(rate and ask.at is not None and now - ask.at >= AGAIN_S / 2 for ask, _, rate in asked)
-    if not asked or not news or not settled:
+    """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
+    asked = [(want.msgid, negotiation.asks.get(want.msgid, _Ask()), rate) for want, rate in wants]
+    fresh = [(msgid, ask, rate) for msgid, ask, rate in asked if ask.at and rate and not _like(rate, ask.reported_hz)]
+    if not fresh or any(ask.at is not None and now - ask.at < AGAIN_S / 2 for _, ask, _ in asked):
         return negotiation, ()
-    words = ", ".join(f"{message_name(want.msgid)} {rate:.0f}" for _, want, rate in asked)
-    for ask, _, rate in asked:
-        negotiation = _with(negotiation, replace(ask, told_hz=rate))
+    words = ", ".join(f"{message_name(msgid)} {rate:.0f}" for msgid, _, rate in fresh)
+    for msgid, ask, rate in fresh:
+        negotiation = _with(negotiation, msgid, replace(ask, reported_hz=rate))
     return negotiation, (Notice(Kind.RATES, (words,)),)
 
 
-def _like(rate_hz: float, told_hz: float | None) -> bool:
-    return told_hz is not None and abs(rate_hz - told_hz) <= 0.1 * told_hz
+def _like(rate_hz: float, reported_hz: float | None) -> bool:
+    return reported_hz is not None and abs(rate_hz - reported_hz) <= 0.1 * reported_hz
 
 
-def _of(negotiation: Negotiation, msgid: int) -> _Ask:
-    return next((ask for ask in negotiation.asks if ask.msgid == msgid), _Ask(msgid))
-
-
-def _with(negotiation: Negotiation, ask: _Ask) -> Negotiation:
-    others = tuple(one for one in negotiation.asks if one.msgid != ask.msgid)
-    return replace(negotiation, asks=(*others, ask))
+def _with(negotiation: Negotiation, msgid: int, ask: _Ask) -> Negotiation:
+    return replace(negotiation, asks={**negotiation.asks, msgid: ask})
 
 
 def _result(number: int) -> str:

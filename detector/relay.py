@@ -1,38 +1,68 @@
-"""Further links that hang behind the daemon: they get the vehicle's frames and the daemon's own, and can answer.
+"""Further links behind the daemon: they get the vehicle's frames and the daemon's own, and can answer.
 
 Bytes are passed on as they came, cut between frames, so that nothing of ours gets into the middle of one of theirs.
 What a ground station sends goes to the vehicle unchanged: whoever forwards to an endpoint gives it that right.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
+from detector.journal import Recorder
 from mavdiag.link.ports import Chunk, Endpoint
-from mavdiag.link.ports.stream import whole_frames
+from mavdiag.link.ports.stream import frame_length
 
-__all__ = ["Cutter", "Relay"]
+__all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
+
+DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
 
-class Cutter:
-    """One direction of a byte stream, handed on in whole frames; at most 280 bytes wait."""
+class FrameSplitter:
+    """One direction of a link in frames. Bytes that begin no frame are handed on one by one.
 
-    def __init__(self) -> None:
+    datagrams: every chunk stands alone, for it may be another peer's: an incomplete frame at its end is dropped. In a
+    byte stream it waits for its rest, at most 280 bytes.
+    """
+
+    def __init__(self, *, datagrams: bool) -> None:
+        self._datagrams = datagrams
         self._begun = b""
 
-    def cut(self, data: bytes) -> bytes:
-        """The next bytes in, those that end between frames out."""
-        data = self._begun + data
-        stop = whole_frames(data)
-        self._begun = data[stop:]
-        return data[:stop]
+    def split(self, data: bytes) -> list[bytes]:
+        """The next bytes in, whole frames out."""
+        data, start, frames = self._begun + data, 0, list[bytes]()
+        while start < len(data):
+            length = frame_length(data, start)
+            if length is None or start + length > len(data):
+                break
+            frames.append(data[start : start + length])
+            start += length
+        self._begun = b"" if self._datagrams else data[start:]
+        return frames
+
+
+def packed(frames: Iterable[bytes]) -> Iterator[bytes]:
+    """Frames joined to messages of at most `DATAGRAM_BYTES`."""
+    message = b""
+    for frame in frames:
+        if message and len(message) + len(frame) > DATAGRAM_BYTES:
+            yield message
+            message = b""
+        message += frame
+    if message:
+        yield message
 
 
 class Relay:
-    """Between the vehicle's link and the links behind the daemon."""
+    """Between the vehicle's link and the links behind the daemon.
 
-    def __init__(self, main: Endpoint, behind: Sequence[Endpoint]) -> None:
-        self._main, self._behind = main, tuple(behind)
-        self._down = Cutter()
-        self._up = [Cutter() for _ in behind]
+    datagrams: whether the vehicle's link is UDP. recorder: a file that gets what the vehicle's link brings.
+    """
+
+    def __init__(
+        self, main: Endpoint, behind: Sequence[Endpoint], *, datagrams: bool, recorder: Recorder | None = None
+    ) -> None:
+        self._main, self._behind, self._recorder = main, tuple(behind), recorder
+        self._down = FrameSplitter(datagrams=datagrams)
+        self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
     @property
     def addresses(self) -> tuple[str, ...]:
@@ -41,22 +71,23 @@ class Relay:
 
     def pass_on(self, chunks: Iterable[Chunk]) -> None:
         """What the vehicle's link brought goes to every link behind; what they bring goes to the vehicle's link."""
-        if not self._behind:
-            return
-        for data, _ in chunks:
-            if whole := self._down.cut(data):
+        for data, host_ns in chunks if self._behind or self._recorder else ():
+            frames = self._down.split(data)
+            if self._recorder is not None:
+                self._recorder.write(frames, host_ns)
+            for message in packed(frames):
                 for endpoint in self._behind:
-                    endpoint.send(whole)
-        for endpoint, cutter in zip(self._behind, self._up, strict=True):
+                    endpoint.send(message)
+        for endpoint, splitter in zip(self._behind, self._up, strict=True):
             for data, _ in endpoint.receive(0.0):
-                if whole := cutter.cut(data):
-                    self._main.send(whole)
+                for message in packed(splitter.split(data)):
+                    self._main.send(message)
 
-    def say(self, frame: bytes) -> None:
+    def send_to_all(self, frame: bytes) -> None:
         """One frame of our own, to everybody."""
         for endpoint in (self._main, *self._behind):
             endpoint.send(frame)
 
-    def ask(self, frame: bytes) -> None:
+    def send_to_vehicle(self, frame: bytes) -> None:
         """One frame of our own, to the vehicle's link only."""
         self._main.send(frame)

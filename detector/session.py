@@ -1,113 +1,347 @@
-"""One vehicle's session, sans I/O: `step(spec, state, inbox, now) -> (state, effects)`.
+"""One vehicle's session, sans I/O: `session.step(inbox, now) -> effects`; what it remembers is one value, its state.
 
-What may follow what is in `states`, what is done in each state in `handlers`, what is said of it in `alerts`. `now` is
-the host's clock and rules what is said and given up; the judgement itself runs on the vehicle's clock.
+What may follow what is in `states`, what is said and how often in `alerts`. `now` is the host's clock and rules what is
+said and given up; the judgement itself runs on the vehicle's clock.
 """
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final
 
-from detector.alerts import Kind, Notice, Speaker, figure, speak
-from detector.collect import Collection
-from detector.effects import Effect, EventClosed
-from detector.handlers import HANDLERS
-from detector.negotiate import Negotiation, Want, negotiate
-from detector.states import TABLE, State, Trigger
-from detector.streams import Streams, observe, rate_hz
-from detector.twins import Twins
-from detector.values import Inbox, Learned, LearningFailed, Next, Out, SessionSpec, SessionState, move
-from mavdiag.baseline import RATE_TOLERANCE, Baseline
-from mavdiag.telemetry import Instant
+from detector.alerts import Kind, Notice, Presenter, figure, present
+from detector.judging import Alert, Judge, alert_after, not_judged, records_of, unknown_suspects
+from detector.named_values import NamedValues, named_values
+from detector.negotiate import Negotiation, negotiate, wants_of
+from detector.states import TABLE, State, Trigger, advance
+from detector.streams import Collection, Hindrance, Reason, Streams, collect, observe, on_ground
+from detector.values import (
+    Effect,
+    EventClosed,
+    Inbox,
+    Learn,
+    LearningFailed,
+    Note,
+    SessionSpec,
+    StateChanged,
+)
+from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
+from mavdiag.chain import chain_of
+from mavdiag.errors import BaselineError
+from mavdiag.link.samples import joined
+from mavdiag.monitors import MONITORS
+from mavdiag.telemetry import Instant, Signal, Telemetry
 
-__all__ = ["Inbox", "Learned", "LearningFailed", "SessionSpec", "SessionState", "finish", "healthy", "start", "step"]
+__all__ = ["Session", "SessionState"]
 
-
-def start(spec: SessionSpec, now: Instant) -> SessionState:
-    """A vehicle was heard for the first time."""
-    speaker, twins = Speaker(spec.texts_per_minute), Twins(1.0 / spec.twins_hz, spec.twins_axis)
-    return SessionState(State.WAITING, "just heard", now, spec.baseline, speaker, twins)
-
-
-def step(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> tuple[SessionState, tuple[Effect, ...]]:
-    """Take in what came since the last step. Call it regularly, with an empty inbox too: time alone changes things."""
-    out: list[Out] = []
-    for phase in (_link, _reboot, _streams, _work):
-        state, more = phase(spec, state, inbox, now)
-        out += more
-    speaker, said = speak(state.speaker, tuple(one for one in out if isinstance(one, Notice)), now)
-    return replace(state, speaker=speaker), (*(one for one in out if not isinstance(one, Notice)), *said)
-
-
-def finish(state: SessionState) -> tuple[Effect, ...]:
-    """The daemon stops, or the vehicle started anew: the rows that waited are judged, and events that are still open
-    are told with the end not seen."""
-    if state.judge is None:
-        return ()
-    findings = state.judge.chain.finish(state.judge.memory)
-    latest = {(event.monitor, event.axis, event.start_ns): event for event in findings.events}
-    return tuple(EventClosed(event) for event in latest.values())
+WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
+IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
+PROGRESS_STEP = 25  # percent of learning between two texts
+FITS = 3  # fits that may fail before learning is given up (our choice)
 
 
-def healthy(state: SessionState) -> bool:
-    """Whether the session does its work or still hopes to: only then its heartbeat goes out."""
-    return state.state is not State.FAULTED
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionState:
+    """All that a session remembers.
+
+    state, reason: where it is and why.
+    latest: when anything came from the vehicle last (host).
+    baseline: what it judges by, None until it is learned.
+    presenter, named_values: what was said lately.
+    streams, negotiation: what comes and what was asked for.
+    collection: healthy flight to learn from.
+    failed: fits in vain.
+    waited: the first telemetry, while its rates are measured; judging begins with it, as a scan of the recording does.
+    judge: the chain at work.
+    alert: the alert, while there is one.
+    airborne: since when the vehicle flies (host), None on the ground.
+    told: monitors that were said not to judge, with the reason.
+    reboots: of the vehicle.
+    """
+
+    state: State
+    reason: str
+    latest: Instant
+    baseline: Baseline | None
+    presenter: Presenter
+    named_values: NamedValues
+    streams: Streams = field(default_factory=Streams)
+    negotiation: Negotiation = field(default_factory=Negotiation)
+    collection: Collection = field(default_factory=Collection)
+    failed: int = 0
+    waited: tuple[Telemetry, ...] = ()
+    judge: Judge | None = None
+    alert: Alert | None = None
+    airborne: Instant | None = None
+    told: tuple[tuple[str, str], ...] = ()
+    reboots: int = 0
 
 
-def _link(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
-    if inbox.heard:
-        away_s = now - state.heard
-        state = replace(state, heard=now)
-        if state.state is State.LOST:
-            state, changed = move(state, Trigger.LINK_BACK)
-            return state, (changed, Notice(Kind.LINK_BACK, (figure(away_s, 1),)))
-    elif now - state.heard > spec.link_lost_s and Trigger.LINK_LOST in TABLE[state.state]:
-        lost = replace(state, alarm=None, streams=Streams(), negotiation=Negotiation())
-        state, changed = move(lost, Trigger.LINK_LOST, f"nothing heard for {spec.link_lost_s:g} s")
-        return state, (changed, Notice(Kind.LINK_LOST))
-    return state, ()
+_NEW_LINK: Mapping[str, Any] = {
+    "streams": Streams(),
+    "negotiation": Negotiation(),
+    "waited": (),
+    "airborne": None,
+}
 
 
-def _reboot(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
-    """What was measured, collected or judged belongs to the time before; the baseline stays."""
-    if inbox.reboots == state.reboots or Trigger.REBOOT not in TABLE[state.state]:
-        return state, ()
-    ended = finish(state)
-    state, changed = move(state, Trigger.REBOOT)
-    fresh = replace(
-        state,
-        reboots=inbox.reboots,
-        streams=Streams(),
-        negotiation=Negotiation(),
-        collection=Collection(),
-        judge=None,
-        alarm=None,
-    )
-    return fresh, (*ended, changed, Notice(Kind.REBOOT))
+class Session:
+    """One vehicle's session; it begins when its first frame comes."""
 
+    def __init__(self, spec: SessionSpec, now: Instant) -> None:
+        self.spec: Final = spec
+        self._settings = settings = spec.settings
+        presenter = Presenter(settings.texts_per_minute)
+        values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
+        self.state = SessionState(State.WAITING, "the first frame came", now, spec.baseline, presenter, values)
+        self._effects: list[Effect] = []
+        self._notices: list[Notice] = []
 
-def _streams(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
-    """Watch the streams, and ask for what they lack."""
-    if state.state is State.LOST:
-        return state, ()
-    streams = observe(state.streams, inbox.telemetry, now)
-    state = replace(state, streams=streams)
-    if not spec.negotiate or state.state in (State.FITTING, State.FAULTED):
-        return state, ()
-    setpoint, imu = _wants(spec, state.baseline)
-    wants = ((setpoint, rate_hz(streams, streams.setpoint, now)), (imu, rate_hz(streams, streams.gyro, now)))
-    negotiation, effects, notices = negotiate(state.negotiation, wants, inbox.acks, now)
-    return replace(state, negotiation=negotiation), (*effects, *notices)
+    @property
+    def healthy(self) -> bool:
+        """Whether it does its work or still may: only then its heartbeat goes out."""
+        return self.state.state is not State.FAULTED
 
+    def step(self, inbox: Inbox, now: Instant) -> tuple[Effect, ...]:
+        """Take in what came since the last step. Call it regularly, with an empty inbox too: time changes things."""
+        self._effects, self._notices = [], []
+        self._link(inbox, now)
+        self._reboot(inbox)
+        self._observe(inbox, now)
+        self.HANDLERS[self.state.state](self, inbox, now)
+        presenter, said = present(self.state.presenter, tuple(self._notices), now)
+        self._keep(presenter=presenter)
+        return (*self._effects, *said)
 
-def _wants(spec: SessionSpec, baseline: Baseline | None) -> tuple[Want, Want]:
-    """Set-points and IMU: at the baseline's rate, or at any that will do to learn."""
-    profile, least_hz = spec.profile, spec.min_rate_hz
-    if baseline is None:
-        ask_hz = spec.ask_hz or profile.rate_hz
-        return Want(profile.setpoint, ask_hz, least_hz), Want(profile.imu, ask_hz, least_hz)
-    exact_hz = 1.0 / baseline.link.dt_s
-    imu = Want(profile.imu, exact_hz, exact_hz / (1.0 + RATE_TOLERANCE), exact_hz / (1.0 - RATE_TOLERANCE))
-    return Want(profile.setpoint, exact_hz, min(least_hz, imu.least_hz)), imu
+    def finish(self) -> tuple[Effect, ...]:
+        """The daemon stops, or the vehicle started anew: the rows that waited are judged, and events that are still
+        open are recorded with the end not seen."""
+        judge = self.state.judge
+        if judge is None:
+            return ()
+        _, output = judge.chain.finish(judge.memory)
+        latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
+        return tuple(EventClosed(event) for event in latest.values())
 
+    def _keep(self, **changes: Any) -> None:
+        self.state = replace(self.state, **changes)
 
-def _work(spec: SessionSpec, state: SessionState, inbox: Inbox, now: Instant) -> Next:
-    return HANDLERS[state.state](spec, state, inbox, now)
+    def _move(self, trigger: Trigger, reason: str = "", **changes: Any) -> None:
+        """Go where the table says. reason: in place of the trigger's own words. changes: to the rest of the state."""
+        old, new, reason = self.state.state, advance(self.state.state, trigger), reason or trigger.value
+        self._keep(state=new, reason=reason, **changes)
+        self._effects.append(StateChanged(old, new, reason))
+
+    def _say(self, kind: Kind, *words: str, key: str = "") -> None:
+        self._notices.append(Notice(kind, words, key))
+
+    def _off(self, trigger: Trigger, reason: str) -> None:
+        self._move(trigger, reason)
+        self._say(Kind.OFF, reason)
+
+    def _link(self, inbox: Inbox, now: Instant) -> None:
+        state, limit_s = self.state, self._settings.link_lost_s
+        if inbox.alive:
+            self._keep(latest=now)
+            if state.state is State.LOST:
+                self._move(Trigger.LINK_BACK)
+                self._say(Kind.LINK_BACK, figure(now - state.latest, 1))
+        elif now - state.latest > limit_s and Trigger.LINK_LOST in TABLE[state.state]:
+            self._stop_judging("link lost")
+            self._move(Trigger.LINK_LOST, f"nothing came for {limit_s:g} s", **_NEW_LINK)
+            self._say(Kind.LINK_LOST)
+
+    def _reboot(self, inbox: Inbox) -> None:
+        """What was measured, collected or judged belongs to the time before; the baseline stays."""
+        if inbox.reboots == self.state.reboots or Trigger.REBOOT not in TABLE[self.state.state]:
+            return
+        self._effects += self.finish()
+        new: dict[str, Any] = {"collection": Collection(), "failed": 0, "judge": None, "alert": None, "told": ()}
+        self._move(Trigger.REBOOT, reboots=inbox.reboots, **_NEW_LINK, **new)
+        self._say(Kind.REBOOT)
+
+    def _observe(self, inbox: Inbox, now: Instant) -> None:
+        """Measure the streams, and ask for what they lack."""
+        if self.state.state is State.LOST:
+            return
+        streams = observe(self.state.streams, inbox.telemetry, now)
+        self._keep(streams=streams)
+        if not self._settings.negotiate or self.state.state in (State.FITTING, State.FAULTED):
+            return
+        wants = ((want, streams.rate_hz(want.signal, now)) for want in wants_of(self.spec.profile, *self._needed()))
+        negotiation, effects, notices = negotiate(self.state.negotiation, tuple(wants), inbox.acks, now)
+        self._keep(negotiation=negotiation)
+        self._effects += effects
+        self._notices += notices
+
+    def _needed(self) -> tuple[frozenset[Signal], tuple[float, float, float], float]:
+        """The signals that the monitors need, the IMU's rates (asked for, least, most) and the set-points' least."""
+        least_hz, baseline = self._settings.min_rate_hz, self.state.baseline
+        if baseline is None:
+            needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
+            return needs, (self._settings.ask_hz or self.spec.profile.rate_hz, least_hz, float("inf")), least_hz
+        exact_hz = 1.0 / baseline.link.dt_s
+        slowest_hz, fastest_hz = exact_hz / (1.0 + RATE_TOLERANCE), exact_hz / (1.0 - RATE_TOLERANCE)
+        return baseline.needs(), (exact_hz, slowest_hz, fastest_hz), min(least_hz, slowest_hz)
+
+    def _hindrance(self) -> Hindrance | None:
+        """What the streams lack, None if they will do. A rate must be wrong twice before it counts as changed."""
+        streams, baseline, least_hz = self.state.streams, self.state.baseline, self._settings.min_rate_hz
+        gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
+        judging = self.state.state in (State.MONITORING, State.ALERT)
+        if gyro.latest is None:
+            return Hindrance(Reason.NO_GYRO)
+        if self._needs_setpoints() and setpoint.latest is None:
+            return Hindrance(Reason.NO_SETPOINTS)
+        if gyro.period_s is None or (self._needs_setpoints() and setpoint.period_s is None):
+            return Hindrance(Reason.MEASURING)
+        periods = gyro.periods_s if judging else (gyro.period_s,)
+        if all(period * least_hz > 1.0 for period in periods):
+            return Hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
+        if baseline is not None:
+            tolerance = (2.0 if judging else 1.0) * RATE_TOLERANCE
+            if all(abs(period / baseline.link.dt_s - 1.0) > tolerance for period in periods):
+                return Hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
+        if self._needs_setpoints() and all(period * least_hz > 1.0 for period in setpoint.periods_s):
+            return Hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
+        return None
+
+    def _needs_setpoints(self) -> bool:
+        """Whether nothing can be done without set-points: learning, or a baseline all of whose monitors need them."""
+        judge = self.state.judge
+        if self.state.baseline is None or judge is None:
+            return self.state.baseline is None
+        return all(Signal.ATTITUDE_SETPOINT in slot.monitor.signals for slot in judge.chain.slots)
+
+    def _waiting(self, inbox: Inbox, now: Instant) -> None:
+        state = self.state
+        if state.baseline is not None and (state.judge is None or state.judge.baseline is not state.baseline):
+            try:
+                check_link(state.baseline, profile=self.spec.profile.name, dt_s=state.baseline.link.dt_s)
+                chain = chain_of(state.baseline)
+            except BaselineError as error:
+                return self._off(Trigger.REFUSED, str(error))
+            self._keep(judge=Judge(state.baseline, chain, chain.start(), now))
+            self._effects += unknown_suspects(chain, self._settings.suspect)
+        lack = self._hindrance()
+        measuring = lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS)
+        # What came at a wrong rate is not judged later.
+        self._keep(waited=(*state.waited, inbox.telemetry)[-WAITED_CHUNKS:] if measuring else ())
+        if lack is not None:
+            self._keep(reason=lack.text)
+            return self._say(Kind.WAITING, lack.text, key=lack.reason)
+        if state.baseline is None:
+            return self._move(Trigger.READY_TO_LEARN, waited=())
+        if (judge := self.state.judge) is None:
+            return None
+        judge, output = replace(judge, judged=now).step(joined(self.state.waited), now)
+        self._effects += records_of(output)
+        return self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
+
+    def _learning(self, inbox: Inbox, now: Instant) -> None:
+        lack = self._hindrance()
+        if lack is not None:
+            return self._move(Trigger.STREAMS_LOST, lack.text)
+        state, learn_s, profile = self.state, self._settings.learn or 0.0, self.spec.profile
+        goal_s = learn_s * (1 + state.failed)
+        ground = on_ground(state.streams, profile.gate)
+        collection = state.collection
+        if ground is None:
+            collection = collect(collection, inbox.telemetry, state.streams.gyro.period_s or 0.0, FITS * learn_s)
+        self._keep(collection=collection)
+        if collection.seconds >= goal_s:
+            self._move(Trigger.COLLECTED)
+            self._effects.append(Learn(profile.name, collection.telemetry))
+            return self._say(Kind.FITTING)
+        percent = int(100 * collection.seconds / goal_s)
+        shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
+        self._keep(reason=f"{percent} % of {goal_s:g} s{why}")
+        return self._say(Kind.LEARNING, str(shown), why, key=f"{shown}{why}")
+
+    def _fitting(self, inbox: Inbox, now: Instant) -> None:
+        """A fit that failed is tried again with more flight: what was collected stays."""
+        outcome = inbox.outcome
+        if outcome is None:
+            return None
+        if isinstance(outcome, LearningFailed):
+            failed = self.state.failed + 1
+            if failed >= FITS:
+                return self._off(Trigger.GIVEN_UP, f"cannot learn: {outcome.reason}")
+            self._move(Trigger.NOT_FITTED, outcome.reason, failed=failed)
+            return self._say(Kind.NOT_LEARNED, outcome.reason)
+        self._move(Trigger.FITTED, baseline=outcome, collection=Collection(), failed=0)
+        self._effects.append(outcome)
+        refused = len(outcome.not_judgeable)
+        return self._say(Kind.LEARNED, str(len(outcome.monitors)), f", {refused} cannot" if refused else "")
+
+    def _judging(self, inbox: Inbox, now: Instant) -> None:
+        state, lack = self.state, self._hindrance()
+        if state.judge is None or lack is not None:
+            why = lack.text if lack else ""
+            self._stop_judging(why)
+            return self._move(Trigger.STREAMS_LOST, why, waited=())
+        judge, output = state.judge.step(inbox.telemetry, now)
+        values, floats = named_values(state.named_values, output, now)
+        ground = on_ground(state.streams, judge.chain.front.gate)
+        airborne = None if ground else state.airborne or now
+        alert = alert_after(state.alert, output, judge.memory.diagnosis, frozenset(self._settings.suspect), now)
+        if state.alert is None and (airborne is None or now - airborne < self._settings.takeoff_s):
+            alert = None
+        self._keep(judge=judge, named_values=values, airborne=airborne, alert=alert)
+        self._effects += [*records_of(output), *floats]
+        return self._quiet(judge, ground, now) if alert is None else self._alerting(judge, alert, ground, now)
+
+    def _stop_judging(self, why: str) -> None:
+        """What is open is closed: it must not come back with the next flight."""
+        state = self.state
+        if state.judge is not None:
+            judge, output = state.judge.end_flight()
+            self._keep(judge=judge, alert=None)
+            self._effects += records_of(output)
+            if state.alert is not None:
+                self._say(Kind.UNSETTLED, why)
+
+    def _alerting(self, judge: Judge, alert: Alert, ground: Hindrance | None, now: Instant) -> None:
+        notice = alert.notice
+        if self.state.state is State.MONITORING:
+            self._move(Trigger.ALARM, notice.text)
+        if now - alert.latest < self._settings.clear_s:
+            self._keep(reason=notice.text)
+            self._notices.append(notice)
+            return
+        # Cleared if flight was judged since; else it only could not be followed any longer.
+        if judge.judged - alert.latest > self._settings.clear_s / 2:
+            self._say(Kind.CLEARED, figure(alert.latest - alert.since, 1))
+        else:
+            self._say(Kind.UNSETTLED, (ground or Hindrance(Reason.GAPS)).text)
+        self._move(Trigger.QUIET, self._notices[-1].text, alert=None)
+
+    def _quiet(self, judge: Judge, ground: Hindrance | None, now: Instant) -> None:
+        """Nothing found: say why nothing is judged if nothing is, and which monitors do not judge."""
+        if self.state.state is State.ALERT:
+            self._move(Trigger.QUIET)
+        unjudged = not_judged(judge, self.state.streams, now)
+        self._effects += [
+            Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.told
+        ]
+        diagnosis, why, short = judge.memory.diagnosis, "", ""
+        if now - judge.judged >= IDLE_S and (ground or not unjudged):
+            why = short = f": {ground.text if ground else diagnosis.reason or Reason.GAPS}"
+        elif unjudged:
+            why = "".join(f"; {label} not judged: {reason}" for label, reason in unjudged)
+            label, reason = unjudged[0]
+            short = f"; {label}: {reason}" if len(unjudged) == 1 else f"; not {', '.join(one for one, _ in unjudged)}"
+        self._keep(reason=f"monitoring{why}", told=unjudged)
+        self._say(Kind.MONITORING, short, key=short)
+
+    def _faulted(self, inbox: Inbox, now: Instant) -> None:
+        self._say(Kind.OFF, self.state.reason)
+
+    HANDLERS: ClassVar[Mapping[State, "Callable[[Session, Inbox, Instant], None]"]] = {
+        State.WAITING: _waiting,
+        State.LEARNING: _learning,
+        State.FITTING: _fitting,
+        State.MONITORING: _judging,
+        State.ALERT: _judging,
+        State.LOST: lambda session, inbox, now: None,
+        State.FAULTED: _faulted,
+    }

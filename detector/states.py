@@ -18,7 +18,7 @@ class State(StrEnum):
     FITTING = "fitting"  # making the baseline from it
     MONITORING = "monitoring"  # judging, nothing found
     ALERT = "alert"  # a fault is declared or suspected
-    LOST = "lost"  # the vehicle is not heard
+    LOST = "lost"  # nothing comes from the vehicle
     FAULTED = "faulted"  # cannot do its work: no heartbeat in this state
 
 
@@ -27,15 +27,16 @@ class Trigger(StrEnum):
 
     READY_TO_LEARN = "streams are there, no baseline yet"
     READY_TO_JUDGE = "streams are there, the baseline fits"
-    REFUSED = "the baseline does not fit"
+    REFUSED = "the baseline is of another profile or schema"
     STREAMS_LOST = "a stream stopped or changed its rate"
     COLLECTED = "enough healthy flight"
     FITTED = "a baseline was made"
-    NOT_FITTED = "no baseline can be made"
-    ALARM = "a monitor is above its threshold"
-    QUIET = "no monitor is, for a while"
-    LINK_LOST = "nothing is heard"
-    LINK_BACK = "something is heard"
+    NOT_FITTED = "more flight is needed"
+    GIVEN_UP = "no baseline can be made"
+    ALARM = "a fault is suspected or declared"
+    QUIET = "none is, for a while"
+    LINK_LOST = "nothing comes"
+    LINK_BACK = "something comes"
     REBOOT = "the vehicle started anew"
 
 
@@ -56,7 +57,8 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
     # The fit ends within its time limit, one way or the other; what the link does meanwhile is seen to afterwards.
     State.FITTING: {
         Trigger.FITTED: State.WAITING,
-        Trigger.NOT_FITTED: State.FAULTED,
+        Trigger.NOT_FITTED: State.LEARNING,
+        Trigger.GIVEN_UP: State.FAULTED,
     },
     State.MONITORING: {
         Trigger.ALARM: State.ALERT,

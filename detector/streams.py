@@ -1,33 +1,27 @@
-"""What comes from a vehicle, and what hinders: presence and rates of the two main streams, armed, airborne.
+"""What comes from a vehicle, and what is missing: the rates of its streams, armed, airborne, and the flight so far.
 
 "Not yet" is an answer, with its reason; see `Reason`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.link.samples import joined
 from mavdiag.rows.align import NATIVE_TOLERANCE
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import NS_PER_S, Instant, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import Instant, IntArray, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
-__all__ = [
-    "MEASURE_S",
-    "SILENT_S",
-    "Hindrance",
-    "Meter",
-    "Reason",
-    "Streams",
-    "hindrance",
-    "observe",
-    "on_ground",
-    "rate_hz",
-]
+__all__ = ["SILENT_S", "Collection", "Hindrance", "Meter", "Reason", "Streams", "collect", "observe", "on_ground"]
 
-SILENT_S = 2.0  # without a sample for so long, a stream is gone (our choice)
-MEASURE_S = 2.0  # vehicle time over which a rate is measured (our choice)
+SILENT_S = 2.0  # without a sample for so long, a stream has stopped (our choice)
+MEASURE_S = 1.0  # vehicle time over which a rate is measured (our choice: a change is known within 2 s)
+METERED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.ACTUATOR, Signal.VIBRATION, Signal.ROTOR_SPEED)
 _MOST = 100_000  # samples that are kept of one measurement
+_PIECES = 64  # chunks that are joined into one, so that a long collection stays a short list
 
 
 class Reason(StrEnum):
@@ -63,65 +57,72 @@ def _no_times() -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Meter:
-    """One stream. seen: when it was last heard (host); t_ns: vehicle times since the last measurement;
-    period_s: as measured last, None while unknown; samples: all so far."""
+    """One stream.
 
-    seen: Instant | None = None
+    latest: when a sample came last (host); None if none came, or none for `SILENT_S`.
+    t_ns: vehicle times since the last measurement.
+    period_s: as measured last; None while unknown.
+    before_s: as measured the time before; None if it was not.
+    samples: all so far.
+    """
+
+    latest: Instant | None = None
     t_ns: IntArray = field(default_factory=_no_times)
     period_s: float | None = None
+    before_s: float | None = None
     samples: int = 0
 
     @property
     def rate_hz(self) -> float:
-        """Measured rate, 0 while unknown."""
+        """Measured rate; 0 while unknown."""
         return 1.0 / self.period_s if self.period_s else 0.0
+
+    @property
+    def periods_s(self) -> tuple[float, ...]:
+        """The last two measurements, as far as there are any: one odd second is no change of rate."""
+        return tuple(period for period in (self.before_s, self.period_s) if period is not None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streams:
-    """The two main streams and the latest word on armed (0 or 1) and thrust (0..1); nan where never said.
+    """The streams of one vehicle.
 
-    began: since when they are watched (host).
+    began: since when they are observed (host).
+    meters: of the signals in `METERED` that came so far.
+    armed: 0 or 1 as said last; nan if never said.
+    thrust: collective set-point, 0..1; nan if never said.
     """
 
     began: Instant | None = None
-    gyro: Meter = field(default_factory=Meter)
-    setpoint: Meter = field(default_factory=Meter)
+    meters: Mapping[Signal, Meter] = field(default_factory=dict)
     armed: float = float("nan")
     thrust: float = float("nan")
+
+    def meter(self, signal: Signal) -> Meter:
+        """The meter of a signal."""
+        return self.meters.get(signal, Meter())
+
+    def rate_hz(self, signal: Signal, now: Instant) -> float | None:
+        """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
+        meter = self.meter(signal)
+        if meter.latest is None:
+            return 0.0 if self.began is not None and now - self.began > SILENT_S else None
+        return meter.rate_hz if meter.period_s is not None else None
+
+    @property
+    def gyro(self) -> Meter:
+        """The gyro's meter."""
+        return self.meter(Signal.BODY_RATE)
 
 
 def observe(streams: Streams, telemetry: Telemetry, now: Instant) -> Streams:
     """Take in what came."""
     return Streams(
         now if streams.began is None else streams.began,
-        _metered(streams.gyro, telemetry.get(Signal.BODY_RATE), now),
-        _metered(streams.setpoint, telemetry.get(Signal.ATTITUDE_SETPOINT), now),
+        {signal: _metered(streams.meter(signal), telemetry.get(signal), now) for signal in METERED},
         _latest(streams.armed, telemetry.get(Signal.ARMED)),
         _latest(streams.thrust, telemetry.get(Signal.THRUST_SETPOINT)),
     )
-
-
-def rate_hz(streams: Streams, meter: Meter, now: Instant) -> float | None:
-    """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
-    if meter.seen is None:
-        return 0.0 if streams.began is not None and now - streams.began > SILENT_S else None
-    return meter.rate_hz if meter.period_s is not None else None
-
-
-def hindrance(streams: Streams, min_rate_hz: float) -> Hindrance | None:
-    """What the streams lack, None if they will do."""
-    if streams.setpoint.seen is None:
-        return Hindrance(Reason.NO_SETPOINTS)
-    if streams.gyro.seen is None:
-        return Hindrance(Reason.NO_GYRO)
-    if streams.gyro.period_s is None or streams.setpoint.period_s is None:
-        return Hindrance(Reason.MEASURING)
-    if streams.gyro.rate_hz < min_rate_hz:
-        return Hindrance(Reason.SLOW_GYRO, f"({streams.gyro.rate_hz:.0f} Hz)")
-    if streams.setpoint.rate_hz < min_rate_hz:
-        return Hindrance(Reason.SLOW_SETPOINTS, f"({streams.setpoint.rate_hz:.0f} Hz)")
-    return None
 
 
 def on_ground(streams: Streams, gate: GateSpec) -> Hindrance | None:
@@ -139,14 +140,14 @@ def _latest(old: float, series: Series | None) -> float:
 
 def _metered(meter: Meter, series: Series | None, now: Instant) -> Meter:
     if series is None or len(series) == 0:
-        silent = meter.seen is not None and now - meter.seen > SILENT_S
+        silent = meter.latest is not None and now - meter.latest > SILENT_S
         return Meter(samples=meter.samples) if silent else meter
     t_ns = np.concatenate((meter.t_ns, series.t_ns))
-    meter = replace(meter, seen=now, t_ns=t_ns, samples=meter.samples + len(series))
+    meter = replace(meter, latest=now, t_ns=t_ns, samples=meter.samples + len(series))
     if t_ns[-1] - t_ns[0] < MEASURE_S * NS_PER_S:
         # A clock that jumps back starts the measurement anew; so does one that stands still.
         return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] or len(t_ns) > _MOST else meter
-    return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns))
+    return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns), before_s=meter.period_s)
 
 
 def _period_s(t_ns: IntArray) -> float | None:
@@ -160,3 +161,40 @@ def _period_s(t_ns: IntArray) -> float | None:
     median = float(np.median(steps))
     regular = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
     return float(np.mean(regular) if len(regular) else median) / NS_PER_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Collection:
+    """Healthy flight to learn from, so far.
+
+    whole: chunks joined, each with its length [s].
+    recent: the latest chunks, not yet joined.
+    recent_s: their length [s].
+    """
+
+    whole: tuple[tuple[Telemetry, float], ...] = ()
+    recent: tuple[Telemetry, ...] = ()
+    recent_s: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Length by the gyro samples [s]."""
+        return sum(seconds for _, seconds in self.whole) + self.recent_s
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """All of it as one."""
+        return joined((*(piece for piece, _ in self.whole), *self.recent))
+
+
+def collect(collection: Collection, telemetry: Telemetry, period_s: float, keep_s: float) -> Collection:
+    """Add a chunk of flight. period_s: of the gyro. keep_s: what is older than the latest so many seconds goes."""
+    gyro = telemetry.get(Signal.BODY_RATE)
+    seconds = collection.recent_s + (0 if gyro is None else len(gyro)) * period_s
+    recent = (*collection.recent, telemetry)
+    if len(recent) < _PIECES:
+        return Collection(collection.whole, recent, seconds)
+    whole = (*collection.whole, (joined(recent), seconds))
+    while sum(one for _, one in whole[1:]) > keep_s:
+        whole = whole[1:]
+    return Collection(whole, (), 0.0)

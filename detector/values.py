@@ -1,52 +1,47 @@
-"""The values of a session: what it is told to do, what it is given, what it remembers, and how it changes state."""
+"""What goes into a session and what comes out of it: closed, frozen values. The daemon acts on each effect."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from detector.alerts import Notice, Speaker
-from detector.collect import Collection
-from detector.effects import Effect, StateChanged
-from detector.judge import Alarm, Judge
-from detector.negotiate import Ack, Negotiation
-from detector.states import State, Trigger, advance
-from detector.streams import Streams
-from detector.twins import Twins
+from detector.config import SessionSettings
+from detector.states import State
 from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import Change, Event
+from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import Profile
-from mavdiag.telemetry import Axis, Instant, Telemetry
+from mavdiag.link.vehicles import Ack
+from mavdiag.telemetry import Telemetry
 
-__all__ = ["Handler", "Inbox", "Learned", "LearningFailed", "Next", "Out", "SessionSpec", "SessionState", "move"]
+__all__ = [
+    "AskInterval",
+    "Effect",
+    "EventClosed",
+    "EventOpened",
+    "Inbox",
+    "Learn",
+    "LearningFailed",
+    "Note",
+    "Record",
+    "SendFloat",
+    "SendText",
+    "SessionSpec",
+    "StateChanged",
+    "TextSuppressed",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionSpec:
-    """What a session is to do. Without a baseline it learns one from `learn_s` seconds of flight.
+    """What a session is to do.
 
-    min_rate_hz: slowest streams that will do. ask_hz: rate to ask for when learning, None for the profile's own.
-    negotiate: whether to ask at all. link_lost_s: silence that means it is lost. clear_s: quiet that ends an alert.
-    suspect: monitors ("latency", or "latency.pitch" for one axis) that only raise a suspicion.
+    profile: the vehicle's link profile.
+    baseline: what it judges by; None to learn one.
+    settings: how it works.
     """
 
     profile: Profile
     baseline: Baseline | None = None
-    learn_s: float = 60.0
-    min_rate_hz: float = 45.0
-    ask_hz: float | None = None
-    negotiate: bool = True
-    link_lost_s: float = 3.0
-    clear_s: float = 5.0
-    suspect: tuple[str, ...] = ()
-    texts_per_minute: int = 30
-    twins_hz: float = 5.0
-    twins_axis: Axis = Axis.ROLL
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Learned:
-    """The answer to `Learn`: a baseline."""
-
-    baseline: Baseline
+    settings: SessionSettings = field(default_factory=SessionSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,44 +53,93 @@ class LearningFailed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inbox:
-    """What came for one vehicle since the last step. heard: any frame came; reboots: of the vehicle, all so far."""
+    """What came for one vehicle since the last step.
+
+    telemetry: its samples.
+    alive: whether any frame of its autopilot came.
+    reboots: of the vehicle, all so far.
+    acks: its autopilot's acknowledgements.
+    outcome: what came of the last `Learn`.
+    """
 
     telemetry: Telemetry = field(default_factory=Telemetry)
-    heard: bool = False
+    alive: bool = False
     reboots: int = 0
     acks: tuple[Ack, ...] = ()
-    outcome: Learned | LearningFailed | None = None
+    outcome: Baseline | LearningFailed | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SendText:
+    """One STATUSTEXT, at most 50 bytes."""
+
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class SendFloat:
+    """One NAMED_VALUE_FLOAT. name: at most 10 bytes; vehicle_ns: the vehicle's time of the value."""
+
+    name: str
+    value: float
+    vehicle_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AskInterval:
+    """MAV_CMD_SET_MESSAGE_INTERVAL to the vehicle's autopilot. interval_us: period [us]."""
+
+    msgid: int
+    interval_us: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SessionState:
-    """All that a session remembers.
+class Learn:
+    """Make a baseline from this healthy flight; the answer comes back in an inbox."""
 
-    reason: why it is where it is; heard: when the vehicle was heard last (host). waited: the latest telemetry that came
-    while it waited; judging begins with it, as a scan of the recording does.
-    """
+    profile: str
+    telemetry: Telemetry
 
-    state: State
+
+@dataclass(frozen=True, slots=True)
+class StateChanged:
+    """The session went from one state to another."""
+
+    old: State
+    new: State
     reason: str
-    heard: Instant
-    baseline: Baseline | None
-    speaker: Speaker
-    twins: Twins
-    streams: Streams = field(default_factory=Streams)
-    negotiation: Negotiation = field(default_factory=Negotiation)
-    collection: Collection = field(default_factory=Collection)
-    waited: tuple[Telemetry, ...] = ()
-    judge: Judge | None = None
-    alarm: Alarm | None = None
-    reboots: int = 0
 
 
-Out: TypeAlias = Effect | Notice
-Next: TypeAlias = tuple[SessionState, tuple[Out, ...]]
-Handler: TypeAlias = Callable[[SessionSpec, SessionState, Inbox, Instant], Next]
+@dataclass(frozen=True, slots=True)
+class EventOpened:
+    """A monitor went above its threshold; its figures are those of that moment."""
+
+    event: Event
 
 
-def move(state: SessionState, trigger: Trigger, reason: str = "") -> tuple[SessionState, StateChanged]:
-    """Go where the table says. reason: in place of the trigger's own words. Raises ValueError as `advance` does."""
-    new, reason = advance(state.state, trigger), reason or trigger.value
-    return replace(state, state=new, reason=reason), StateChanged(state.state, new, reason)
+@dataclass(frozen=True, slots=True)
+class EventClosed:
+    """The whole event. Its end_ns is None if the end was not seen."""
+
+    event: Event
+
+
+@dataclass(frozen=True, slots=True)
+class TextSuppressed:
+    """A text was held back by the rate limits. count: all of this session so far."""
+
+    text: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Anything else worth a line: what was asked and got, what was refused."""
+
+    text: str
+
+
+Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
+"""What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
+Effect: TypeAlias = Record | SendFloat | AskInterval | Learn

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from detector.alerts import POLICY
+from detector.alerts import POLICY, Policy
 from detector.states import diagram
 
 PAGE = Path(__file__).parent / "detector-states.md"
@@ -14,12 +14,14 @@ by `python docs/draw_detector_states.py`; do not edit it by hand.
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. An alert is raised from `monitoring` only, and ends when no monitor was
-above its threshold for a while, or when it can no longer be watched.
+Heartbeats go out in every state but `faulted`. `monitoring` and `alert` follow the decision's stage (not judged, quiet,
+suspected, fault). An alert is raised from `monitoring` only, in flight only and not in the first seconds after a
+take-off. It ends when the decision was quiet for a while, or when it can no longer be judged. A rate that is wrong or a
+stream that stops leads to `waiting`, never to `faulted`.
 
 ## What it says
 
-| about | severity | text | again |
+| about | severity | text | said again while it lasts |
 |---|---|---|---|
 {texts}
 """
@@ -28,11 +30,19 @@ above its threshold for a while, or when it can no longer be watched.
 def page() -> str:
     """The whole page."""
     rows = [
-        f"| {kind} | {policy.severity.name} | `{policy.template.format('..', '..')}` "
-        f"| {'no' if policy.repeat_s is None else f'every {policy.repeat_s:g} s while it lasts'} |"
+        f"| {kind} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
         for kind, policy in POLICY.items()
     ]
     return TEXT.format(diagram=diagram(), texts="\n".join(rows))
+
+
+def _again(policy: Policy) -> str:
+    """When a lasting matter is said again."""
+    if not policy.again_s:
+        return "no"
+    *first, last = policy.again_s
+    every = f"every {last - (first[-1] if first else 0.0):g} s"
+    return f"after {', '.join(f'{time_s:g}' for time_s in first)} s, then {every}" if first else every
 
 
 if __name__ == "__main__":

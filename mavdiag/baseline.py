@@ -130,7 +130,7 @@ class SourceLog(_Part):
     """One healthy flight that the baseline rests on."""
 
     name: str
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")]
     judged_s: NotNegative
 
 

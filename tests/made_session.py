@@ -2,34 +2,32 @@
 
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-from detector import session
-from detector.effects import Effect, SendText, StateChanged
-from detector.negotiate import Ack
+from detector.config import SessionSettings
+from detector.session import Session, SessionState
 from detector.states import State
-from detector.values import Inbox, Learned, LearningFailed, SessionSpec, SessionState
-from mavdiag.baseline import (
-    Airframe,
-    AxisModel,
-    Baseline,
-    GateLimits,
-    Link,
-    MonitorEntry,
-    Provenance,
-    SourceLog,
-    Window,
-    sealed,
-)
+from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, SourceLog, Window, sealed
+from mavdiag.identify import Method
+from mavdiag.identify.model import ModelRecord
 from mavdiag.link.profiles import PROFILES
-from mavdiag.monitors.margin import MarginRule
+from mavdiag.link.vehicles import Ack
+from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.monitors.unbalance import UnbalanceSpec
+from mavdiag.monitors.vibration_level import VibrationLevelSpec
 from mavdiag.rows.align import Grid
-from mavdiag.telemetry import NS_PER_S, Axis, FloatArray, Instant, Series, Signal, Telemetry
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemetry
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import ThresholdRule, threshold_of
+from mavdiag.units import NS_PER_S
 
 __all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 
@@ -46,45 +44,77 @@ def _attitude_and_rate(seconds: int, seed: int) -> tuple[FloatArray, FloatArray]
     n, rng = seconds * RATE_HZ, np.random.default_rng(seed)
     steps = np.repeat(rng.normal(0, 0.1, (n // 50 + 1, 3)), 50, axis=0)[:n]
     setpoint = np.asarray(lfilter([0.01], np.poly([0.9, 0.9]), steps, axis=0), dtype=np.float64)
-    clean = np.asarray(lfilter(B, A, np.gradient(setpoint, 1 / RATE_HZ, axis=0), axis=0), dtype=np.float64)
+    phi, theta = setpoint[:, 0], setpoint[:, 1]
+    dphi, dtheta, dpsi = np.gradient(setpoint, 1 / RATE_HZ, axis=0).T
+    commanded = np.stack(
+        (
+            dphi - np.sin(theta) * dpsi,
+            np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi,
+            -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi,
+        ),
+        axis=1,
+    )
+    clean = np.asarray(lfilter(B, A, commanded, axis=0), dtype=np.float64)
     return setpoint, clean + NOISE * rng.standard_normal((n, 3))
 
 
-def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> Baseline:
-    """A baseline that knows the made airframe exactly."""
-    models = tuple(
-        AxisModel(
-            axis=axis,
-            order=(1, 1, 1),
-            method="sriv",
-            a=tuple(A.tolist()),
-            b=tuple(B.tolist()),
-            standard_errors=(0.001, 0.001),
-            r2t=0.99,
-            nrmse_fit=0.9,
-            mse=1e-4,
-            rows=6000,
-        )
-        for axis in axes
-    )
+def _specs(name: str, axes: tuple[Axis, ...]) -> list[tuple[Any, float]]:
+    """Fits of a monitor, with a threshold for each."""
+    match name:
+        case "fsd":
+            model = ModelRecord(
+                a=tuple(A.tolist()), b=tuple(B.tolist()), dt_s=1 / RATE_HZ, order=(1, 1, 1), method=Method.SRIV
+            )
+            return [(RunLengthSpec(axis=axis, model=model, margin_rad_s=MARGIN), FML_S) for axis in axes]
+        case "rotor_trim":
+            still, spread = (0.0, 0.0, 0.0), (0.03, 0.03, 0.01)
+            return [(RotorTrimSpec(layout=layout_named("x"), source="actuator", mean=still, spread=spread), 0.1)]
+        case "vibration_level":
+            return [(VibrationLevelSpec(healthy=0.4), 1.5)]
+        case _:
+            spec = UnbalanceSpec(
+                dt_s=1 / RATE_HZ,
+                corner_hz=20.0,
+                layout=None,
+                covariance=(0.0, 0.0),
+                spread=(1.0, 1.0),
+                turning=0.0,
+                power=1.0,
+            )
+            return [(spec, 10.0)]
+
+
+def baseline_for(
+    profile: str = "qdrone2",
+    rate_hz: float = RATE_HZ,
+    axes: tuple[Axis, ...] = (Axis.ROLL,),
+    names: tuple[str, ...] = ("fsd",),
+) -> Baseline:
+    """A baseline that knows the made airframe exactly, with these monitors."""
     monitors = tuple(
         MonitorEntry(
-            spec=RunLengthSpec(
-                axis=axis, margin_rad_s=MARGIN, margin_rule=MarginRule.PERCENTILE_90, longest_run_s=(FML_S,)
-            ),
+            spec=spec,
             threshold=threshold_of(
-                Scores(np.array([FML_S]), 3600.0), flights=1, budget_per_hour=0.05, rule=ThresholdRule.MAXIMUM
+                Scores(np.array([limit]), np.array([3600.0])),
+                flights=1,
+                budget_per_hour=0.05,
+                rule=ThresholdRule.MAXIMUM,
             ),
         )
-        for axis in axes
+        for name in names
+        for spec, limit in _specs(name, axes)
     )
-    gate = GateLimits(min_height_m=None, min_thrust=0.1, need_armed=True, trim_start_s=0.0, trim_end_s=0.0)
     return sealed(
         Baseline(
-            airframe=Airframe(name="made", scope="airframe", frame=None),
-            link=Link(profile=profile, dt_s=1 / rate_hz, grid=Grid.NATIVE, max_gap_s=0.035, gate=gate),
+            airframe=Airframe(name="made"),
+            link=Link(
+                profile=profile,
+                dt_s=1 / rate_hz,
+                grid=Grid.NATIVE,
+                max_gap_s=0.035,
+                gate=GateSpec(min_thrust=0.1, need_armed=True),
+            ),
             window=Window(samples=11, order=2),
-            models=models,
             monitors=monitors,
             not_judgeable=(),
             healthy_hours=1.0,
@@ -95,21 +125,30 @@ def baseline_for(profile: str = "qdrone2", rate_hz: float = RATE_HZ, axes: tuple
     )
 
 
+LEARNING = SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
+
+
 @dataclass
 class Story:
-    """One session and its vehicle. `fly` lets time pass; `told` keeps every effect with the time it came at [s]."""
+    """One session and its vehicle. `fly` lets time pass; `log` keeps every effect with the time it came at [s]."""
 
-    spec: SessionSpec = field(default_factory=lambda: SessionSpec(PROFILES["qdrone2"], learn_s=20.0))
+    spec: SessionSpec = field(
+        default_factory=lambda: SessionSpec(PROFILES["qdrone2"], None, SessionSettings(learn=20.0))
+    )
     seconds: int = 120
     seed: int = 1
     chunk_s: float = 0.1
-    state: SessionState = field(init=False)
-    told: list[tuple[float, Effect]] = field(default_factory=list)
+    session: Session = field(init=False)
+    log: list[tuple[float, Effect]] = field(default_factory=list)
     passed: int = 0  # samples' worth of time
     reboots: int = 0
 
     def __post_init__(self) -> None:
-        self.state = session.start(self.spec, self.now)
+        self.session = Session(self.spec, self.now)
+
+    @property
+    def state(self) -> SessionState:
+        return self.session.state
 
     @property
     def now(self) -> Instant:
@@ -128,35 +167,42 @@ class Story:
         thrust: float = 0.5,
         without: tuple[Signal, ...] = (),
         every: int = 1,
+        outputs: bool = False,
     ) -> list[Effect]:
-        """Let the vehicle send for a while. push [rad/s]: added to the roll rate; every: sends each such sample."""
-        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        """Let the vehicle send for a while.
+
+        push [rad/s]: added to the roll rate; every: sends each such sample; outputs: of the motors, too.
+        """
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             telemetry = self._chunk(chunk, push, armed, thrust, every)
-            kept = Telemetry(tuple(one for one in telemetry.series if one.signal not in without))
+            kept = tuple(one for one in telemetry.series if one.signal not in without)
+            if outputs:
+                t_ns = telemetry.series[0].t_ns
+                kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, np.full((len(t_ns), 4), 0.5)))
             self.passed += chunk
-            self.give(Inbox(kept, heard=True, reboots=self.reboots))
-        return [effect for _, effect in self.told[before:]]
+            self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots))
+        return [effect for _, effect in self.log[before:]]
 
     def silence(self, seconds: float) -> list[Effect]:
-        """Let time pass without a word from the vehicle."""
-        chunk, before = round(self.chunk_s * RATE_HZ), len(self.told)
+        """Let time pass while nothing comes from the vehicle."""
+        chunk, before = round(self.chunk_s * RATE_HZ), len(self.log)
         for _ in range(round(seconds * RATE_HZ / chunk)):
             self.passed += chunk
             self.give(Inbox(reboots=self.reboots))
-        return [effect for _, effect in self.told[before:]]
+        return [effect for _, effect in self.log[before:]]
 
     def give(self, inbox: Inbox) -> list[Effect]:
         """One step."""
-        self.state, effects = session.step(self.spec, self.state, inbox, self.now)
-        self.told += [(self.s, effect) for effect in effects]
+        effects = self.session.step(inbox, self.now)
+        self.log += [(self.s, effect) for effect in effects]
         return list(effects)
 
-    def answer(self, outcome: Learned | LearningFailed) -> list[Effect]:
-        return self.give(Inbox(heard=True, reboots=self.reboots, outcome=outcome))
+    def answer(self, outcome: Baseline | LearningFailed) -> list[Effect]:
+        return self.give(Inbox(alive=True, reboots=self.reboots, outcome=outcome))
 
     def acknowledge(self, ack: Ack) -> list[Effect]:
-        return self.give(Inbox(heard=True, reboots=self.reboots, acks=(ack,)))
+        return self.give(Inbox(alive=True, reboots=self.reboots, acks=(ack,)))
 
     def at(self, state: State) -> bool:
         """Whether it stands there now."""
@@ -164,12 +210,12 @@ class Story:
 
     @property
     def texts(self) -> list[str]:
-        return [effect.text for _, effect in self.told if isinstance(effect, SendText)]
+        return [effect.text for _, effect in self.log if isinstance(effect, SendText)]
 
     @property
     def states(self) -> list[State]:
         """The way it went."""
-        return [effect.new for _, effect in self.told if isinstance(effect, StateChanged)]
+        return [effect.new for _, effect in self.log if isinstance(effect, StateChanged)]
 
     def _chunk(self, n: int, push: float, armed: bool, thrust: float, every: int) -> Telemetry:
         setpoint, rate = _attitude_and_rate(self.seconds, self.seed)
@@ -190,10 +236,6 @@ class Story:
         )
 
 
-def outcome_of(story: Story) -> Learned:
+def outcome_of(story: Story) -> Baseline:
     """What a fit of the made flight would give."""
-    return Learned(replace_profile(baseline_for(), story.spec.profile.name))
-
-
-def replace_profile(baseline: Baseline, profile: str) -> Baseline:
-    return sealed(baseline.model_copy(update={"link": baseline.link.model_copy(update={"profile": profile})}))
+    return baseline_for(story.spec.profile.name)

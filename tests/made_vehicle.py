@@ -1,4 +1,4 @@
-"""A made vehicle on an in-memory link, and a daemon on a virtual clock that hears it."""
+"""A made vehicle on an in-memory link, and a daemon on a virtual clock that receives it."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -10,7 +10,8 @@ from memory_port import MemoryEndpoint, memory_pair
 from detector.config import Settings
 from detector.daemon import Daemon, Host
 from detector.fitting import FittingJob, Outcome
-from detector.journal import Journal
+from detector.journal import Journal, Recorder
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
@@ -20,6 +21,7 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Bench", "FakeFitter", "MadeVehicle", "VirtualHost"]
 
 START_NS = 1000 * NS_PER_S
+EPOCH_NS = 1_777_600_000 * NS_PER_S
 RATE_HZ = 100
 TICK_S = 0.04
 
@@ -105,6 +107,8 @@ class Bench:
     baseline: Baseline | None = None
     fitter: FakeFitter = field(default_factory=FakeFitter)
     journal: Path | None = None
+    record: Path | None = None
+    airframe: Airframe | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -114,6 +118,7 @@ class Bench:
         pairs = [memory_pair(clock=self.host.now_ns) for _ in range(self.links_behind)]
         self.behind: list[MemoryEndpoint] = [far for _, far in pairs]
         self.open: list[Endpoint] = [near, self.far, *(end for pair in pairs for end in pair)]
+        self.recorder = None if self.record is None else Recorder(self.record, EPOCH_NS, self.host.say)
         self.file = None if self.journal is None else Journal(self.journal, self.host.say)
         self.daemon = Daemon(
             self.settings,
@@ -122,7 +127,9 @@ class Bench:
             [near for near, _ in pairs],
             baseline=self.baseline,
             fitter=self.fitter,
+            airframe=self.airframe,
             journal=self.file,
+            recorder=self.recorder,
         )
         self.daemon.begin()
 
@@ -137,13 +144,14 @@ class Bench:
 
     def close(self) -> None:
         self.daemon.end()
-        if self.file is not None:
-            self.file.close()
+        for file in (self.file, self.recorder):
+            if file is not None:
+                file.close()
         for end in self.open:
             end.close()
 
 
-def heard(endpoint: Endpoint) -> list[Frame]:
+def received(endpoint: Endpoint) -> list[Frame]:
     """What waits at an endpoint."""
     decoder = Decoder()
     return [frame for data, host_ns in endpoint.receive(0.0) for frame in decoder.feed(data, host_ns)]

@@ -91,7 +91,7 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     """
 
     name = "rotor_trim"
-    label = "trim"
+    label = "rotor trim"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
     # An estimate from subsets of the five healthy recorded flights of one airframe: few flights do not show how the
     # trim changes from session to session, 0.06 more with one flight, nothing more from five on. And a shift of less

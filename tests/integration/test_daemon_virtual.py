@@ -7,14 +7,16 @@ from pathlib import Path
 
 import pytest
 from made_session import baseline_for
-from made_vehicle import Bench, FakeFitter, MadeVehicle, heard
+from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 
 from detector.config import Settings
 from detector.states import State
-from detector.values import Learned, LearningFailed
+from detector.values import LearningFailed
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
-from mavdiag.baseline import Baseline
+from mavdiag.logs.tlog import read_tlog
+from mavdiag.telemetry import Signal
 
 UDP_IN, UDP_OUT = "udpin:127.0.0.1:0", "udpout:127.0.0.1:14550"
 ACK_COMMAND, ACK_RESULT = (field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result"))
@@ -54,7 +56,7 @@ def figure(frame: Frame) -> tuple[str, float]:
 def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benches) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(7))
     bench.run(10.0)
-    beats = of(heard(bench.far), MessageId.HEARTBEAT)
+    beats = of(received(bench.far), MessageId.HEARTBEAT)
     assert len(beats) == pytest.approx(10, abs=2)
     for beat in beats:
         assert (beat.sysid, beat.compid) == (7, Component.ONBOARD_COMPUTER)
@@ -62,10 +64,10 @@ def test_the_heartbeat_is_a_companions_with_the_vehicles_system_id(benches: Benc
         assert beat.fields[field_index(MessageId.HEARTBEAT, "autopilot")] == Autopilot.INVALID
 
 
-def test_nothing_is_sent_before_a_vehicle_is_heard(benches: Benches) -> None:
+def test_nothing_is_sent_before_a_vehicle_is_received(benches: Benches) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0))
     bench.run(5.0)
-    assert heard(bench.far) == []
+    assert received(bench.far) == []
 
 
 @pytest.mark.parametrize(("expected", "sysid"), [(None, 1), (42, 42)])
@@ -74,7 +76,7 @@ def test_a_link_that_must_be_spoken_to_first_gets_heartbeats_and_nothing_else(
 ) -> None:
     bench = benches(Settings(connect=UDP_OUT, learn=5.0, vehicle=expected))
     bench.run(5.0)
-    frames = heard(bench.far)
+    frames = received(bench.far)
     assert Counter((frame.msgid, frame.sysid) for frame in frames) == {(MessageId.HEARTBEAT, sysid): 6}
 
 
@@ -85,28 +87,28 @@ def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
     [figures] = bench.daemon.fleet.figures()
     assert figures.received == 2 * vehicle.sent + vehicle.sent // 100
     assert figures.lost == 0
-    assert bench.daemon.fleet.vehicles[1].state.streams.gyro.samples == vehicle.sent
+    assert bench.daemon.fleet.vehicles[1].session.state.streams.gyro.samples == vehicle.sent
     assert figures.gyro_hz == pytest.approx(100.0)
 
 
 def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
     path = tmp_path / "b.json"
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     bench = benches(Settings(connect=UDP_IN, learn=5.0, save=path), MadeVehicle(1), fitter=fitter)
     bench.run(12.0)
-    assert bench.daemon.fleet.vehicles[1].state.state is State.MONITORING
-    assert Baseline.load(path).digest == baseline_for().digest
-    assert "PROP monitoring roll" in texts(heard(bench.far))
-    assert [job.airframe for job in fitter.jobs] == ["vehicle 1"]
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert path.exists()
+    assert "PROP monitoring" in texts(received(bench.far))
+    assert [job.airframe.name for job in fitter.jobs] == ["vehicle 1"]
 
 
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     settings = Settings(connect=UDP_IN, learn=5.0, save=tmp_path / "b.json")
     bench = benches(settings, MadeVehicle(1), MadeVehicle(2), fitter=fitter)
     bench.run(12.0)
     assert {job.vehicle for job in fitter.jobs} == {1, 2}
-    frames = heard(bench.far)
+    frames = received(bench.far)
     assert {frame.sysid for frame in of(frames, MessageId.HEARTBEAT)} == {1, 2}
     assert {frame.compid for frame in frames} == {Component.ONBOARD_COMPUTER}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["b-2.json", "b.json"]
@@ -119,7 +121,7 @@ def test_only_the_chosen_vehicle_is_watched(benches: Benches) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0, vehicle=2), MadeVehicle(1), MadeVehicle(2))
     bench.run(4.0)
     assert list(bench.daemon.fleet.vehicles) == [2]
-    assert {frame.sysid for frame in heard(bench.far)} == {2}
+    assert {frame.sysid for frame in received(bench.far)} == {2}
 
 
 def test_a_ground_station_and_another_companion_are_no_vehicles(benches: Benches) -> None:
@@ -128,17 +130,17 @@ def test_a_ground_station_and_another_companion_are_no_vehicles(benches: Benches
         bench.far.send(encoder.encode(MessageId.HEARTBEAT, kind, Autopilot.INVALID, 0, 0, 4, 3))
     bench.run(4.0)
     assert not bench.daemon.fleet.vehicles
-    assert heard(bench.far) == []
+    assert received(bench.far) == []
 
 
 def test_the_heartbeat_stops_when_the_session_cannot_do_its_work(benches: Benches) -> None:
     fitter = FakeFitter(LearningFailed("roll: the flight does not excite the model"))
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
-    bench.run(9.0)
-    assert bench.daemon.fleet.vehicles[1].state.state is State.FAULTED
-    heard(bench.far)
+    bench.run(25.0)  # three fits in vain
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
+    received(bench.far)
     bench.run(10.0)
-    assert of(heard(bench.far), MessageId.HEARTBEAT) == []
+    assert of(received(bench.far), MessageId.HEARTBEAT) == []
 
 
 @pytest.mark.parametrize(
@@ -150,10 +152,10 @@ def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot:
         Settings(connect=UDP_IN, baseline=Path("b.json")), MadeVehicle(1, autopilot), baseline=baseline_for()
     )
     bench.run(3.0)
-    assert bench.daemon.fleet.vehicles[1].spec.profile.name == profile
-    faulted = bench.daemon.fleet.vehicles[1].state.state is State.FAULTED
+    assert bench.daemon.fleet.vehicles[1].session.spec.profile.name == profile
+    faulted = bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
     assert faulted == (profile != "qdrone2")
-    assert any(text.startswith("PROP OFF: link.profile") for text in texts(heard(bench.far))) == faulted
+    assert any(text.startswith("PROP OFF: link.profile") for text in texts(received(bench.far))) == faulted
 
 
 def test_missing_streams_are_asked_of_the_autopilot(benches: Benches) -> None:
@@ -162,24 +164,26 @@ def test_missing_streams_are_asked_of_the_autopilot(benches: Benches) -> None:
     for _ in range(5):
         bench.far.send(vehicle.heartbeat())
         bench.run(1.0)
-    asked = of(heard(bench.far), MessageId.COMMAND_LONG)
+    asked = of(received(bench.far), MessageId.COMMAND_LONG)
     names = ("command", "target_system", "target_component", "param1", "param2")
     places = [field_index(MessageId.COMMAND_LONG, name) for name in names]
     assert [[int(frame.fields[place]) for place in places] for frame in asked] == [
         [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.ATTITUDE_TARGET, 10_000],
         [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.RAW_IMU, 10_000],
+        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.SERVO_OUTPUT_RAW, 40_000],
+        [MavCmd.SET_MESSAGE_INTERVAL, 3, 1, MessageId.VIBRATION, 200_000],
     ]
 
 
 def test_commands_for_others_are_ignored_and_ours_are_declined(benches: Benches) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1))
     bench.run(3.0)
-    heard(bench.far)
+    received(bench.far)
     station = Encoder(255, 190)
     for target in ((1, 1), (1, 0), (0, 0), (2, 191), (1, 191)):
         bench.far.send(station.encode(MessageId.COMMAND_LONG, *target, MavCmd.REQUEST_MESSAGE, 0, 148))
     bench.run(0.2)
-    [ack] = of(heard(bench.far), MessageId.COMMAND_ACK)
+    [ack] = of(received(bench.far), MessageId.COMMAND_ACK)
     assert (ack.fields[ACK_COMMAND], ack.fields[ACK_RESULT]) == (MavCmd.REQUEST_MESSAGE, MavResult.UNSUPPORTED)
     assert (ack.sysid, ack.compid) == (1, Component.ONBOARD_COMPUTER)
 
@@ -189,20 +193,20 @@ def test_links_behind_get_the_vehicle_and_the_texts_and_can_answer(benches: Benc
     bench = benches(Settings(connect=UDP_IN, learn=5.0), vehicle, links_behind=2)
     bench.run(4.0)
     for end in bench.behind:
-        frames = heard(end)
+        frames = received(end)
         assert len(of(frames, MessageId.RAW_IMU)) == vehicle.sent
         assert any("learning" in text for text in texts(frames))
         assert of(frames, MessageId.COMMAND_LONG) == []
-    heard(bench.far)
+    received(bench.far)
     request = Encoder(255, 190).encode(MessageId.PARAM_REQUEST_LIST, 1, 1)
     bench.behind[0].send(request)
     bench.run(0.1)
-    assert len(of(heard(bench.far), MessageId.PARAM_REQUEST_LIST)) == 1
+    assert len(of(received(bench.far), MessageId.PARAM_REQUEST_LIST)) == 1
 
 
 def test_the_journal_tells_the_run_from_start_to_stop(benches: Benches, tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
-    fitter = FakeFitter(Learned(baseline_for()))
+    fitter = FakeFitter(baseline_for())
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter, journal=path)
     bench.run(12.0)
     bench.daemon.end()
@@ -210,7 +214,7 @@ def test_the_journal_tells_the_run_from_start_to_stop(benches: Benches, tmp_path
     assert (lines[0]["kind"], lines[-1]["kind"]) == ("start", "stop")
     assert [one["to"] for one in lines if one["kind"] == "state"] == ["learning", "fitting", "waiting", "monitoring"]
     said = [one["text"] for one in lines if one["kind"] == "text"]
-    assert said == texts(heard(bench.far))
+    assert said == texts(received(bench.far))
     assert fitter.closed
 
 
@@ -218,15 +222,74 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     vehicle = MadeVehicle(1)
     bench = benches(Settings(connect=UDP_IN, baseline=Path("b.json")), vehicle, baseline=baseline_for())
     bench.run(6.0)
-    heard(bench.far)
+    received(bench.far)
     vehicle.turning = 0.5
     bench.run(3.0)
-    frames = heard(bench.far)
+    frames = received(bench.far)
     said = [decode_statustext(frame) for frame in of(frames, MessageId.STATUSTEXT)]
     assert [one.severity for one in said] == [Severity.CRITICAL]
-    assert said[0].text.startswith("PROP FAULT roll FSD 0.3")
+    assert said[0].text.startswith("PROP FAULT roll FSD 0.")
     assert said[0].chunk_id == 0
     figures = dict(figure(frame) for frame in of(frames, MessageId.NAMED_VALUE_FLOAT))
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
     assert figures["PF_FML"] == pytest.approx(0.3)
+
+
+def test_b29_what_a_learned_baseline_rests_on_is_printed(benches: Benches) -> None:
+    """It was the FML alone."""
+    baseline = baseline_for()
+    fitter = FakeFitter(baseline)
+    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
+    bench.run(12.0)
+    for line in str(baseline).splitlines():
+        assert f"vehicle 1: {line}" in bench.host.lines
+
+
+@pytest.mark.parametrize(("label", "name"), [(None, "made"), ("survey quad", "survey quad")])
+def test_what_is_known_of_the_airframe_goes_to_the_fit_with_its_label(
+    benches: Benches, label: str | None, name: str
+) -> None:
+    fitter = FakeFitter()
+    settings = Settings(connect=UDP_IN, learn=5.0, airframe="made.toml", name=label)
+    airframe = Airframe(name="made", mass_kg=1.2)
+    bench = benches(settings, MadeVehicle(1), fitter=fitter, airframe=airframe)
+    bench.run(9.0)
+    [job] = fitter.jobs
+    assert (job.airframe.name, job.airframe.mass_kg) == (name, 1.2)
+
+
+def test_l9_the_recording_reads_back_as_the_flight_that_was_received(benches: Benches, tmp_path: Path) -> None:
+    vehicle = MadeVehicle(1)
+    bench = benches(Settings(connect=UDP_IN, learn=50.0), vehicle, record=tmp_path / "flight.tlog")
+    bench.run(4.0)
+    log = read_tlog(tmp_path / "flight.tlog")
+    assert len(log.telemetry.need(Signal.BODY_RATE)) == vehicle.sent
+
+
+class SlowHost(VirtualHost):
+    """Every tenth look takes 0.1 s longer than it may."""
+
+    looks = 0
+
+    def cpu_s(self) -> float:
+        self.looks += 1
+        self.ns += 100_000_000
+        return 0.0
+
+
+def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None:
+    host = SlowHost()
+    bench = benches(Settings(connect=UDP_IN, learn=5.0), host=host)
+    metrics = NoMetrics()
+    bench.daemon._metrics = metrics  # type: ignore[assignment]  # asks for the processor time at every heartbeat
+    bench.daemon.run(lambda: host.looks >= 5)
+    assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
+    assert metrics.late == 4  # as told with the last heartbeat
+
+
+class NoMetrics:
+    late = 0
+
+    def show(self, vehicles: object, *, overflowed: int, late: int, cpu_s: float) -> None:
+        self.late = late

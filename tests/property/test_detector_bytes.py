@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
-from detector.effects import SendText
+from detector.config import SessionSettings
 from detector.fleet import Fleet
-from detector.values import SessionSpec
+from detector.values import SendText, SessionSpec
 from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
@@ -46,7 +46,7 @@ def fleet(datagrams: bool, spec_of: Callable[[Profile], SessionSpec]) -> Fleet:
 def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learning: bool) -> None:
     rng = np.random.default_rng(seed)
     baseline = None if learning else baseline_for()
-    one = fleet(datagrams, lambda profile: SessionSpec(profile, baseline, learn_s=2.0))
+    one = fleet(datagrams, lambda profile: SessionSpec(profile, baseline, SessionSettings(learn=2.0)))
     vehicle, other = MadeVehicle(1), (int(rng.integers(0, 256)), int(rng.choice([1, 191])))
     now = Instant(10**12)
     for _ in range(150):
@@ -57,8 +57,7 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
         if rng.random() < 0.3:
             frames.insert(int(rng.integers(0, 5)), rng.bytes(int(rng.integers(0, 300))))
         now = Instant(now.ns + TICK_NS)
-        one.feed([(frame, now.ns) for frame in frames], now)
-        for turn in one.step(now):
+        for turn in one.step([(frame, now.ns) for frame in frames], now):
             for effect in turn.effects:
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
     one.finish()

@@ -5,13 +5,23 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made_session import Story, baseline_for
 
-from detector import session
-from detector.effects import AskInterval, Effect, Learn, SendFloat, SendText, StateChanged
-from detector.negotiate import Ack
+from detector.config import SessionSettings
+from detector.session import FITS
 from detector.states import TABLE, State
-from detector.values import Inbox, Learned, LearningFailed, SessionSpec
+from detector.values import (
+    AskInterval,
+    Effect,
+    Inbox,
+    Learn,
+    LearningFailed,
+    SendFloat,
+    SendText,
+    SessionSpec,
+    StateChanged,
+)
 from mavdiag.link.messages import MavCmd, MavResult, Severity
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Series, Signal, Telemetry
 
 SECONDS = 400
@@ -53,7 +63,7 @@ def act(story: Story, action: tuple[object, ...]) -> None:
             story.reboots += 1
             story.fly(0.5)
         case ("learned", str(profile)):
-            story.answer(Learned(baseline_for(profile)))
+            story.answer(baseline_for(profile))
         case ("failed",):
             story.answer(LearningFailed("no"))
         case ("ack", MavResult() as result):
@@ -63,27 +73,28 @@ def act(story: Story, action: tuple[object, ...]) -> None:
         case ("slow", int(every)):
             story.fly(3.0, every=every)
         case ("garbage", int(seed)):
-            story.give(Inbox(garbage(seed), heard=True, reboots=story.reboots))
+            story.give(Inbox(garbage(seed), alive=True, reboots=story.reboots))
 
 
 @settings(max_examples=40)
 @given(actions=ACTIONS, with_baseline=st.booleans())
 @example(actions=[("fly", 5, 0.5, True), ("reboot",), ("silence", 5), ("reboot",)], with_baseline=True)
 def test_whatever_happens_the_laws_hold(actions: list[tuple[object, ...]], with_baseline: bool) -> None:
-    spec = SessionSpec(PROFILES["qdrone2"], baseline_for() if with_baseline else None, learn_s=5.0)
+    spec = SessionSpec(PROFILES["qdrone2"], baseline_for() if with_baseline else None, SessionSettings(learn=5.0))
     story = Story(spec, seconds=SECONDS)
     for action in actions:
         act(story, action)
-        assert session.healthy(story.state) == (not story.at(State.FAULTED))
-    effects = [effect for _, effect in story.told]
+        assert story.session.healthy == (not story.at(State.FAULTED))
+    effects = [effect for _, effect in story.log]
     check_transitions(effects)
     check_texts(story)
     for effect in effects:
         if isinstance(effect, SendFloat):
             assert 0 < len(effect.name.encode()) <= 10
-    asked = [at for at, effect in story.told if isinstance(effect, AskInterval)]
-    assert len(asked) <= 2 * (1 + story.s / 2.0)
-    assert sum(isinstance(effect, Learn) for effect in effects) <= 1 + story.reboots
+    asked = [(at, effect.msgid) for at, effect in story.log if isinstance(effect, AskInterval)]
+    for msgid in {msgid for _, msgid in asked}:
+        assert sum(one == msgid for _, one in asked) <= 1 + story.reboots + story.s / 2.0
+    assert sum(isinstance(effect, Learn) for effect in effects) <= FITS * (1 + story.reboots)
 
 
 def check_transitions(effects: list[Effect]) -> None:
@@ -98,7 +109,7 @@ def check_transitions(effects: list[Effect]) -> None:
 
 def check_texts(story: Story) -> None:
     """At most 50 bytes; at most 30 in any minute; never the same text twice within 2 s."""
-    said = [(at, effect) for at, effect in story.told if isinstance(effect, SendText)]
+    said = [(at, effect) for at, effect in story.log if isinstance(effect, SendText)]
     for at, effect in said:
         assert 0 < len(effect.text.encode()) <= 50
         assert effect.severity in (Severity.CRITICAL, Severity.WARNING, Severity.INFO)

@@ -1,14 +1,16 @@
 """The journal's lines keep the public contract, and a full disk stops nothing but them."""
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from made_session import baseline_for
 
-from detector.effects import (
-    BaselineLearned,
+from detector.journal import Journal, Recorder, When, line, mark
+from detector.states import State
+from detector.values import (
     EventClosed,
     EventOpened,
     Note,
@@ -17,16 +19,43 @@ from detector.effects import (
     StateChanged,
     TextSuppressed,
 )
-from detector.journal import Journal, When, line, mark
-from detector.states import State
-from mavdiag.decision.events import Event
+from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
-from mavdiag.link.messages import Severity
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import MessageId, Severity
+from mavdiag.logs.tlog import decode_tlog
 from mavdiag.telemetry import Axis
+from mavdiag.units import NS_PER_S
 
 NOW = datetime(2026, 5, 1, 12, 0, 30, 250_000, tzinfo=UTC)
 WHEN = When(NOW, 1, 62_500_000_000)
-EVENT = Event("latency", Axis.ROLL, 60_000_000_000, 62_000_000_000, 0.41, 0.12, 0.05)
+EVENT = Event(
+    monitor="fsd",
+    axis=Axis.ROLL,
+    start_ns=60_000_000_000,
+    end_ns=62_000_000_000,
+    statistic=0.41,
+    threshold=0.12,
+    level=0.05,
+    rotor=None,
+    fault_type=None,
+    severity=None,
+    confidence=None,
+)
+CHANGE = Change(
+    stage=Stage.SUSPECTED,
+    t_ns=60_000_000_000,
+    reason="fsd is above its threshold",
+    monitor="fsd",
+    axis=Axis.ROLL,
+    unit="s",
+    statistic=0.41,
+    threshold=0.12,
+    rotor=None,
+    confidence=None,
+    fault_type=None,
+    severity=None,
+)
 CONTRACT = {
     "t_s",
     "end_s",
@@ -54,7 +83,7 @@ def test_an_event_has_the_contracts_fields_and_both_clocks() -> None:
 
 
 def test_an_event_that_lasts_has_no_end() -> None:
-    open_event = Event("latency", None, 1, None, 0.4, 0.1, 0.0)
+    open_event = replace(EVENT, end_ns=None)
     assert json.loads(line(EventClosed(open_event), WHEN))["end_s"] is None
     assert json.loads(line(EventOpened(open_event), WHEN))["kind"] == "opened"
 
@@ -68,8 +97,10 @@ def test_an_event_that_lasts_has_no_end() -> None:
         ),
         (SendText(Severity.INFO, "hello"), {"kind": "text", "severity": 6, "text": "hello"}),
         (TextSuppressed("hello", 3), {"kind": "suppressed", "text": "hello", "count": 3}),
+        (CHANGE, {"kind": "stage", "stage": "suspected", "t_s": 60.0, "monitor": "fsd", "rotor": None}),
+        (replace(CHANGE, statistic=float("inf")), {"kind": "stage", "statistic": None}),
         (Note("got it"), {"kind": "note", "text": "got it"}),
-        (BaselineLearned(baseline_for()), {"kind": "baseline", "airframe": "made"}),
+        (baseline_for(), {"kind": "baseline", "airframe": "made"}),
     ],
 )
 def test_every_record_is_one_json_object_on_one_line(record: Record, fields: dict[str, object]) -> None:
@@ -134,9 +165,30 @@ def test_a_line_that_was_torn_does_not_spoil_the_next_one(tmp_path: Path) -> Non
     journal.write("fourth")
     assert disk.content == b"first\nse\nfourth\n"
     assert len(warnings) == 2
-    assert "writing again; 2 lines were lost" in warnings[1]
+    assert "writing again; 2 entries were lost" in warnings[1]
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"j\.jsonl: cannot be written .* choose another --journal file"):
         Journal(tmp_path / "absent" / "j.jsonl", warn=lambda text: None)
+
+
+def test_l9_a_recording_is_a_telemetry_log_of_whole_frames(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    frames = [Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 0, 0, 0, 4, 3) for _ in range(3)]
+    recorder = Recorder(path, epoch_ns=1_700_000_000 * NS_PER_S, warn=lambda text: None)
+    recorder.write([*frames[:2], b"x"], 1_000_000_000)
+    recorder.write(frames[2:], 2_000_000_000)
+    recorder.close()
+    content = decode_tlog(path.read_bytes())
+    assert (content.records, content.damaged_bytes) == (3, 0)
+    assert [frame.host_ns for frame in content.frames] == [(1_700_000_000 + s) * NS_PER_S for s in (1, 1, 2)]
+
+
+def test_l9_a_full_disk_stops_the_recording_and_nothing_else() -> None:
+    warnings: list[str] = []
+    recorder = Recorder(Path("/dev/full"), 0, warnings.append)
+    for _ in range(3):
+        recorder.write([bytes(8)], 0)
+    recorder.close()
+    assert warnings == ["record /dev/full: cannot be written (No space left on device); watching goes on without it"]

@@ -6,15 +6,15 @@ from pathlib import Path
 import pytest
 
 from detector.config import Settings
-from detector.handlers import HANDLERS
+from detector.sender import HEALTH
+from detector.session import Session
 from detector.states import TABLE, State, Trigger, advance, diagram
-from detector.voice import HEALTH
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_every_state_has_a_row_and_a_handler() -> None:
-    assert set(TABLE) == set(State) == set(HANDLERS)
+    assert set(TABLE) == set(State) == set(Session.HANDLERS)
 
 
 def test_every_trigger_moves_something() -> None:

@@ -1,18 +1,19 @@
-"""What a companion says, as MAVLink: effects to frames. It speaks as component 191 of the vehicle's system."""
+"""What the detector sends, as MAVLink frames: it is component 191 of the vehicle's system."""
 
 from collections.abc import Mapping
 
-from detector.effects import AskInterval, SendFloat, SendText
 from detector.states import State
+from detector.values import AskInterval, SendFloat, SendText
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
+from mavdiag.units import NS_PER_MS
 
-__all__ = ["HEALTH", "Voice"]
+__all__ = ["HEALTH", "MavlinkSender"]
 
 MAVLINK_VERSION = 3  # HEARTBEAT.mavlink_version: what pymavlink and the autopilots fill in
-_MS_NS, _MS_TURN = 1_000_000, 1 << 32
+_MS_TURN = 1 << 32
 
-# MAV_STATE told in the heartbeat; a faulted session has none, because it sends none.
+# MAV_STATE in the heartbeat; a faulted session has none, because it sends none.
 _CALIBRATING, _STANDBY, _ACTIVE = 2, 3, 4
 HEALTH: Mapping[State, int] = {
     State.WAITING: _STANDBY,
@@ -24,22 +25,18 @@ HEALTH: Mapping[State, int] = {
 }
 
 
-class Voice:
-    """One vehicle's companion, with its own sequence numbers. vehicle: system id."""
+class MavlinkSender:
+    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id."""
 
     def __init__(self, vehicle: int) -> None:
         self._vehicle = vehicle
         self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER)
 
     def heartbeat(self, state: State) -> bytes:
-        """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must not beat."""
+        """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must send none."""
         return self._encoder.encode(
             MessageId.HEARTBEAT, MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, HEALTH[state], MAVLINK_VERSION
         )
-
-    def knock(self) -> bytes:
-        """HEARTBEAT before any vehicle was heard, so that the other end learns where we are."""
-        return self.heartbeat(State.WAITING)
 
     def text(self, effect: SendText) -> bytes:
         """STATUSTEXT."""
@@ -47,7 +44,7 @@ class Voice:
 
     def value(self, effect: SendFloat) -> bytes:
         """NAMED_VALUE_FLOAT, in the vehicle's own milliseconds."""
-        time_boot_ms = effect.vehicle_ns // _MS_NS % _MS_TURN
+        time_boot_ms = effect.vehicle_ns // NS_PER_MS % _MS_TURN
         return self._encoder.encode(MessageId.NAMED_VALUE_FLOAT, time_boot_ms, effect.name, effect.value)
 
     def request(self, effect: AskInterval) -> bytes:

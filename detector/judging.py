@@ -1,0 +1,133 @@
+"""Judging in flight: the chain at work, the alert that its stages add up to, and which monitors do not judge.
+
+A damaged propeller leaves the margin again and again, so the decision's stage comes and goes. An alert spans a burst:
+it begins with the first suspicion or fault and ends when there was none for a while.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from detector.alerts import Notice, alert_notice, label_of
+from detector.negotiate import LABELS
+from detector.streams import METERED, Streams
+from detector.values import EventClosed, EventOpened, Note, Record
+from mavdiag.baseline import Baseline
+from mavdiag.chain import Chain, ChainOutput, ChainState
+from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.telemetry import Instant, Telemetry
+
+__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "unknown_suspects"]
+
+WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
+STREAM_S = 5.0  # how long a stream may take to come before its absence is told (our choice)
+ALERTING = (Stage.SUSPECTED, Stage.FAULT)
+
+Finding: TypeAlias = Change | Diagnosis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """A baseline and its chain at work.
+
+    judged: when anything was judged last (host).
+    judged_s: flight time in which a deciding monitor judged, so far.
+    flight_s: flight time so far.
+    """
+
+    baseline: Baseline
+    chain: Chain
+    memory: ChainState
+    judged: Instant
+    judged_s: float = 0.0
+    flight_s: float = 0.0
+
+    def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
+        """Judge the next telemetry."""
+        memory, output = self.chain.step(self.memory, telemetry)
+        judged = now if output.judged_s > 0 else self.judged
+        judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
+        return replace(self, memory=memory, judged=judged, judged_s=judged_s, flight_s=flight_s), output
+
+    def end_flight(self) -> tuple["Judge", ChainOutput]:
+        """The flight cannot be followed any longer: what is open is closed."""
+        memory, output = self.chain.end_flight(self.memory)
+        return replace(self, memory=memory), output
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """An alert so far.
+
+    since: when it began (host).
+    latest: when there was a suspicion or a fault last (host).
+    finding: the latest of them.
+    confirmed: whether a fault was declared, not only suspected.
+    active: whether the finding is above its threshold at this moment; the stage lasts somewhat longer.
+    waned: whether the stage was left at some moment; what comes after is the fault going, and no news.
+    named: whether a rotor was named; it is news once.
+    """
+
+    since: Instant
+    latest: Instant
+    finding: Finding
+    confirmed: bool
+    active: bool = True
+    waned: bool = False
+    named: bool = False
+
+    @property
+    def notice(self) -> Notice:
+        """What is said of it while it lasts: nothing new while its finding does not hold."""
+        return alert_notice(
+            self.finding, fault=self.confirmed, key="named" if self.named else "", silent=not self.active
+        )
+
+
+def alert_after(
+    alert: Alert | None, output: ChainOutput, diagnosis: Diagnosis, suspect: frozenset[str], now: Instant
+) -> Alert | None:
+    """The alert after a step's output; None if there is none yet. Without new rows nothing changes."""
+    if output.now_ns is None:
+        return alert
+    found = [one for one in (*output.changes, diagnosis) if one.stage in ALERTING]
+    faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
+    if not found or (alert is not None and alert.confirmed and not faults):
+        return alert and replace(alert, active=False, waned=True, latest=now if found else alert.latest)
+    above = [one for one in faults if one.statistic > one.threshold]
+    finding, active = (above or faults or found)[-1], bool(above) or not faults
+    if alert is None:
+        return Alert(now, now, finding, bool(faults), active, named=finding.rotor is not None)
+    named = alert.named or (not alert.waned and finding.rotor is not None)
+    return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=active, named=named)
+
+
+def records_of(output: ChainOutput) -> tuple[Record, ...]:
+    """The events and changes of a step, for the journal."""
+    events = (EventOpened(event) if event.end_ns is None else EventClosed(event) for event in output.events)
+    return (*events, *output.changes)
+
+
+def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
+    """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged."""
+    if streams.began is None or now - streams.began < STREAM_S:
+        return ()
+    found: dict[str, str] = {}
+    for slot, account in zip(judge.chain.slots, judge.memory.accounts, strict=True):
+        missing = [one for one in METERED if one in slot.monitor.signals and streams.meter(one).latest is None]
+        if missing:
+            found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
+        elif judge.flight_s > WARM_S and not account.judged_s and (reasons := account.not_judged):
+            found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
+    return tuple(found.items())
+
+
+def unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:
+    """Notes on the names that settings call a suspect and that no monitor of the chain has."""
+    monitors = [slot.monitor for slot in chain.slots]
+    known = {name for monitor in monitors for name in (monitor.name, f"{monitor.name}.{monitor.axis}")}
+    return [Note(f"suspect: the baseline has no monitor {name!r}") for name in suspect if name not in known]
+
+
+def _names(finding: Finding) -> frozenset[str]:
+    return frozenset((str(finding.monitor), f"{finding.monitor}.{finding.axis}"))

@@ -1,0 +1,39 @@
+"""The fit beside the daemon makes the baseline that `mavdiag identify` makes."""
+
+import pytest
+from made_session import baseline_for
+
+from detector.fitting import FittingJob, fit_baseline
+from detector.values import LearningFailed
+from mavdiag import learning
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import Baseline
+from mavdiag.errors import IdentificationError
+from mavdiag.learning import LearnOptions
+from mavdiag.telemetry import Log, Telemetry
+
+AIRFRAME = Airframe(name="survey quad", mass_kg=1.2)
+JOB = FittingJob(1, AIRFRAME, "qdrone2", Telemetry())
+
+
+def test_b26_live_learning_has_the_options_of_identify(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It modelled two axes where `identify` models one: one flight gave two baselines."""
+    asked: list[LearnOptions] = []
+
+    def learn(logs: list[Log], options: LearnOptions, *, created: str) -> object:
+        asked.append(options)
+        return baseline_for()
+
+    monkeypatch.setattr(learning, "learn", learn)
+    assert isinstance(fit_baseline(JOB), Baseline)
+    assert asked == [LearnOptions(airframe=AIRFRAME)]
+
+
+def test_why_there_is_no_baseline_comes_back_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def learn(logs: list[Log], options: LearnOptions, *, created: str) -> object:
+        raise IdentificationError("roll: u is constant")
+
+    monkeypatch.setattr(learning, "learn", learn)
+    outcome = fit_baseline(JOB)
+    assert isinstance(outcome, LearningFailed)
+    assert outcome.reason == "roll: u is constant"

@@ -1,0 +1,51 @@
+"""Frames on their way through the daemon: cut between frames, at most one network packet each."""
+
+from memory_port import MemoryEndpoint, memory_pair
+
+from detector.relay import DATAGRAM_BYTES, FrameSplitter, Relay
+from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.messages import MessageId
+
+
+def frames(count: int, sysid: int = 1) -> list[bytes]:
+    encoder = Encoder(sysid, 1)
+    return [encoder.encode(MessageId.RAW_IMU, 1000 * k, 1, 2, -1000, 3, 4, 5) for k in range(count)]
+
+
+def decoded(messages: list[bytes]) -> int:
+    decoder = Decoder()
+    return sum(len(decoder.feed_datagram(message, 0)) for message in messages)
+
+
+def relay(datagrams: bool) -> tuple[Relay, MemoryEndpoint]:
+    near, _ = memory_pair(clock=lambda: 0)
+    behind, far = memory_pair(clock=lambda: 0)
+    return Relay(near, [behind], datagrams=datagrams), far
+
+
+def test_l7_what_a_byte_stream_brought_at_once_goes_on_in_packets_of_whole_frames() -> None:
+    """Datagrams of up to 4.4 kB went out: a client lost 46 % of the messages behind them."""
+    one, far = relay(datagrams=False)
+    stream = b"".join(frames(200))
+    one.pass_on([(stream[:4401], 0), (stream[4401:], 0)])
+    messages = [data for data, _ in far.receive(0.0)]
+    assert max(map(len, messages)) <= DATAGRAM_BYTES
+    assert decoded(messages) == 200
+
+
+def test_b28_a_truncated_datagram_of_one_peer_does_not_spoil_the_next_of_another() -> None:
+    one, far = relay(datagrams=True)
+    first, second = frames(1, sysid=1)[0], frames(3, sysid=2)
+    one.pass_on([(first[:20], 0), *((frame, 0) for frame in second)])
+    messages = [data for data, _ in far.receive(0.0)]
+    assert messages == second
+
+
+def test_a_byte_stream_is_put_together_wherever_it_was_cut() -> None:
+    stream, splitter = b"".join(frames(20)), FrameSplitter(datagrams=False)
+    found = [frame for k in range(0, len(stream), 7) for frame in splitter.split(stream[k : k + 7])]
+    assert found == frames(20)
+
+
+def test_bytes_outside_of_frames_are_passed_on() -> None:
+    assert b"".join(FrameSplitter(datagrams=False).split(b"hello" + frames(1)[0])) == b"hello" + frames(1)[0]
