@@ -90,7 +90,8 @@ def alert_after(
     """The alert after a step's output; None if there is none yet. Without new rows nothing changes."""
     if output.now_ns is None:
         return alert
-    found = [one for one in (*output.changes, diagnosis) if one.stage in ALERTING]
+    latest: tuple[Finding, ...] = (*output.changes, diagnosis)
+    found = [one for one in latest if one.stage in ALERTING]
     faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
     if not found or (alert is not None and alert.confirmed and not faults):
         return alert and replace(alert, active=False, waned=True, latest=now if found else alert.latest)

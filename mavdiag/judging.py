@@ -8,9 +8,9 @@ from typing import Any
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, InputError, UsageError
+from mavdiag.errors import BaselineError, InputError
 from mavdiag.rows.align import measure_grid
-from mavdiag.telemetry import Axis, Log
+from mavdiag.telemetry import Axis, Log, pandas_module
 from mavdiag.units import NS_PER_S
 
 __all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "exit_code", "judge"]
@@ -84,16 +84,13 @@ class LogVerdict:
 
     def to_frame(self) -> Any:
         """The events as a pandas DataFrame, one row each. Raises UsageError if pandas is not installed."""
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise UsageError("a data frame needs pandas; install it with `pip install pandas`") from error
+        pandas = pandas_module()
         names = ("monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity", "confidence")
         rows = [
             {"t_s": one.t_s, "end_s": one.end_s, **{name: getattr(one.event, name) for name in names}}
             for one in self.events
         ]
-        return pd.DataFrame(rows, columns=["t_s", "end_s", *names])
+        return pandas.DataFrame(rows, columns=["t_s", "end_s", *names])
 
 
 def judge(log: Log, baseline: Baseline) -> LogVerdict:

@@ -92,6 +92,14 @@ _UNIT_AND_COLUMNS = {
 }
 
 
+def pandas_module() -> Any:
+    """pandas, which is no requirement. Raises UsageError if it is not installed."""
+    try:
+        return importlib.import_module("pandas")
+    except ImportError as error:
+        raise UsageError("to_frame needs pandas, which is not installed: pip install pandas") from error
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Series:
     """One signal over a span of time, as it came: gaps, jitter and order untouched.
@@ -133,10 +141,7 @@ class Series:
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame: the columns, with `t_s` as the index. Raises UsageError if pandas is not installed."""
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise UsageError("to_frame needs pandas, which is not installed: pip install pandas") from error
+        pandas = pandas_module()
         return pandas.DataFrame(self.values, index=pandas.Index(self.t_s, name="t_s"), columns=list(self.columns))
 
     def __repr__(self) -> str:

@@ -5,6 +5,7 @@ octocopter is another file. A file may name another vehicle as its `base` and st
 says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`.
 """
 
+import math
 import tomllib
 from functools import cache
 from importlib import resources
@@ -15,8 +16,12 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import Place, layout_at
+from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import G
 
 __all__ = [
     "Battery",
@@ -31,6 +36,7 @@ __all__ = [
     "Spread",
     "Vehicle",
     "Wind",
+    "airframe_of",
     "allocation",
     "load_vehicle",
     "qdrone2",
@@ -224,6 +230,23 @@ class Vehicle:
         if np.linalg.matrix_rank(markers - markers.mean(axis=0), tol=1e-3) < 2:
             raise ValueError("mocap.markers_m lie on one line")
         return self
+
+
+def airframe_of(vehicle: Vehicle, name: str) -> Airframe:
+    """What a detector may know of such a vehicle: its rotors, its mass, and the rotor speed that carries it.
+
+    The fault types were trained on the shipped QDrone 2 and hold for it alone.
+    """
+    places = [Place(rotor.position_m[0], rotor.position_m[1], rotor.spin) for rotor in vehicle.rotors]
+    lift = vehicle.body.mass_kg * G / (len(places) * vehicle.propulsion.thrust_coefficient_n_s2)
+    shipped = vehicle == qdrone2()
+    return Airframe(
+        name=name,
+        layout=airframe_named("qdrone2").layout if shipped else layout_at(vehicle.name, places),
+        mass_kg=vehicle.body.mass_kg,
+        hover_rad_s=math.sqrt(lift),
+        classifier=airframe_named("qdrone2").classifier if shipped else None,
+    )
 
 
 def allocation(vehicle: Vehicle) -> FloatArray:

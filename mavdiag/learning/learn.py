@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from mavdiag import __version__
@@ -15,7 +16,7 @@ from mavdiag.learning.flights import LearntFlight, airborne, front_for
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import Flights, LearnContext
+from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Front
 from mavdiag.telemetry import Axis, Log
@@ -120,12 +121,8 @@ def _airframe(told: Airframe, profile: str) -> Airframe:
     if name is None or told.layout is not None:
         return told
     known = airframe_named(name)
-    return replace(
-        known,
-        name=known.name if told.name == Airframe().name else told.name,
-        scope=told.scope,
-        gate=told.gate or known.gate,
-    )
+    label = known.name if told.name == Airframe().name else told.name
+    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate)
 
 
 def _with_layout(airframe: Airframe, flights: Flights) -> tuple[Airframe, str]:
@@ -160,7 +157,7 @@ def _fit_all(
         kind = by_name(name)
         try:
             specs = kind.fit(flights, context)
-            found = held_out_scores(flights, lambda some, kind=kind: [kind(spec) for spec in kind.fit(some, context)])
+            found = held_out_scores(flights, partial(_monitors, kind, context))
         except (InputError, IdentificationError) as error:
             reason = str(error)
             refusals.append(
@@ -181,6 +178,10 @@ def _fit_all(
             if axis not in {spec.axis for spec in specs}
         ]
     return fitted, refusals
+
+
+def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Flights) -> list[Monitor[Any, Any]]:
+    return [kind(spec) for spec in kind.fit(flights, context)]
 
 
 def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> list[MonitorEntry]:

@@ -12,9 +12,9 @@ import numpy as np
 from mavdiag.baseline import dump, parse
 from mavdiag.errors import MavdiagError
 from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
-from mavdiag.learning import Flight, LearnOptions, learn
-from mavdiag.logs import Log
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.report import event_json
+from mavdiag.telemetry import Log
 from mavdiag.units import S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.causes import HEALTHY, injections_of
@@ -22,7 +22,7 @@ from sitl_plant.campaign.plan import MANOEUVRES, Conditions, FlightTask, LearnTa
 from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.physics.injections import Injection
 from sitl_plant.plant import PlantConfig
-from sitl_plant.vehicle import Vehicle
+from sitl_plant.vehicle import Vehicle, airframe_of
 
 __all__ = ["Answer", "FlightResult", "LearnResult", "MonitorResult", "fly_task", "learn_task", "specimen"]
 
@@ -141,9 +141,9 @@ def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
         config = _config(airframe, task.flights[number], task.duration_s, (), np.random.default_rng(child))
         telemetry, _ = flight_telemetry(config, task.duration_s, link)
         name = f"{airframe.name} healthy {number}"
-        flights.append(Flight(name, telemetry_digest(telemetry), link.profile, telemetry))
+        flights.append(Log(name, telemetry_digest(telemetry), link.profile, telemetry))
     try:
-        baseline = learn(flights, LearnOptions(airframe=airframe.name), created=CREATED)
+        baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
         return LearnResult(key, task.airframe, task.link, error=str(error))
     return LearnResult(key, task.airframe, task.link, dump(baseline), judged_s=S_PER_H * baseline.healthy_hours)
