@@ -12,7 +12,7 @@ from mavdiag.telemetry import Log
 __all__ = ["RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
-RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=2.0, trim_end_s=0.6)
+RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
 
 #: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not told.
 Reader = Callable[[Path, int | None, str | None], Log]
