@@ -13,7 +13,6 @@ from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.report import event_json
-from mavdiag.baseline import Baseline
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
 

@@ -15,7 +15,6 @@ from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.baseline import Baseline
 from mavdiag.telemetry import Axis
 
 
