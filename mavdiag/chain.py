@@ -105,7 +105,7 @@ class ChainOutput:
     changes: of the decision.
     gauges: the latest value of every slot that has one.
     flight_s: new flight time.
-    judged_s: new flight time in which a deciding slot judged.
+    judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
     """
 
@@ -122,7 +122,7 @@ class ChainState:
     """Memory of the front, the monitors and the decision.
 
     accounts: of each slot, since the start.
-    judged_s: flight time in which a deciding slot judged, since the start.
+    judged_s: judged time of the deciding slot that judged for longest, since the start.
     now_ns: vehicle time of the latest row.
     """
 
@@ -199,16 +199,16 @@ class Chain:
         now_ns = int(rows.block.t_ns[-1])
         decision, events, changes = self.decision.step(state.decision, found, now_ns)
         flight_s = len(rows.block) * rows.block.dt_s
-        judged_s = max((one.judged_s for slot, one in zip(self.slots, found, strict=True) if slot.decides), default=0.0)
         accounts = self._accounts(state.accounts, found, rows.block, flight_s)
-        state = ChainState(state.front, tuple(monitors), decision, accounts, state.judged_s + judged_s, now_ns)
+        judged_s = max((a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.decides), default=0.0)
         output = replace(
             output,
             gauges=tuple(_gauge(slot, one) for slot, one in zip(self.slots, found, strict=True) if len(one)),
             flight_s=output.flight_s + flight_s,
-            judged_s=output.judged_s + judged_s,
+            judged_s=output.judged_s + judged_s - state.judged_s,
             now_ns=now_ns,
         )
+        state = ChainState(state.front, tuple(monitors), decision, accounts, judged_s, now_ns)
         return state, events, changes, output
 
     def _accounts(
