@@ -52,7 +52,7 @@ def test_a_guard_only_ever_raises(x: FloatArray, budget: float) -> None:
 def test_the_healthy_flights_themselves_stay_below_the_maximum_rule(x: FloatArray, budget: float) -> None:
     found = threshold_of(whole(x), flights=3, budget_per_hour=budget, rule=ThresholdRule.MAXIMUM)
     assert found.exceeding == 0
-    assert found.value == x.max()
+    assert found.value == pytest.approx(x.max(), rel=1e-12)  # the mean of equal maxima is rounded
 
 
 def test_b24_the_poisson_limit_holds_for_many_events() -> None:
