@@ -123,6 +123,7 @@ def test_the_hard_flight_has_what_it_should(seed: int) -> None:
     assert {one.stage for one in changes} == set(Stage)
     assert [one.reason for one in changes].count("not flying") == 2  # a landing and a break
     assert len(changes) > 8
+    assert {one.rotor for one in changes} == {None, 2, 3}
 
 
 def joined(*flights: Telemetry, armed: tuple[tuple[float, float], ...]) -> Telemetry:
