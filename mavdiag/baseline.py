@@ -7,7 +7,7 @@ not fit, naming the field; `check_link` refuses another link. `upgrade` reads sc
 
 import hashlib
 import json
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -46,6 +46,7 @@ __all__ = [
     "dump",
     "parse",
     "sealed",
+    "validated",
 ]
 
 SCHEMA = "mavdiag.baseline/2"
@@ -99,7 +100,11 @@ class MonitorEntry(_Part):
     @field_validator("spec", mode="before")
     @classmethod
     def _known(cls, value: Any) -> Any:
-        return _adapter(value["kind"]).validate_python(_checked(value)) if isinstance(value, dict) else value
+        if is_dataclass(value):
+            return value
+        if not isinstance(value, dict) or not isinstance(value.get("kind"), str):
+            raise ValueError("a monitor's fit must be an object with a kind")
+        return _adapter(value["kind"]).validate_python(_checked(value))
 
     @field_serializer("spec")
     def _plain(self, value: Any) -> Any:
@@ -244,7 +249,7 @@ def validated(raw: dict[str, Any]) -> Baseline:
     """A baseline from plain values, its digest unchecked. Raises BaselineError, naming the field."""
     try:
         return Baseline.model_validate(raw)
-    except (MavdiagError, KeyError) as error:  # from a specification that checks itself
+    except MavdiagError as error:  # from a specification that checks itself
         raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
     except ValidationError as error:
         first = error.errors()[0]
@@ -257,7 +262,7 @@ def _place(raw: dict[str, Any]) -> str:
     for number, entry in enumerate(raw.get("monitors") or ()):
         try:
             MonitorEntry.model_validate(entry)
-        except (MavdiagError, KeyError):
+        except MavdiagError:
             return f"monitors.{number}.spec"
         except ValidationError:
             continue

@@ -55,7 +55,7 @@ class Account:
     flight_s: flight time so far.
     judged_s: time that its valid values stand for.
     peak: highest valid statistic; None if there was none.
-    missing: flight time in which it did not judge and a signal was unknown, by signal [s].
+    missing: flight time with a valid gyro in which what it takes of a signal was unknown, by signal [s].
     """
 
     flight_s: float = 0.0
@@ -66,17 +66,18 @@ class Account:
     @property
     def not_judged(self) -> Mapping[str, float]:
         """Reasons with their seconds: a signal that is unknown, or waiting for unbroken flight."""
-        found = {f"no {signal.replace('_', ' ')}": span_s for signal, span_s in self.missing.items()}
-        waited_s = self.flight_s - self.judged_s - sum(found.values())
-        return {**found, WAITING: waited_s} if waited_s > 0 else found
+        found: dict[str, float] = {}
+        idle_s = self.flight_s - self.judged_s
+        for signal, span_s in self.missing.items():
+            found[f"no {signal.replace('_', ' ')}"] = min(span_s, max(0.0, idle_s))
+            idle_s -= span_s
+        return {**found, WAITING: idle_s} if idle_s > 0 else found
 
     def add(self, found: Statistic, flight_s: float, missing: Mapping[Signal, float]) -> "Account":
         """The account after the next rows."""
         lacking = dict(self.missing)
-        idle_s = max(0.0, flight_s - found.judged_s)
         for signal, span_s in missing.items():
-            lacking[signal] = lacking.get(signal, 0.0) + min(span_s, idle_s)
-            idle_s -= min(span_s, idle_s)
+            lacking[signal] = lacking.get(signal, 0.0) + span_s
         highest = float(found.value[found.valid].max()) if found.valid.any() else None
         peak = highest if self.peak is None else self.peak if highest is None else max(self.peak, highest)
         return Account(self.flight_s + flight_s, self.judged_s + found.judged_s, peak, lacking)
@@ -104,7 +105,7 @@ class ChainOutput:
     changes: of the decision.
     gauges: the latest value of every slot that has one.
     flight_s: new flight time.
-    judged_s: new flight time in which a deciding slot judged.
+    judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
     """
 
@@ -121,7 +122,7 @@ class ChainState:
     """Memory of the front, the monitors and the decision.
 
     accounts: of each slot, since the start.
-    judged_s: flight time in which a deciding slot judged, since the start.
+    judged_s: judged time of the deciding slot that judged for longest, since the start.
     now_ns: vehicle time of the latest row.
     """
 
@@ -198,31 +199,26 @@ class Chain:
         now_ns = int(rows.block.t_ns[-1])
         decision, events, changes = self.decision.step(state.decision, found, now_ns)
         flight_s = len(rows.block) * rows.block.dt_s
-        judged_s = max((one.judged_s for slot, one in zip(self.slots, found, strict=True) if slot.decides), default=0.0)
         accounts = self._accounts(state.accounts, found, rows.block, flight_s)
-        state = ChainState(state.front, tuple(monitors), decision, accounts, state.judged_s + judged_s, now_ns)
+        judged_s = max((a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.decides), default=0.0)
         output = replace(
             output,
             gauges=tuple(_gauge(slot, one) for slot, one in zip(self.slots, found, strict=True) if len(one)),
             flight_s=output.flight_s + flight_s,
-            judged_s=output.judged_s + judged_s,
+            judged_s=output.judged_s + judged_s - state.judged_s,
             now_ns=now_ns,
         )
+        state = ChainState(state.front, tuple(monitors), decision, accounts, judged_s, now_ns)
         return state, events, changes, output
 
     def _accounts(
         self, accounts: Sequence[Account], found: Sequence[Statistic], block: Block, flight_s: float
     ) -> tuple[Account, ...]:
-        lacking: dict[Signal, float] = {}
         out = []
         for slot, account, one in zip(self.slots, accounts, found, strict=True):
-            missing: dict[Signal, float] = {}
-            for signal in sorted(slot.monitor.signals) if not one.valid.any() else ():
-                if signal not in lacking:
-                    lacking[signal] = float(np.count_nonzero(~block.known(signal))) * block.dt_s
-                if lacking[signal]:
-                    missing[signal] = lacking[signal]
-            out.append(account.add(one, flight_s, missing))
+            known = {signal: slot.monitor.known(block, signal) for signal in sorted(slot.monitor.signals)}
+            rows = {signal: int(np.count_nonzero(block.valid & ~there)) for signal, there in known.items()}
+            out.append(account.add(one, flight_s, {s: count * block.dt_s for s, count in rows.items() if count}))
         return tuple(out)
 
 

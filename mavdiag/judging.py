@@ -64,7 +64,7 @@ class JudgedEvent:
 class LogVerdict:
     """The verdict on one log.
 
-    judged_s: flight time in which a deciding monitor judged.
+    judged_s: judged time of the deciding monitor that judged for longest.
     rate_hz: of the gyro stream.
     changes: the decision's log.
     """

@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 from mavdiag.errors import InputError, UsageError
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Axis", "BoolArray", "FloatArray", "Instant", "IntArray", "Log", "Series", "Signal", "Telemetry"]
+__all__ = [
+    "Axis",
+    "BoolArray",
+    "FloatArray",
+    "Instant",
+    "IntArray",
+    "Log",
+    "Series",
+    "Signal",
+    "Telemetry",
+    "pandas_module",
+]
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]

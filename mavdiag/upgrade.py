@@ -59,7 +59,7 @@ def _spec(old: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]:
         spec["layout"] = _layout(spec.pop("frame"))
     if spec["kind"] == "fsd":
         spec.pop("longest_run_s")
-        model = next(one for one in raw["models"] if one["axis"] == spec["axis"])
+        model = {one["axis"]: one for one in raw["models"]}[spec["axis"]]
         spec["model"] = {**{key: model[key] for key in model if key not in ("axis", "rows")}, "samples": model["rows"]}
         spec["model"]["dt_s"] = raw["link"]["dt_s"]
     if spec["kind"] in ("fsd", "innovation"):

@@ -86,7 +86,7 @@ class SlotSpec:
 class DecisionState:
     """All that the decision remembers.
 
-    latest: of each slot its latest reading, None if it does not judge.
+    latest: of each slot its latest reading, None before the first.
     events: of each slot its open event.
     waiting: of each slot the values that were not looked at yet.
     diagnosis: what is held now.
@@ -184,7 +184,7 @@ class DecisionSpec:
             ratio = one.highest(number)
             if ratio is None:
                 continue
-            latest[i] = one.reading(number, t_ns)
+            latest[i] = one.reading(number, t_ns) or latest[i]  # it ages while nothing is valid
             part = one.part(number) if ratio > 1.0 or events[i].open is not None else None
             if part is not None:
                 events[i], seen = slot.events.step(events[i], part)

@@ -14,9 +14,10 @@ from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.identify import Method, Order
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, Signal
+from mavdiag.telemetry import Axis, BoolArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
@@ -128,6 +129,10 @@ class Monitor(ABC, Generic[Spec, State]):
     def signals(self) -> frozenset[Signal]:
         """The signals that this fit rests on; fewer than `needs` where it chose between them."""
         return self.needs
+
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """(n,) where the rows carry what it takes of a signal."""
+        return block.known(signal)
 
     @property
     def axis(self) -> Axis | None:

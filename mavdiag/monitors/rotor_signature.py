@@ -28,6 +28,7 @@ from mavdiag.monitors.model_residual import (
     ResidualState,
     stride_of,
 )
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import ema, forgetting, spans, window_all, window_mean
@@ -151,6 +152,11 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     def signals(self) -> frozenset[Signal]:
         """The thrust counts only where the healthy flights showed its effect."""
         return self.needs if self.spec.motion.uses_thrust else self.needs - {Signal.THRUST_SETPOINT}
+
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """Of the accelerometer its z."""
+        force = np.isfinite(block.force[:, 2:]).all(axis=1)
+        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
 
     def start(self) -> RotorSignatureState:
         """No row yet."""

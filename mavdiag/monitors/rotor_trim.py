@@ -128,6 +128,13 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         """The outputs, or torque and thrust."""
         return _SIGNALS[self.spec.source]
 
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """Of the outputs those that move a rotor."""
+        outputs = block.actuator[:, : self.spec.layout.rotors]
+        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
+            return block.known(signal)
+        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
+
     def start(self) -> MeanState:
         """An empty mean."""
         return start_mean(3)

@@ -210,6 +210,11 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         """The unbalance, where it is known in g mm."""
         return None if self.spec.mass_kg is None else Feature.UNBALANCE
 
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """Of the accelerometer its x and y."""
+        force = np.isfinite(block.force[:, :2]).all(axis=1)
+        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+
     def start(self) -> UnbalanceState:
         """No row yet."""
         return _fresh()

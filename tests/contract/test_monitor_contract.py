@@ -2,13 +2,14 @@
 
 import dataclasses
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 from flying_telemetry import DT_NS, DT_S, START_NS, flying, flying_front, flying_rows, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_monitor import MadeUp
 from made_telemetry import cut
 from pydantic import TypeAdapter
 
@@ -16,10 +17,9 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors import MONITORS, by_name, monitor_of
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import LearnContext, Monitor
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, sliding_mean, start_mean
 from mavdiag.telemetry import Signal, Telemetry
 
 SAMPLES = 3200
@@ -27,50 +27,6 @@ STOP_S = 20.0
 LONGEST_LIMIT_S = 2.0  # of all signals: how long a last value holds (`rows.align.HELD`)
 CONTEXT = LearnContext(Airframe(layout=layout_named("x")), None, DT_S, 11)
 ARRAYS = ("t_ns", "value", "valid", "level", "signal", "rotors")
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class HeightSpec:
-    """Healthy mean acceleration."""
-
-    kind: Literal["made_up"] = "made_up"
-    mean: float = 0.0
-
-
-class MadeUp(Monitor[HeightSpec, MeanState]):
-    """Mean vertical acceleration over 1 s, to show that a new monitor is one class.
-
-    Warm-up: 1 s. Latency: 1 s. False alarms: many. Blind spots: all.
-
-    >>> MadeUp(HeightSpec()).unit
-    'm/s^2'
-    """
-
-    name = "made_up"
-    label = "made up"
-    needs = frozenset({Signal.SPECIFIC_FORCE})
-    spec_type = HeightSpec
-    unit = "m/s^2"
-
-    @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[HeightSpec, ...]:
-        """The mean of all rows."""
-        down = [rows.block.force[rows.block.known(Signal.SPECIFIC_FORCE), 2] for flight in flights for rows in flight]
-        if not sum(map(len, down)):
-            raise InputError("no accelerometer")
-        return (HeightSpec(mean=float(np.concatenate(down).mean())),)
-
-    def start(self) -> MeanState:
-        """An empty mean."""
-        return start_mean(1)
-
-    def step(self, state: MeanState, rows: Rows) -> tuple[MeanState, Statistic]:
-        """The mean's distance from the healthy one."""
-        block = rows.block
-        known = block.valid & block.known(Signal.SPECIFIC_FORCE)
-        state, mean, full = sliding_mean(state, block.force[:, 2:], known, 100)
-        value = np.abs(mean[:, 0] - self.spec.mean)
-        return state, Statistic(block.t_ns, block.dt_s, value, full, value, value)
 
 
 ALL: tuple[type[Monitor[Any, Any]], ...] = (*MONITORS, MadeUp)

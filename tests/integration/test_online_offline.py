@@ -6,18 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from mavdiag.airframe.load import airframe_named
 from mavdiag.demo.subprocesses import child
 from mavdiag.judging import judge
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.report import event_json
-from mavdiag.baseline import Baseline
+from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
 
-SECONDS, ONSET_S = 18.0, 7.0
+SECONDS, ONSET_S = 24.0, 12.0
 FIELDS = ("t_s", "end_s", "monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity")
 
 
@@ -33,9 +34,9 @@ def record(endpoint: Endpoint, seconds: float) -> bytes:
 @pytest.mark.realtime
 def test_the_journal_and_the_scan_of_the_recording_agree(tmp_path: Path) -> None:
     flights = [
-        Flight(f"f{i}", f"{i:064x}", "qdrone2", flight_telemetry(PlantConfig(seed=50 + i), 20.0)[0]) for i in range(4)
+        Log(f"f{i}", f"{i:064x}", "qdrone2", flight_telemetry(PlantConfig(seed=50 + i), 20.0)[0]) for i in range(4)
     ]
-    baseline = learn(flights, LearnOptions(), created="2026-01-01T00:00:00+00:00")
+    baseline = learn(flights, LearnOptions(airframe=airframe_named("qdrone2")), created="2026-01-01T00:00:00+00:00")
     file, journal, log = tmp_path / "b.json", tmp_path / "events.jsonl", tmp_path / "flight.tlog"
     baseline.save(file)
     with (

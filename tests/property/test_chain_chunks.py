@@ -1,67 +1,199 @@
-"""Whatever the chunks, the same rows and the same events: a log and a live link give one verdict."""
+"""Whatever the chunks, the same events and changes: a log and a live link give one verdict."""
+
+import dataclasses
+from functools import cache
 
 import numpy as np
-from hypothesis import given
+import pytest
+from flying_telemetry import DT_NS, START_NS, flying, without
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_telemetry import DT_NS, A, B, cut, flight
+from made_baselines import thesis, whole
+from made_telemetry import cut, flight
 
-from mavdiag.chain import Chain, Front, Watch
-from mavdiag.decision.events import Event
-from mavdiag.identify import ArxModel, Method
-from mavdiag.monitors.run_length import RunLength
-from mavdiag.rows.align import AlignSpec, Grid
-from mavdiag.rows.gate import GateSpec
-from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import Axis, Series, Telemetry
+from mavdiag.chain import Chain, ChainState, chain_of
+from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.rows.align import Grid
+from mavdiag.telemetry import Series, Signal, Telemetry
 
-MODEL = ArxModel(A, B, 0.001, (2, 2, 1), Method.PUBLISHED)
+N = 4600
+Story = tuple[list[Event], list[Change], ChainState]
 
 
-def chain(grid: Grid, trim_end_s: float) -> Chain:
-    front = Front(AlignSpec(0.001, grid), GateSpec(trim_end_s=trim_end_s), RateSpec.of(0.001, 101))
-    watches = tuple(Watch(RunLength(MODEL, axis, 0.005), 0.02, 0.005) for axis in (Axis.ROLL, Axis.PITCH))
-    return Chain(front, watches)
-
-
-def run(one: Chain, chunks: list[Telemetry]) -> tuple[set[Event], int]:
-    state, judged = one.start(), 0.0
-    events: list[Event] = []
+def run(chain: Chain, chunks: list[Telemetry]) -> Story:
+    """All events and changes in the order in which they came."""
+    state, events, changes = chain.start(), list[Event](), list[Change]()
     for chunk in chunks:
-        state, found = one.step(state, chunk)
-        events += found.events
-        judged += found.judged_s
-    last = one.finish(state)
-    latest = {(e.monitor, e.axis, e.start_ns): e for e in (*events, *last.events)}
-    return set(latest.values()), round((judged + last.judged_s) / 0.001)
+        state, output = chain.step(state, chunk)
+        events += output.events
+        changes += output.changes
+    state, output = chain.finish(state)
+    return [*events, *output.events], [*changes, *output.changes], state
 
 
-def damaged(seed: int) -> Telemetry:
-    """A flight with losses, swaps, a gap of 80 ms and one of 1.3 s, and a push that must be found."""
+def assert_same(found: Story, expected: Story) -> None:
+    """Equal, but for the rounding of running sums."""
+    for ours, theirs in ((found[0], expected[0]), (found[1], expected[1])):
+        assert len(ours) == len(theirs)
+        for one, other in zip(ours, theirs, strict=True):
+            for field in dataclasses.fields(one):
+                a, b = getattr(one, field.name), getattr(other, field.name)
+                assert a == (pytest.approx(b, rel=1e-9, nan_ok=True) if isinstance(b, float) else b), field.name
+    assert found[2].judged_s == pytest.approx(expected[2].judged_s)
+    assert found[2].diagnosis.stage is expected[2].diagnosis.stage
+    for ours, theirs in zip(found[2].accounts, expected[2].accounts, strict=True):
+        assert ours.peak == (None if theirs.peak is None else pytest.approx(theirs.peak, rel=1e-9))
+        assert (ours.flight_s, ours.judged_s) == pytest.approx((theirs.flight_s, theirs.judged_s))
+        assert dict(ours.not_judged) == pytest.approx(dict(theirs.not_judged), abs=1e-6)
+
+
+def hard_flight(seed: int) -> Telemetry:
+    """Losses, swapped samples, a short gap, a break, signals that stop for a while, and faults.
+
+    Rotor 2 is weak from 8 to 16 s, the gyro shakes from 18 to 20 s, a landing is at 22 s, vibration is up from 30 to
+    38 s, rotor 3 is weak from 38 s on.
+    """
+    rng = np.random.default_rng(seed)
+    healthy = flying(N, seed)
+    s = DT_NS * np.arange(N) / 1e9
+    parts = []
+    for one in healthy.series:
+        values, at_s = one.values.copy(), (one.t_ns - START_NS) / 1e9
+        if one.signal is Signal.ACTUATOR:
+            values[(at_s >= 8) & (at_s < 16), 1] += 0.1
+            values[at_s >= 38, 2] += 0.1
+        if one.signal is Signal.VIBRATION:
+            values[(at_s >= 30) & (at_s < 38)] *= 1.75
+        if one.signal is Signal.BODY_RATE:
+            values[(s >= 18) & (s < 20)] += rng.normal(0, 0.3, (200, 3))
+        if one.signal is Signal.ARMED:
+            values[(at_s >= 22) & (at_s < 24)] = 0
+        keep = (rng.random(len(one)) > 0.02) | (one.signal is Signal.ARMED)
+        at = np.flatnonzero(keep)
+        for i in rng.integers(0, len(at) - 1, 5):
+            if len(one) == N:
+                at[[i, i + 1]] = at[[i + 1, i]]
+        parts.append(Series(one.signal, one.t_ns[at], np.sort(one.host_ns[at]), values[at]))
+    rough = without(Telemetry(tuple(parts)), (5.0, 5.08), (29.0, 30.6))
+    rough = without(rough, (12.0, 15.0), signals=(Signal.VIBRATION, Signal.SPECIFIC_FORCE))
+    rough = without(rough, (13.0, 15.5), (44.0, 60.0), signals=(Signal.ACTUATOR,))
+    return without(rough, (19.0, 19.5), (26.0, 28.5), signals=(Signal.ATTITUDE_SETPOINT,))
+
+
+@cache
+def chain(grid: Grid, trim_end_s: float) -> Chain:
+    made = chain_of(whole())
+    front = dataclasses.replace(
+        made.front,
+        align=dataclasses.replace(made.front.align, grid=grid),
+        gate=dataclasses.replace(made.front.gate, trim_end_s=trim_end_s),
+    )
+    return dataclasses.replace(made, front=front)
+
+
+@cache
+def uncut(seed: int, grid: Grid, trim_end_s: float) -> Story:
+    return run(chain(grid, trim_end_s), [hard_flight(seed)])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    seed=st.integers(0, 3),
+    edges=st.lists(st.integers(0, N), max_size=60),
+    grid=st.sampled_from(list(Grid)),
+    trim_end_s=st.sampled_from([0.0, 0.6]),
+)
+def test_l5_any_cut_gives_the_same_events_and_changes(
+    seed: int, edges: list[int], grid: Grid, trim_end_s: float
+) -> None:
+    """L5: scan and live differed in type and severity. With faults, borders, and signals that stop."""
+    cuts = sorted(START_NS + edge * DT_NS for edge in edges)
+    assert_same(run(chain(grid, trim_end_s), cut(hard_flight(seed), cuts)), uncut(seed, grid, trim_end_s))
+
+
+@pytest.mark.parametrize("every_ms", [40, 230, 1700])
+def test_l5_regular_chunks_give_the_same(every_ms: int) -> None:
+    """L5, as a daemon sees it."""
+    cuts = list(range(START_NS, START_NS + N * DT_NS, every_ms * 1_000_000))
+    assert_same(run(chain(Grid.NATIVE, 0.0), cut(hard_flight(1), cuts)), uncut(1, Grid.NATIVE, 0.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_hard_flight_has_what_it_should(seed: int) -> None:
+    events, changes, _ = uncut(seed, Grid.NATIVE, 0.0)
+    assert {one.rotor for one in events} >= {2, 3}
+    assert {"innovation", "rotor_trim"} <= {one.monitor for one in events}
+    assert {one.stage for one in changes} == set(Stage)
+    assert [one.reason for one in changes].count("not flying") == 2  # a landing and a break
+    assert len(changes) > 8
+
+
+def joined(*flights: Telemetry, armed: tuple[tuple[float, float], ...]) -> Telemetry:
+    """Flights in a row, at 100 Hz; armed in these spans [s] since the start."""
+    parts, shift = [], 0
+    for one in flights:
+        parts.append({s.signal: Series(s.signal, s.t_ns + shift, s.host_ns + shift, s.values) for s in one.series})
+        shift += len(one.need(Signal.BODY_RATE)) * DT_NS
+    out = []
+    for signal in parts[0]:
+        t, host, values = (
+            np.concatenate([getattr(p[signal], n) for p in parts]) for n in ("t_ns", "host_ns", "values")
+        )
+        if signal is Signal.ARMED:
+            at_s = (t - START_NS) / 1e9
+            values = np.any([(at_s >= low) & (at_s < high) for low, high in armed], axis=0).astype(float)[:, None]
+        out.append(Series(signal, t, host, values))
+    return Telemetry(tuple(out))
+
+
+@pytest.mark.parametrize("every_ms", [10**6, 40])
+def test_b3_a_landing_closes_the_events_and_nothing_goes_into_the_next_flight(every_ms: int) -> None:
+    """B3: an event of flight 1 stayed open on the ground, and flight 2 began with a CRITICAL."""
+    weak = flying(2000, 1, weak_rotor=2, rise=0.3)
+    two = joined(weak, flying(3500, 2), armed=((0, 16), (26, 55)))
+    cuts = list(range(START_NS, START_NS + 55 * 10**9, every_ms * 1_000_000))
+    events, changes, state = run(chain_of(whole()), cut(two, cuts))
+    second_ns = START_NS + 25 * 10**9
+    assert events
+    assert all(one.start_ns < second_ns for one in events)
+    closed = {(one.monitor, one.axis, one.start_ns): one for one in events}
+    assert all(one.end_ns is not None and one.end_ns < second_ns for one in closed.values())
+    after = [one for one in changes if one.t_ns > second_ns]
+    assert [one.stage for one in after] == [Stage.QUIET]
+    landing = [one for one in changes if one.reason == "not flying"]
+    assert len(landing) == 1
+    assert landing[0].t_ns == pytest.approx(START_NS + 16e9, abs=0.2e9)
+    assert (state.diagnosis.stage, state.diagnosis.rotor) == (Stage.QUIET, None)
+
+
+def test_b3_the_end_of_a_watch_closes_what_is_open() -> None:
+    """B3, where the link is lost in flight."""
+    chain, weak = chain_of(whole()), flying(2000, 1, weak_rotor=2, rise=0.3)
+    state, output = chain.step(chain.start(), weak)
+    assert state.diagnosis.stage is Stage.FAULT
+    opened = [one for one in output.events if one.end_ns is None]
+    state, output = chain.end_flight(state)
+    assert {one.start_ns for one in output.events} == {one.start_ns for one in opened}
+    assert all(one.end_ns is not None for one in output.events)
+    assert state.diagnosis.stage is Stage.NOT_JUDGED
+    assert chain.end_flight(state)[1].events == ()
+
+
+@given(seed=st.integers(0, 5), edges=st.lists(st.integers(0, 9000), max_size=40))
+def test_any_cut_gives_the_same_events_at_a_kilohertz(seed: int, edges: list[int]) -> None:
+    """Losses, swaps, a gap of 80 ms and one of 1.3 s, and a push that must be found."""
     rng = np.random.default_rng(seed)
     push = np.zeros(9000)
     push[4000:4500] = 0.2
     parts = []
     for one in flight(9000, seed, push=push).series:
         keep = rng.random(len(one)) > 0.02
-        span = (one.t_ns - one.t_ns[0]) // DT_NS
-        keep &= ~((span > 3000) & (span < 3080)) & ~((span > 6000) & (span < 7300))
-        at = np.flatnonzero(keep)
+        span = (one.t_ns - one.t_ns[0]) // 1_000_000
+        at = np.flatnonzero(keep & ~((span > 3000) & (span < 3080)) & ~((span > 6000) & (span < 7300)))
         for i in rng.integers(0, len(at) - 1, 5):
             at[[i, i + 1]] = at[[i + 1, i]]
         parts.append(Series(one.signal, one.t_ns[at], np.sort(one.host_ns[at]), one.values[at]))
-    return Telemetry(tuple(parts))
-
-
-@given(
-    seed=st.integers(0, 5),
-    edges=st.lists(st.integers(0, 9000), max_size=40),
-    grid=st.sampled_from(list(Grid)),
-    trim_end_s=st.sampled_from([0.0, 0.6]),
-)
-def test_any_chunking_gives_the_same_events(seed: int, edges: list[int], grid: Grid, trim_end_s: float) -> None:
-    telemetry = damaged(seed)
-    one = chain(grid, trim_end_s)
-    expected = run(one, [telemetry])
-    cuts = sorted(1_000_000_000 + edge * DT_NS for edge in edges)
-    assert run(one, cut(telemetry, cuts)) == expected
-    assert any(e.axis is Axis.ROLL for e in expected[0])
+    made, telemetry = chain_of(thesis()), Telemetry(tuple(parts))
+    expected = run(made, [telemetry])
+    assert_same(run(made, cut(telemetry, sorted(START_NS + edge * 1_000_000 for edge in edges))), expected)
+    assert any(one.axis == "roll" and one.statistic > 0.3 for one in expected[0])

@@ -9,8 +9,7 @@ from made_logs import DataFlashMessage, dataflash
 
 from mavdiag.errors import InputError
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.telemetry import Log
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import Log, Signal
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 ATT = DataFlashMessage(70, "ATT", "Qccccff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")

@@ -17,8 +17,13 @@ budgets = st.floats(1e-4, 100.0)
 NO_GUARD = Guard()
 
 
+def whole(x: FloatArray) -> Scores:
+    """Blocks of 10 s."""
+    return Scores(x, np.full(len(x), 10.0))
+
+
 def level(x: FloatArray, budget: float, guard: Guard = NO_GUARD, rule: ThresholdRule = ThresholdRule.GUMBEL) -> float:
-    return threshold_of(Scores(x, 10.0 * len(x)), flights=3, budget_per_hour=budget, guard=guard, rule=rule).value
+    return threshold_of(whole(x), flights=3, budget_per_hour=budget, guard=guard, rule=rule).value
 
 
 @given(x=maxima, budget=budgets, scale=st.floats(0.01, 100.0), rule=st.sampled_from(list(ThresholdRule)))
@@ -45,12 +50,17 @@ def test_a_guard_only_ever_raises(x: FloatArray, budget: float) -> None:
 
 @given(x=maxima, budget=st.floats(1e-4, 0.3))
 def test_the_healthy_flights_themselves_stay_below_the_maximum_rule(x: FloatArray, budget: float) -> None:
-    found = threshold_of(Scores(x, 60.0), flights=3, budget_per_hour=budget, rule=ThresholdRule.MAXIMUM)
+    found = threshold_of(whole(x), flights=3, budget_per_hour=budget, rule=ThresholdRule.MAXIMUM)
     assert found.exceeding == 0
     assert found.value == x.max()
 
 
-@given(events=st.integers(0, 40))
+def test_b24_the_poisson_limit_holds_for_many_events() -> None:
+    """B24: a bisection stopped at 745."""
+    assert poisson_upper(800) == pytest.approx(848.1, abs=0.5)
+
+
+@given(events=st.integers(0, 5000))
 def test_the_poisson_limit_agrees_with_chi_square(events: int) -> None:
     assert poisson_upper(events) == pytest.approx(float(chi2.ppf(0.95, 2 * events + 2)) / 2, rel=1e-6)
     assert float(poisson.cdf(events, poisson_upper(events))) == pytest.approx(0.05, abs=1e-6)
@@ -66,7 +76,7 @@ def achieved(tail: str, blocks: int, seed: int) -> float:
     rng = np.random.default_rng(seed)
     x = rng.exponential(size=(blocks, PER_BLOCK)) if tail == "exponential" else rng.normal(size=(blocks, PER_BLOCK))
     value = threshold_of(
-        Scores(x.max(axis=1), 10.0 * blocks), flights=blocks, budget_per_hour=BUDGET, guard=Guard(scale_share=0.0)
+        whole(x.max(axis=1)), flights=blocks, budget_per_hour=BUDGET, guard=Guard(scale_share=0.0)
     ).value
     beyond = math.exp(-value) if tail == "exponential" else float(norm.sf(value))
     return -math.expm1(PER_BLOCK * math.log1p(-beyond)) / RATE
@@ -92,7 +102,7 @@ def test_the_stated_standard_error_is_the_scatter_that_is_seen(blocks: int) -> N
     found = []
     for seed in range(400):
         x = np.random.default_rng(seed).gumbel(5.0, 1.0, blocks)
-        found.append(threshold_of(Scores(x, 10.0 * blocks), flights=blocks, budget_per_hour=0.36))
+        found.append(threshold_of(whole(x), flights=blocks, budget_per_hour=0.36))
     scatter = float(np.std([one.value for one in found]))
     assert float(np.median([one.standard_error for one in found])) == pytest.approx(scatter, rel=0.2)
     true = 5.0 - math.log(0.001)

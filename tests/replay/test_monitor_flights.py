@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_thresholds import calibrated
 from shared_data import shared
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import LAYOUTS, RotorLayout, detect_layout, layout_named
+from mavdiag.airframe.detect import detect_layout
+from mavdiag.airframe.layout import RotorLayout, layout_named
 from mavdiag.logs import read_log
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.monitors.innovation import Innovation
@@ -21,7 +23,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.telemetry import Series, Signal, Telemetry
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, calibrate
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR
 
 SHARE = BUDGET_PER_HOUR / 4
 GATES = {
@@ -57,10 +59,8 @@ def learnt(
     """The monitor fitted to healthy flights, and its threshold."""
     dt_s = flights[0][0].block.dt_s
     context = LearnContext(Airframe(layout=layout), None, dt_s, window_samples(dt_s))
-    spec, threshold = calibrate(
-        flights, lambda rest: kind.fit(rest, context)[0], kind, budget_per_hour=SHARE, guard=kind.guard
-    )
-    return kind(spec), threshold.value
+    monitor, threshold = calibrated(kind, flights, context, SHARE)
+    return monitor, threshold.value
 
 
 def highest(fitted: tuple[Monitor[Any, Any], float], rows: tuple[Rows, ...]) -> tuple[float, int]:
@@ -102,28 +102,11 @@ def test_a_cut_propeller_is_found_and_named(crazypad: dict[str, list[tuple[Rows,
                 assert ratio < 0.9, name  # weight and tape are no lost thrust
 
 
-@pytest.mark.parametrize(
-    ("name", "frame"),
-    [
-        ("arducopter_sitl/healthy_quad3kg_sq1.tlog", "plus"),
-        ("arducopter_sitl/fault_quad3kg_m1_080_sq5.tlog", "plus"),
-        ("arducopter_sitl/healthy_jsonplant2_sq1.tlog", "x"),
-        ("arducopter_sitl/jsonplant_flight.bin", "x"),
-    ],
-)
-def test_the_frame_is_found_from_the_log(name: str, frame: str) -> None:
-    assert detect_layout(flight(shared("data") / name)) is LAYOUTS[frame]
-
-
-def test_a_crazyflie_log_without_outputs_names_no_frame() -> None:
-    assert detect_layout(flight(shared("data/crazypad/normal_flight/E8_log00"))) is None
-
-
 @pytest.mark.parametrize("taught", ["sq1", "sq5"])
 def test_arducopter_hides_a_weak_motor_but_its_outputs_show_it(taught: str) -> None:
     folder = shared("data/arducopter_sitl")
     rows = flight(folder / f"healthy_quad3kg_{taught}.tlog")
-    fitted = learnt(RotorTrim, [rows], detect_layout(rows))
+    fitted = learnt(RotorTrim, [rows], detect_layout(one.block for one in rows).layout)
     for square in ("sq1", "sq5"):
         assert highest(fitted, flight(folder / f"healthy_quad3kg_{square}.tlog"))[0] < 0.1
         for share in ("080", "090"):

@@ -8,25 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_telemetry import flight
+from made_baselines import thesis, whole
 
 from mavdiag.baseline import Baseline, check_link, dump, parse
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError, UsageError
-from mavdiag.learning import Flight, learn, thesis_options
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.baseline import Baseline
-from mavdiag.telemetry import Axis
+from mavdiag.thresholds.rule import ThresholdRule
 
-
-def healthy(count: int, n: int = 6000) -> list[Flight]:
-    return [Flight(f"flight{i}", f"{i:064x}", "qdrone2", flight(n, seed=100 + i)) for i in range(count)]
+FSD, TRIM = 0, -1  # places in the list of the monitors
 
 
 @pytest.fixture(scope="module")
 def baseline() -> Baseline:
-    options = thesis_options("test", (Axis.ROLL, Axis.PITCH))
-    return learn(healthy(3), options, created="2026-01-01T00:00:00+00:00")
+    return whole()
 
 
 def changed(baseline: Baseline, *path: str | int, value: object) -> str:
@@ -38,21 +33,28 @@ def changed(baseline: Baseline, *path: str | int, value: object) -> str:
     return json.dumps(raw)
 
 
-def test_text_and_back_is_the_same(baseline: Baseline) -> None:
-    assert parse(dump(baseline)) == baseline
+def refusal(text: str) -> str:
+    with pytest.raises(BaselineError) as refused:
+        parse(text)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
 
 
-def test_the_model_found_is_the_airframe_that_made_the_data(baseline: Baseline) -> None:
-    model = baseline.model_of(Axis.ROLL)
-    assert model.r2t > 0.97
-    assert abs(sum(model.b) / sum(model.a) - 1.0) < 0.05  # DC gain of the made airframe
+@pytest.mark.parametrize("made", [whole, thesis])
+def test_text_and_back_is_the_same(made: Any) -> None:
+    assert parse(dump(made())) == made()
 
 
-def test_the_price_of_the_latency_is_stated(baseline: Baseline) -> None:
-    spec, fml = baseline.latency[0]
-    assert fml.false_alarms_per_flight == 0.25
-    assert fml.value == max(spec.longest_run_s)
-    assert len(spec.longest_run_s) == 3
+def test_the_model_found_is_the_airframe_that_made_the_data() -> None:
+    record = thesis().fsd[0][0].model
+    assert record.r2t > 0.97
+    assert abs(sum(record.b) / sum(record.a) - 1.0) < 0.05  # DC gain of the made airframe
+
+
+def test_the_price_of_the_longest_run_is_stated() -> None:
+    spec, fml = thesis().fsd[0]
+    assert spec.kind == "fsd"
+    assert (fml.rule, fml.false_alarms_per_flight, fml.blocks) == (ThresholdRule.MAXIMUM, 0.25, 3)
     assert "an equal healthy flight alarms with probability 0.25" in fml.statement()
 
 
@@ -60,69 +62,81 @@ def test_the_price_of_the_latency_is_stated(baseline: Baseline) -> None:
     ("path", "value", "field"),
     [
         (("link", "dt_s"), -1.0, "link.dt_s"),
+        (("link", "gate", "colour"), 1.0, "link.gate"),
         (("window", "samples"), 100, "window"),
-        (("models", 0, "a"), [1.0], "models.0"),
-        (("models", 0, "axis"), "sideways", "models.0.axis"),
-        (("monitors", 0, "threshold", "value"), "long", "monitors.0.threshold.value"),
-        (("monitors", 0, "spec", "margin_rad_s"), 0.0, "monitors: latency: the margin"),
-        (("monitors", 0, "spec", "kind"), "hunch", "monitors.0.spec"),
-        (("monitors", 0, "spec", "axis"), "yaw", "baseline"),
+        (("monitors", FSD, "spec", "model", "a"), [1.0], "monitors.0.spec"),
+        (("monitors", FSD, "spec", "axis"), "sideways", "monitors.0.spec"),
+        (("monitors", FSD, "spec", "margin_rad_s"), 0.0, "monitors.0.spec"),
+        (("monitors", FSD, "spec", "colour"), "red", "monitors.0.spec"),
+        (("monitors", FSD, "spec"), {}, "monitors.0.spec"),
+        (("monitors", FSD, "spec"), 7, "monitors.0.spec"),
+        (("monitors", FSD, "spec"), None, "monitors.0.spec"),
+        (("monitors", FSD, "threshold", "value"), "long", "monitors.0.threshold.value"),
+        (("monitors", FSD, "threshold", "rule"), "hunch", "monitors.0.threshold.rule"),
+        (("monitors",), [], "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
-        (("airframe", "colour"), "red", "airframe.colour"),
+        (("airframe", "colour"), "red", "airframe"),
+        (("airframe", "mass_kg"), -1.0, "airframe"),
         (("airframe", "name"), "another", "digest"),
+        (("not_judgeable", 0, "reason"), 3, "not_judgeable.0.reason"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(
     baseline: Baseline, path: tuple[str | int, ...], value: object, field: str
 ) -> None:
-    with pytest.raises(BaselineError) as refused:
-        parse(changed(baseline, *path, value=value))
-    assert str(refused.value).startswith(field)
-    assert "\n" not in str(refused.value)
+    assert refusal(changed(baseline, *path, value=value)).startswith(field)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", "{}", '{"schema": "mavdiag.baseline/2"}'])
+@pytest.mark.parametrize(
+    ("path", "value", "place", "says"),
+    [
+        (("monitors", FSD, "spec", "kind"), "hunch", "monitors.0.spec", "no monitor hunch"),
+        (("monitors", FSD, "spec", "kind"), ["fsd"], "monitors.0.spec", "object with a kind"),
+        (("monitors", TRIM, "spec", "layout", "signs"), [[1.0, 1.0, 1.0]], "monitors.5.spec", "layout"),
+        (("monitors", TRIM, "spec", "layout"), "x", "monitors.5.spec", "layout"),
+        (("monitors", TRIM, "spec", "source"), "guess", "monitors.5.spec", "source"),
+        (("airframe", "layout", "signs"), [[1.0, 1.0, 1.0]], "airframe", ""),
+        (("airframe", "layout"), "x", "airframe.layout", ""),
+    ],
+)
+def test_b23_an_unknown_kind_or_layout_is_a_baseline_error_that_names_the_place(
+    baseline: Baseline, path: tuple[str | int, ...], value: object, place: str, says: str
+) -> None:
+    """B23: a UsageError came through, without file and field."""
+    message = refusal(changed(baseline, *path, value=value))
+    assert message.startswith(place)
+    assert says in message
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "{}", "7", '{"schema": "mavdiag.baseline/2"}'])
 def test_other_texts_are_refused_in_one_line(text: str) -> None:
-    with pytest.raises(BaselineError) as refused:
-        parse(text)
-    assert "\n" not in str(refused.value)
+    assert refusal(text)
 
 
 @given(st.text(max_size=40), st.integers(0, 400))
 def test_garbage_in_the_middle_never_raises_anything_else(garbage: str, at: int) -> None:
-    text = dump(learnt())
+    text = dump(whole())
     with pytest.raises(BaselineError):
         parse(text[: at * 5] + "\x00" + garbage + text[at * 5 :])
 
 
-def learnt() -> Baseline:
-    return _LEARNT[0] if _LEARNT else _learn_once()
-
-
-_LEARNT: list[Baseline] = []
-
-
-def _learn_once() -> Baseline:
-    _LEARNT.append(learn(healthy(2), thesis_options(), created="2026-01-01T00:00:00+00:00"))
-    return _LEARNT[0]
-
-
-def test_another_link_is_refused_with_the_field(baseline: Baseline) -> None:
-    check_link(baseline, profile="qdrone2", dt_s=0.001001)
+def test_another_link_is_refused_with_the_field() -> None:
+    check_link(thesis(), profile="qdrone2", dt_s=0.001001)
     with pytest.raises(BaselineError, match=r"link\.profile: .*'px4'"):
-        check_link(baseline, profile="px4", dt_s=0.001)
+        check_link(thesis(), profile="px4", dt_s=0.001)
     with pytest.raises(BaselineError, match=r"link\.dt_s: .*1000\.0 Hz.*500\.0 Hz"):
-        check_link(baseline, profile="qdrone2", dt_s=0.002)
+        check_link(thesis(), profile="qdrone2", dt_s=0.002)
 
 
-def test_a_chain_from_the_file_is_the_chain_that_was_learnt(baseline: Baseline, tmp_path: Path) -> None:
+def test_a_chain_from_the_file_is_the_chain_that_was_learnt(tmp_path: Path) -> None:
     path = tmp_path / "b.json"
-    baseline.save(path)
-    watch = chain_of(Baseline.load(path)).watches[0]
-    assert isinstance(watch.monitor, RunLength)
-    np.testing.assert_array_equal(watch.monitor.model.a, baseline.model_of(Axis.ROLL).a)
-    assert watch.threshold == baseline.latency[0][1].value
+    thesis().save(path)
+    slot = chain_of(Baseline.load(path)).slots[0]
+    spec, fml = thesis().fsd[0]
+    assert isinstance(slot.monitor, RunLength)
+    np.testing.assert_array_equal(slot.monitor.spec.model.a, spec.model.a)
+    assert (slot.threshold, slot.decides) == (fml.value, True)  # it stands alone
 
 
 def test_saving_replaces_the_file_whole_or_not_at_all(baseline: Baseline, tmp_path: Path) -> None:
@@ -131,7 +145,7 @@ def test_saving_replaces_the_file_whole_or_not_at_all(baseline: Baseline, tmp_pa
     baseline.save(path)
     assert Baseline.load(path) == baseline
     assert [p.name for p in tmp_path.iterdir()] == ["b.json"]
-    with pytest.raises(UsageError, match="name a folder you can write to"):
+    with pytest.raises(UsageError, match="cannot be written"):
         baseline.save(tmp_path / "absent" / "b.json")
 
 
@@ -142,3 +156,10 @@ def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | Non
         path.write_bytes(content)
     with pytest.raises(BaselineError, match=says):
         Baseline.load(path)
+
+
+def test_it_says_what_it_is_in_a_notebook(baseline: Baseline) -> None:
+    assert repr(baseline) == ("<Baseline of made: fsd, innovation, rotor_signature, vibration_level, rotor_trim>")
+    text = str(baseline)
+    for word in ("made (airframe), rotor layout x", "unbalance       not judgeable: ", "support    3 flights"):
+        assert word in text

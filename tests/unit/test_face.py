@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flying_telemetry import START_NS, flying
 from identification_data import WELL, record
-from made_telemetry import flight
+from made_baselines import FRAME, healthy, whole
+from made_telemetry import cut, flight
 
 import mavdiag as md
 from mavdiag import face
 from mavdiag.chain import ChainOutput
-from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.decision.alarm import Change, Diagnosis, Event, Stage
 from mavdiag.errors import InputError, UsageError
 from mavdiag.learning import LearnOptions
 from mavdiag.telemetry import Axis
@@ -93,5 +95,40 @@ def test_an_airframe_may_be_a_value_a_name_or_a_file_and_gets_a_label() -> None:
 def test_what_a_step_of_a_watch_brings_is_in_order_of_time() -> None:
     late = Event("fsd", None, 5, None, 1.0, 0.5, 0.1)
     closed = Event("fsd", None, 1, 7, 1.0, 0.5, 0.1)
-    change = Change(Stage.QUIET, 6, "judged")
+    change = Change.of(Diagnosis(Stage.QUIET, "judged"), 6)
     assert face._in_order(ChainOutput(events=(closed, late), changes=(change,))) == (late, change, closed)
+
+
+def test_five_lines_from_healthy_flights_to_a_verdict(tmp_path: Path) -> None:
+    baseline = md.learn(healthy(3), FRAME, name="drone 7", created="2026-01-01T00:00:00+00:00")
+    baseline.save(tmp_path / "b.json")
+    weak = md.Log("weak", "", "px4", flying(3000, 5, weak_rotor=3, rise=0.2))
+    verdict = md.judge(weak, tmp_path / "b.json")
+    assert (str(verdict.verdict), baseline.airframe.name) == ("fault", "drone 7")
+    assert str(verdict).startswith("weak: fault, rotor_trim 0.1")
+    assert verdict.events[0].event.rotor == 3
+    assert len(verdict.to_frame()) == len(verdict.events)
+
+
+def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
+    telemetry = flying(3000, 5, weak_rotor=3, rise=0.2)
+    watch, news = md.Watch(whole()), list[Change | Event]()
+    for chunk in cut(telemetry, list(range(START_NS, START_NS + 30 * 10**9, 250_000_000))):
+        news += watch.step(chunk)
+    assert watch.diagnosis.stage is Stage.FAULT
+    assert watch.diagnosis.rotor == 3
+    assert repr(watch) == f"<Watch: fault, {watch.diagnosis.reason}>"
+    verdict = md.judge(md.Log("x", "", "px4", telemetry), whole())
+    changes = [one for one in news if isinstance(one, Change)]
+    assert [(one.stage, one.t_ns) for one in changes] == [(one.stage, one.t_ns) for one in verdict.changes]
+    opened = {one.start_ns for one in news if isinstance(one, Event)}
+    assert opened == {one.event.start_ns for one in verdict.events}
+    closed = watch.end_flight()
+    assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
+    assert watch.diagnosis.stage is Stage.NOT_JUDGED
+
+
+def test_a_log_that_cannot_be_judged_is_a_verdict_and_a_missing_file_an_error(tmp_path: Path) -> None:
+    assert md.judge(md.Log("x", "", "qdrone2", flying(3000, 5)), whole()).verdict == "not_judgeable"
+    with pytest.raises(InputError, match="no such file"):
+        md.judge(tmp_path / "absent.tlog", whole())

@@ -7,6 +7,7 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
+from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.errors import IdentificationError, InputError
@@ -16,7 +17,6 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Signal
 from mavdiag.testing import example_context, example_rows
-from mavdiag.thresholds.rule import calibrate
 
 CALM = (0.03, 0.03, 0.01)
 
@@ -71,7 +71,8 @@ def test_torque_commands_give_the_same_as_outputs() -> None:
 
 def test_it_finds_the_weak_rotor_that_healthy_flights_lack() -> None:
     flights = [flying_rows(flying(3000, seed)) for seed in range(3)]
-    spec, threshold = calibrate(flights, lambda rest: fit(rest, "x"), RotorTrim, guard=RotorTrim.guard)
+    monitor, threshold = calibrated(RotorTrim, flights, example_context("x"))
+    spec = monitor.spec
     assert spec.source == "actuator"
     assert spec.spread[0] >= 3 * spec.spread[2] >= 3 * 0.002
     for seed, rotor in ((11, 1), (12, 2), (13, 3), (14, 4)):

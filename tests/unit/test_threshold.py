@@ -1,25 +1,27 @@
 """Thresholds: known values, guards, refusals, folds that never see what they score."""
 
+import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows, without
+from made_thresholds import calibrated
 
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.base import Rows
-from mavdiag.monitors.vibration_level import GUARD, VibrationLevel, VibrationLevelSpec, fit
-from mavdiag.testing import example_rows
+from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
+from mavdiag.testing import example_context, example_rows
 from mavdiag.thresholds.heldout import Flights, Scores, folds, held_out_scores, score
 from mavdiag.thresholds.rule import (
     Guard,
     Threshold,
     ThresholdRule,
-    calibrate,
     flights_for_guarantee,
     flights_for_maximum,
     more_flights,
+    poisson_upper,
     threshold_of,
 )
 
@@ -30,8 +32,13 @@ def shaken(level: float, seconds: float = 30.0, segment: int = 0, seed: int = 1)
     return [example_rows(n, 0.01, segment=segment, vibration=np.abs(vibration))]
 
 
-def known(maxima: list[float], flights: int = 5, seconds: float = 360.0) -> Threshold:
-    return threshold_of(Scores(np.array(maxima), seconds), flights=flights, budget_per_hour=0.36)
+def whole(maxima: list[float]) -> Scores:
+    """Blocks of 10 s."""
+    return Scores(np.array(maxima), np.full(len(maxima), 10.0))
+
+
+def known(maxima: list[float], flights: int = 5) -> Threshold:
+    return threshold_of(whole(maxima), flights=flights, budget_per_hour=0.36)
 
 
 def test_the_level_is_that_of_the_formula() -> None:
@@ -42,7 +49,7 @@ def test_the_level_is_that_of_the_formula() -> None:
     assert found.location == pytest.approx(2.5 - 0.57721566 * beta)
     assert found.value == pytest.approx(found.location + beta * math.log(1000))  # 0.36/h: 1 block of 10 s in 1000
     assert (found.blocks, found.exceeding, found.allowance) == (4, 0, 0.0)
-    assert found.demonstrated_per_hour == pytest.approx(30.0, rel=0.01)  # 3/T for T = 0.1 h
+    assert found.demonstrated_per_hour == pytest.approx(3.0 * 90, rel=0.01)  # 3/T for T = 40 s
 
 
 def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
@@ -53,7 +60,7 @@ def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
 def test_guards() -> None:
     guard = Guard(few_flights=0.06, enough_flights=5)
     assert [round(guard.allowance(n), 3) for n in (1, 2, 3, 4, 5, 60)] == [0.06, 0.045, 0.03, 0.015, 0.0, 0.0]
-    scores = Scores(np.array([0.01, 0.01]), 20.0)
+    scores = whole([0.01, 0.01])
     assert threshold_of(scores, flights=1, guard=Guard(above_mean=0.5)).value == pytest.approx(0.51)
     assert threshold_of(scores, flights=1, guard=Guard(least=2.0)).value == 2.0
     with pytest.raises(UsageError, match="negative"):
@@ -63,7 +70,7 @@ def test_guards() -> None:
 def test_it_says_what_supports_it() -> None:
     found = known([1.0, 1.1, 1.2])
     assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights" in found.statement()
-    assert "exclude more than 30 alarms/h at 95 %" in found.statement()
+    assert "exclude more than 359 alarms/h at 95 %" in found.statement()
     maximum = replace(found, rule=ThresholdRule.MAXIMUM)
     assert "probability 0.167" in maximum.statement()
     assert found.upper_95 > found.value
@@ -71,7 +78,7 @@ def test_it_says_what_supports_it() -> None:
 
 
 def test_how_many_flights_a_promise_takes() -> None:
-    found = known([1.0, 1.1, 1.2], flights=6, seconds=3600.0)  # ten minutes each
+    found = known([1.0] * 360, flights=6)  # an hour, ten minutes each
     assert found.demonstrated_per_hour == pytest.approx(2.9957, abs=1e-3)
     assert more_flights(found, 3.0) == 0
     assert more_flights(found, 1.0) == 12  # three hours in all
@@ -82,43 +89,80 @@ def test_how_many_flights_a_promise_takes() -> None:
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
 def test_a_budget_must_be_positive(budget: float) -> None:
     with pytest.raises(UsageError, match="budget"):
-        threshold_of(Scores(np.array([1.0]), 10.0), flights=1, budget_per_hour=budget)
+        threshold_of(whole([1.0]), flights=1, budget_per_hour=budget)
 
 
 @pytest.mark.parametrize("maxima", [[], [math.nan], [math.inf, 1.0]])
 def test_broken_scores_are_refused(maxima: list[float]) -> None:
     with pytest.raises(IdentificationError, match="finite"):
-        threshold_of(Scores(np.array(maxima), 10.0), flights=1)
+        threshold_of(whole(maxima), flights=1)
 
 
 @pytest.mark.parametrize(
     ("seconds", "blocks"),
     [(6.0, 1), (10.0, 1), (14.0, 1), (16.0, 2), (20.0, 2), (33.0, 3)],  # a remainder counts from half a block on
 )
-def test_blocks_of_a_segment(seconds: float, blocks: int) -> None:
-    found = score(VibrationLevel(VibrationLevelSpec(healthy=0.3)), shaken(0.3, seconds))
+def test_b5_blocks_are_of_judged_time(seconds: float, blocks: int) -> None:
+    """B5: the warm-up counted as judged time."""
+    warm_up_s = 4.99
+    found = score(VibrationLevel(VibrationLevelSpec(healthy=0.3)), shaken(0.3, warm_up_s + seconds))
     assert len(found.maxima) == blocks
     assert found.judged_s == pytest.approx(seconds)
 
 
+def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
+    """B4: each chunk made a block of its own, most of them zero."""
+    monitor = VibrationLevel(VibrationLevelSpec(healthy=0.3))
+    (one,), (other,) = shaken(0.3, 21.0, 0, 1), shaken(0.3, 19.0, 1, 2)
+    expected = score(monitor, [one, other])
+    assert len(expected.maxima) == 3  # 16.01 and 14.01 s are judged
+    assert expected.judged_s == pytest.approx(30.02)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        chunks = []
+        for rows in (one, other):
+            edges = [0, *sorted(rng.integers(0, len(rows.block), 20).tolist()), len(rows.block)]
+            chunks += [Rows(rows.block.rows(a, b), rows.rates) for a, b in itertools.pairwise(edges) if b > a]
+        found = score(monitor, chunks)
+        np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
+        np.testing.assert_allclose(found.spans_s, expected.spans_s)
+    assert found.maxima.min() > 0.3
+
+
+def test_b5_what_is_demonstrated_is_poisson_over_judged_values() -> None:
+    """B5: hops of 6 s were counted whole, though a mean over 5 s judges 1 s of each."""
+    hops = [rows for i in range(40) for rows in shaken(0.3, 6.0, i, i)]
+    found = threshold_of(score(VibrationLevel(VibrationLevelSpec(healthy=0.3)), hops), flights=1)
+    judged_h = 40 * (600 - 499) * 0.01 / 3600
+    assert found.hours == pytest.approx(judged_h, rel=0.01)
+    assert found.demonstrated_per_hour == pytest.approx(poisson_upper(0) / judged_h, rel=0.01)
+
+
+def test_b5_a_short_block_is_not_taken_for_a_whole_one() -> None:
+    """B5: maxima of 1 s were taken for maxima of 10 s. The same law, cut short, gives a like level."""
+    x = np.random.default_rng(8).gumbel(5.0, 1.0, (400, 10))  # maxima of single seconds
+    long = threshold_of(Scores(x.max(axis=1), np.full(400, 10.0)), flights=5, budget_per_hour=0.36)
+    short = threshold_of(Scores(x.ravel(), np.full(4000, 1.0)), flights=5, budget_per_hour=0.36)
+    assert short.value == pytest.approx(long.value, abs=0.6)
+    assert short.hours == pytest.approx(long.hours)
+
+
+def test_r9_the_floor_on_the_scale_fades_with_blocks() -> None:
+    """R9: a tenth of the mean stayed the least scale with any number of blocks."""
+    scales = [known(np.full(n, 10.0).tolist()).scale for n in (1, 20, 80, 2000)]
+    assert scales == pytest.approx([1.0, 1.0, 0.5, 0.1])
+
+
 def test_a_flight_is_scored_by_a_fit_that_did_not_see_it() -> None:
-    seen: list[tuple[int, ...]] = []
+    seen: list[list[int]] = []
 
-    @dataclass(frozen=True)
-    class Marked:
-        segments: tuple[int, ...]
+    def fitted(rest: Flights) -> list[VibrationLevel]:
+        seen.append(sorted({rows.block.segment for flight in rest for rows in flight}))
+        return [VibrationLevel(VibrationLevelSpec(healthy=0.0))]
 
-    def marking(rest: Flights) -> Marked:
-        return Marked(tuple(sorted({rows.block.segment for flight in rest for rows in flight})))
-
-    def watching(marked: Marked) -> VibrationLevel:
-        seen.append(marked.segments)
-        return VibrationLevel(VibrationLevelSpec(healthy=0.0))
-
-    flights = [shaken(0.3, segment=i) for i in range(3)]
-    scores = held_out_scores(flights, marking, watching)
-    assert seen == [(1, 2), (0, 2), (0, 1)]
-    assert len(scores.maxima) == 9
+    scores = held_out_scores([shaken(0.3, seconds=35.0, segment=i) for i in range(3)], fitted)
+    assert seen == [[1, 2], [0, 2], [0, 1]]
+    assert len(scores[None].maxima) == 9
 
 
 def times(flights: Flights) -> list[int]:
@@ -155,14 +199,14 @@ def test_separate_hops_are_the_pieces() -> None:
     assert [{rows.block.segment for one in left for rows in one} for left, _ in pairs] == [{0}, {1}]
 
 
-def test_calibrate_gives_spec_and_threshold() -> None:
-    flights = [shaken(0.3, segment=i, seed=i) for i in range(4)]
-    spec, threshold = calibrate(flights, fit, VibrationLevel, guard=GUARD)
-    assert spec.healthy == pytest.approx(0.35, abs=0.1)
-    assert threshold.value == pytest.approx(spec.healthy + 0.5, abs=0.05)
+def test_a_threshold_of_flights() -> None:
+    flights = [shaken(0.3, seconds=35.0, segment=i, seed=i) for i in range(4)]
+    monitor, threshold = calibrated(VibrationLevel, flights, example_context())
+    assert monitor.spec.healthy == pytest.approx(0.35, abs=0.1)
+    assert threshold.value == pytest.approx(monitor.spec.healthy + 0.5, abs=0.05)
     assert (threshold.flights, threshold.blocks) == (4, 12)
 
 
 def test_too_short_a_flight_says_so() -> None:
     with pytest.raises(IdentificationError, match="fly longer"):
-        calibrate([shaken(0.3, seconds=4.0)], fit, VibrationLevel)
+        calibrated(VibrationLevel, [shaken(0.3, seconds=4.0)], example_context())

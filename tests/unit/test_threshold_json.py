@@ -6,17 +6,16 @@ import pytest
 from flying_telemetry import flying, flying_rows
 from pydantic import TypeAdapter, ValidationError
 
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.monitors import innovation, rotor_trim, vibration_level
-from mavdiag.thresholds.heldout import Scores, score
+from mavdiag.monitors import MONITORS, monitor_of
+from mavdiag.monitors.base import LearnContext
+from mavdiag.thresholds.heldout import score
 from mavdiag.thresholds.rule import Threshold, threshold_of
 
 FLIGHT = flying_rows(flying(3000, 1))
-SPECS: list[Any] = [
-    rotor_trim.fit([FLIGHT], layout_named("x")),
-    innovation.fit([FLIGHT]),
-    vibration_level.fit([FLIGHT]),
-]
+CONTEXT = LearnContext(Airframe(layout=layout_named("x")), None, 0.01, 11)
+SPECS: list[Any] = [spec for kind in MONITORS for spec in kind.fit([FLIGHT], CONTEXT)[:1]]
 
 
 @pytest.mark.parametrize("spec", SPECS, ids=lambda spec: spec.kind)
@@ -28,7 +27,6 @@ def test_a_spec_survives_json(spec: Any) -> None:
 
 
 def test_a_threshold_survives_json() -> None:
-    scores: Scores = score(vibration_level.VibrationLevel(SPECS[2]), FLIGHT)
-    found = threshold_of(scores, flights=1)
+    found = threshold_of(score(monitor_of(SPECS[0]), FLIGHT), flights=1)
     adapter = TypeAdapter(Threshold)
     assert adapter.validate_json(adapter.dump_json(found)) == found

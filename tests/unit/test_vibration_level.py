@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from made_thresholds import calibrated
 
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
 from mavdiag.testing import example_context, example_rows
-from mavdiag.thresholds.rule import calibrate
 
 
 def fit(flights: Flights) -> VibrationLevelSpec:
@@ -37,7 +37,8 @@ def test_before_the_first_message_nothing_is_judged() -> None:
 
 def test_a_still_vehicle_gets_room_of_half_a_metre_per_second_squared() -> None:
     flights = [[example_rows(3000, segment=i, vibration=np.full((3000, 3), 0.01))] for i in range(3)]
-    spec, threshold = calibrate(flights, fit, VibrationLevel, guard=VibrationLevel.guard)
+    monitor, threshold = calibrated(VibrationLevel, flights, example_context())
+    spec = monitor.spec
     assert spec.healthy == pytest.approx(0.01 * np.sqrt(3))
     assert threshold.value == pytest.approx(spec.healthy + 0.5)
 

@@ -1,0 +1,195 @@
+"""The decision: its table, its stories, and that it does not depend on how the values are cut."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_statistics import statistic
+
+from mavdiag.decision.alarm import NEXT, Change, DecisionSpec, DecisionState, Event, Height, SlotSpec, Stage
+from mavdiag.decision.events import EventSpec
+from mavdiag.decision.grading import known_fault_types
+from mavdiag.monitors.base import Feature, RotorEvidence
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.units import NS_PER_S
+
+HOW = RotorEvidence(8.0)
+SHAKING = SlotSpec(EventSpec("unbalance", None, 0.5, 2.0), "g mm", True, 0.0, HOW, Feature.UNBALANCE)
+MOVING = SlotSpec(EventSpec("rotor_signature", None, 4.0, 2.0), "x healthy rms", True, 0.05, HOW, Feature.MOTION)
+THESIS = SlotSpec(EventSpec("fsd", Axis.ROLL, 0.1, 0.0), "s", False, 0.05, None, None)
+SPEC = DecisionSpec((SHAKING, MOVING, THESIS))
+STEP_S = 0.02
+END_NS = 1000 * NS_PER_S
+
+
+def at(rotor: int | None) -> tuple[float, ...]:
+    return tuple(0.9 * (i + 1 == rotor) for i in range(4))
+
+
+def values(x: FloatArray, rotor: int | None = 1, first_s: float = 0.0, dt_s: float = STEP_S) -> Statistic:
+    return statistic(x, first_s=first_s, dt_s=dt_s, rotors=at(rotor))
+
+
+def profile(*pieces: tuple[float, float]) -> FloatArray:
+    """Pieces of (seconds, level)."""
+    return np.concatenate([np.full(round(span / STEP_S), level) for span, level in pieces])
+
+
+NOTHING = values(np.empty(0))
+
+
+def decided(
+    shaking: Statistic, moving: Statistic = NOTHING, thesis: Statistic = NOTHING
+) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
+    """What comes of values that end together."""
+    until_ns = max(int(one.t_ns[-1]) for one in (shaking, moving, thesis) if len(one))
+    return SPEC.step(SPEC.start(), (shaking, moving, thesis), until_ns, final=True)
+
+
+def stages(changes: tuple[Change, ...]) -> list[Stage]:
+    return [change.stage for change in changes]
+
+
+def test_a_calm_flight_becomes_quiet_and_no_more() -> None:
+    state, events, changes = decided(values(profile((10, 0.3))), values(profile((10, 2.0))))
+    assert (stages(changes), events) == ([Stage.QUIET], ())
+    assert (state.diagnosis.monitor, state.diagnosis.statistic) == ("unbalance", 0.3)  # 0.6 of its threshold
+
+
+def test_one_monitor_above_its_threshold_is_a_fault_and_names_the_rotor() -> None:
+    state, events, changes = decided(values(profile((3, 0.3), (3, 2.1)), rotor=2), values(profile((6, 1.0)), None))
+    assert stages(changes) == [Stage.QUIET, Stage.FAULT]
+    fault = changes[1]
+    assert (fault.monitor, fault.statistic, fault.threshold, fault.rotor) == ("unbalance", 2.1, 0.5, 2)
+    assert fault.t_ns == 3 * NS_PER_S
+    assert [(one.monitor, one.start_ns, one.end_ns, one.rotor) for one in events] == [
+        ("unbalance", 3 * NS_PER_S, None, 2)
+    ]
+    assert state.diagnosis.stage is Stage.FAULT
+
+
+def test_a_value_counts_from_when_it_is_known() -> None:
+    _, _, changes = decided(NOTHING, values(profile((3, 1.0), (3, 6.0))))
+    assert changes[1].t_ns == round(3.1 * NS_PER_S)  # the first look after 3.05 s
+
+
+def test_coming_near_is_suspected_and_goes_away_after_two_calm_seconds() -> None:
+    _, events, changes = decided(values(profile((2, 0.3), (1, 0.42), (1, 0.3), (1, 0.36), (4, 0.3))))
+    assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED, Stage.QUIET]
+    assert changes[2].t_ns == pytest.approx(7 * NS_PER_S, abs=0.11 * NS_PER_S)
+    assert events == ()
+
+
+def test_a_fault_lasts_through_short_breaks() -> None:
+    _, _, changes = decided(values(profile((2, 0.3), *[(1.5, 1.0), (1.5, 0.2)] * 3, (3, 0.2))))
+    assert stages(changes) == [Stage.QUIET, Stage.FAULT, Stage.QUIET]
+
+
+def test_b1_without_a_deciding_monitor_nothing_is_judged() -> None:
+    """B1: what no monitor judged was called healthy."""
+    hidden = values(np.full(500, np.nan))
+    state, events, changes = decided(hidden, hidden, values(np.full(500, 0.01)))
+    assert (state.diagnosis.stage, events, changes) == (Stage.NOT_JUDGED, (), ())
+
+
+def test_a_gap_in_the_values_is_not_judged_and_clears_nothing_in_silence() -> None:
+    _, events, changes = decided(values(profile((2, 0.3), (1, 1.0), (6, np.nan), (1, 0.2))))
+    assert stages(changes) == [Stage.QUIET, Stage.FAULT, Stage.NOT_JUDGED, Stage.QUIET]
+    assert changes[2].reason == "no monitor judges"
+    assert changes[2].t_ns == pytest.approx(4 * NS_PER_S, abs=0.2 * NS_PER_S)
+    assert len({one.start_ns for one in events}) == 1
+
+
+def test_the_rotor_may_be_named_later() -> None:
+    moving = values(profile((2, 1.0), (4, 5.0)), None)
+    moving.rotors[200:, 2] = 0.9
+    _, _, changes = decided(NOTHING, moving)
+    assert [(one.stage, one.rotor) for one in changes[1:]] == [(Stage.FAULT, None), (Stage.FAULT, 3)]
+    assert changes[2].reason == "the rotor is named"
+    assert changes[2].t_ns == pytest.approx(4.1 * NS_PER_S, abs=0.05 * NS_PER_S)
+
+
+def test_a_monitor_that_stops_no_longer_counts() -> None:
+    shaking = values(profile((3, 0.3), (0.5, 0.48)), rotor=2)
+    _, _, changes = decided(shaking, values(profile((10, 1.0)), None))
+    assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED, Stage.QUIET]
+
+
+def test_a_slot_that_does_not_decide_raises_a_suspicion_at_most_and_only_above() -> None:
+    calm = values(profile((8, 0.1)))
+    _, events, changes = decided(calm, NOTHING, values(profile((2, 0.0), (2, 0.099), (4, 0.0))))
+    assert (stages(changes), events) == ([Stage.QUIET], ())
+    state, events, changes = decided(calm, NOTHING, values(profile((2, 0.0), (6, 50.0))))
+    assert stages(changes) == [Stage.QUIET, Stage.SUSPECTED]
+    assert [(one.monitor, one.axis) for one in events] == [("fsd", Axis.ROLL)]
+    assert state.diagnosis.stage is Stage.SUSPECTED
+
+
+def test_b3_the_end_of_a_flight_closes_its_events_and_forgets_them() -> None:
+    """B3: an open event lived through the landing."""
+    state, opened, _ = decided(values(profile((2, 0.3), (2, 2.0)), rotor=4))
+    assert [one.end_ns for one in opened] == [None]
+    state, closed, changes = SPEC.end_flight(state, 4 * NS_PER_S)
+    assert [(one.start_ns, one.rotor) for one in closed] == [(2 * NS_PER_S, 4)]
+    assert closed[0].end_ns == pytest.approx(3.98 * NS_PER_S)
+    assert [(one.stage, one.reason) for one in changes] == [(Stage.NOT_JUDGED, "not flying")]
+    assert SPEC.open_events(state) == ()
+    after = values(profile((4, 0.3)), first_s=100.0)
+    state, events, changes = SPEC.step(state, (after, NOTHING, NOTHING), 104 * NS_PER_S)
+    assert (events, stages(changes)) == ((), [Stage.QUIET])
+    assert state.diagnosis.rotor is None
+
+
+def test_type_and_severity_are_named_when_known_and_not_without_a_classifier() -> None:
+    known = known_fault_types("qdrone2-emulated")
+    cloud = next(c for c in known[0].clouds if (c.fault_type, c.severity, c.strength) == ("F2", 2, 1.0))
+    u, a = np.exp(cloud.mean[:2])
+    shaking = values(profile((2, 0.1), (12, max(u, 0.6))), rotor=2)
+    moving = statistic(profile((2, 1.0), (12, 5.0)), rotors=at(2))
+    moving.level[:] = a
+    for types in ((), known):
+        spec = DecisionSpec((SHAKING, MOVING), types)
+        _, _, changes = spec.step(spec.start(), (shaking, moving), 14 * NS_PER_S)
+        named = [one for one in changes if one.fault_type is not None]
+        assert bool(named) == bool(types)
+    assert named[0].reason == "the kind of fault is named"
+
+
+def test_the_table_has_one_way_into_a_fault_and_none_back_into_suspicion() -> None:
+    for (came, height), (stage, reason) in NEXT.items():
+        assert stage is not came
+        assert reason
+        assert (stage is Stage.FAULT) == (height is Height.OVER)
+        assert (stage is Stage.NOT_JUDGED) == (height is Height.UNKNOWN)
+        assert (came, stage) != (Stage.FAULT, Stage.SUSPECTED)
+    assert {came for came, height in NEXT if height is Height.OVER} == set(Stage) - {Stage.FAULT}
+    assert (Stage.QUIET, Height.HELD) not in NEXT
+
+
+@given(seed=st.integers(0, 20), cuts=st.lists(st.integers(0, 1000), max_size=12))
+def test_l5_any_cut_gives_the_same_events_and_changes(seed: int, cuts: list[int]) -> None:
+    """L5: the rest of a chunk was thrown away at a clearance."""
+    rng = np.random.default_rng(seed)
+    levels = np.abs(np.cumsum(rng.normal(0, 0.05, (3, 500)), axis=1)) * [[0.5], [4.0], [0.2]]
+    levels[:, rng.random(500) < 0.05] = np.nan
+    parts = (
+        values(levels[0], rotor=int(rng.integers(4)) + 1),
+        values(levels[1], rotor=int(rng.integers(4)) + 1, dt_s=0.01),
+        statistic(levels[2]),
+    )
+    spec = DecisionSpec(SPEC.slots, known_fault_types("qdrone2-emulated"))
+    end_ns = 11 * NS_PER_S
+    expected = spec.step(spec.start(), parts, end_ns, final=True)
+    state, events, changes = spec.start(), list[Event](), list[Change]()
+    for low, high in zip([-1, *sorted(cuts)], [*sorted(cuts), 1100], strict=True):
+        chunk = []
+        for one in parts:
+            first, stop = np.searchsorted(one.t_ns, [low * 10**7, high * 10**7], side="right").tolist()
+            chunk.append(one.part(max(first, 0) if low >= 0 else 0, stop))
+        state, more, news = spec.step(state, chunk, high * 10**7, final=high == 1100)
+        events += more
+        changes += news
+    assert tuple(events) == expected[1]
+    assert tuple(map(repr, changes)) == tuple(map(repr, expected[2]))  # nan is nan
+    assert repr(state.diagnosis) == repr(expected[0].diagnosis)
