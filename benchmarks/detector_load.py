@@ -18,7 +18,6 @@ from pathlib import Path
 
 from mavdiag.learning import Flight, LearnOptions, learn
 from mavdiag.logs.tlog import read_tlog
-from mavdiag.baseline import Baseline
 
 SETTLE_S = 4.0  # from the first message until the detector judges
 PEER = """

@@ -23,7 +23,6 @@ from mavdiag.commands.identify import make_baseline
 from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, closed_loop
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.learning import thesis_options
-from mavdiag.baseline import Baseline
 
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))
 ONSET_S, WITHIN_S = 10.0, 60.0
