@@ -11,6 +11,7 @@ import argparse
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ def stretches(path: Path) -> list[Stretch]:
     starts = [(float(one["boot_ms"]) / 1000, one["name"]) for one in lines if one["kind"] == "segment"]
     weakened = [float(one["boot_ms"]) / 1000 for one in lines if one["name"] == "SIM_ENGINE_MUL"]
     found = []
-    for (start_s, name), (end_s, _) in zip(starts, starts[1:], strict=False):
+    for (start_s, name), (end_s, _) in pairwise(starts):
         motor = int(name[1]) if name.startswith("m") else 0
         since_s = next((t_s for t_s in weakened if t_s >= start_s), start_s) if motor else start_s
         found.append(Stretch(name, since_s, end_s, motor))
@@ -71,6 +72,11 @@ def run(baseline: Baseline, pieces: Sequence[Telemetry]) -> tuple[tuple[Event, .
 def entered(changes: Sequence[Change]) -> list[Change]:
     """The changes with which a stage began."""
     return [one for i, one in enumerate(changes) if i == 0 or one.stage is not changes[i - 1].stage]
+
+
+def since(change: Change, stretch: Stretch) -> float:
+    """How long into the stretch it came [s]."""
+    return change.t_ns / NS_PER_S - stretch.start_s
 
 
 def counted(changes: Sequence[Change]) -> str:
@@ -107,18 +113,17 @@ def weak_motors(base: Baseline, weak: Log, plan: Sequence[Stretch]) -> None:
         if not stretch.motor:
             late = ", ".join(str(one) for one in stretch.of(starts, CLEARING_S))
             clearing = [one for one in stretch.of(starts) if one.t_ns / NS_PER_S < stretch.start_s + CLEARING_S]
-            ended = "".join(f"; {one.stage} after {one.t_ns / NS_PER_S - stretch.start_s:.1f} s" for one in clearing)
+            ended = "".join(f"; {one.stage} after {since(one, stretch):.1f} s" for one in clearing)
             print(f"  {stretch.name:14} healthy: {late or 'nothing'}{ended}")
             continue
         fault = next((one for one in stretch.of(starts) if one.stage is Stage.FAULT), None)
         names = [one for i, one in enumerate(inside) if one.rotor and (i == 0 or one.rotor != inside[i - 1].rotor)]
-        told = (
-            ", ".join(f"{one.rotor} at {one.t_ns / NS_PER_S - stretch.start_s:.1f} s" for one in names) or "not named"
-        )
-        latency = (
-            "not found" if fault is None else f"{fault.t_ns / NS_PER_S - stretch.start_s:.1f} s by {fault.monitor}"
-        )
-        print(f"  {stretch.name:14} fault after {latency}; rotor {told}; {counted(stretch.of(starts))}")
+        told = "not named"
+        if names:
+            told = f"{names[0].rotor} after {since(names[0], stretch):.1f} s, at last {names[-1].rotor}"
+            told += f" (changed {len(names) - 1} times)" if len(names) > 1 else ""
+        latency = "not found" if fault is None else f"fault after {since(fault, stretch):.1f} s by {fault.monitor}"
+        print(f"  {stretch.name:14} {latency}; rotor {told}; {counted(stretch.of(starts))}")
 
 
 def same_live(name: str, base: Baseline, log: Log, seed: int) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from emulated import as_flight
 from scipy.signal import lfilter, savgol_filter
 
+from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
 from mavdiag.learning import LearnOptions, learn, thesis_options
@@ -75,7 +76,8 @@ def main() -> None:
     telemetry = as_flight(PlantConfig(seed=99), arguments.seconds).telemetry
     pairs = len(telemetry[Signal.BODY_RATE])
     start, stop = min(int(one.host_ns[0]) for one in telemetry), max(int(one.host_ns[-1]) for one in telemetry)
-    contenders = (("thesis rule", thesis_options()), ("all monitors", LearnOptions(axes=(Axis.ROLL,))))
+    everything = LearnOptions(axes=(Axis.ROLL,), airframe=airframe_named("qdrone2"))
+    contenders = (("thesis rule", thesis_options()), ("all monitors", everything))
     for name, options in contenders:
         baseline = learn(flights, options, created=STAMP)
         peer = 1e6 * best(arguments.repeats, partial(peer_seconds, baseline, telemetry)) / pairs
