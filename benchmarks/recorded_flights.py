@@ -94,8 +94,8 @@ def crazypad(console: Console, folder: Path) -> None:
         table.add_row(f"without {left_out.log.name}", *detected(verdicts), *cells)
     console.print(table)
     large = [v for one, v in judged if (one.cut_mm or 0) > 2 and v.verdict is Verdict.FAULT]
-    right = sum(rotor_of(v) == CUT_ROTOR for v in large)
-    console.print(f"rotor: M3 named in {right} of {len(large)} declared cuts above 2 mm")
+    right, unnamed = (sum(rotor_of(v) == rotor for v in large) for rotor in (CUT_ROTOR, None))
+    console.print(f"rotor: M3 named in {right} of {len(large)} declared cuts above 2 mm, none named in {unnamed}")
     rises = ((one.cut_mm, next(m.maximum for m in v.monitors if m.name == "rotor_trim")) for one, v in judged)
     ranked = [(mm, rise) for mm, rise in rises if mm is not None and rise is not None]
     rank = spearmanr([mm for mm, _ in ranked], [rise for _, rise in ranked]).statistic
