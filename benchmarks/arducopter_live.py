@@ -100,7 +100,8 @@ def turning_nose(turning: Log, healthy: Log, weak: Log, plan: Sequence[Stretch])
         print(f"  {name}: {counted(entered(run(half, [log.telemetry])[1]))}")
     changes = entered(run(half, [weak.telemetry])[1])
     own = [change for stretch in plan if not stretch.motor for change in stretch.of(changes, CLEARING_S)]
-    print(f"  healthy stretches of the weak motors' flight: {counted(own)}")
+    found = sum(any(one.stage is Stage.FAULT for one in stretch.of(changes)) for stretch in plan if stretch.motor)
+    print(f"  weak motors' flight, healthy stretches: {counted(own)}; {found} of its 12 weak motors found")
 
 
 def weak_motors(base: Baseline, weak: Log, plan: Sequence[Stretch]) -> None:
