@@ -13,9 +13,9 @@ from pydantic import BaseModel
 
 from mavdiag.airframe.propellers import PROPELLERS
 from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
-from mavdiag.thresholds.rule import false_alarms_per_flight
 from mavdiag.rows.savgol import coefficients
 from mavdiag.telemetry import FloatArray
+from mavdiag.thresholds.rule import false_alarms_per_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
