@@ -2,6 +2,7 @@
 
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -27,11 +28,11 @@ def shown() -> list[tuple[str, str]]:
 @cache
 def help_of(words: tuple[str, ...]) -> str:
     program, *rest = words
-    app = {"mavdiag": mavdiag, "mavdiag-detector": detector}.get(program)
-    if app is None:
+    apps = {"mavdiag": mavdiag, "mavdiag-detector": detector}
+    if program == "sitl-plant":
         pytest.importorskip("numba", reason="the plant is an extra")
-        from sitl_plant.__main__ import app
-    result = CliRunner().invoke(app, [*rest, "--help"])
+        apps[program] = import_module("sitl_plant.__main__").app
+    result = CliRunner().invoke(apps[program], [*rest, "--help"])
     return result.output if result.exit_code == 0 else ""
 
 
