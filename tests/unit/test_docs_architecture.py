@@ -73,7 +73,8 @@ def test_what_shows_how_to_add_a_thing_is_there(cell: str) -> None:
     shown = re.findall(r"`(tests/[a-z_/]+\.py)`(?: \(`(\w+)`\))?", cell)
     assert shown
     for path, name in shown:
-        assert re.search(rf"^(def|class|from \w+ import) {name}\b", (ROOT / path).read_text(), re.MULTILINE), f"{path}: {name}"
+        text = (ROOT / path).read_text()
+        assert re.search(rf"^(def|class|from \w+ import) {name}\b", text, re.MULTILINE), f"{path}: {name}"
 
 
 def test_the_tests_named_are_there() -> None:
