@@ -194,7 +194,7 @@ class DecisionSpec:
         return replace(state, latest=tuple(latest), events=tuple(events)), fresh
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
-        """Look the transition up, and see whether the rotor can be named; tells whether anything changed."""
+        """Look the transition up, and see whether the rotor can be named; True if anything changed."""
         fresh = [
             (reading, slot)
             for reading, slot in zip(state.latest, self.slots, strict=True)

@@ -234,7 +234,7 @@ def is_autopilot_heartbeat(frame: Frame) -> bool:
 class Recognised:
     """What a vehicle's frames say of its profile.
 
-    profile: None if it cannot be told.
+    profile: None if it cannot be recognised.
     reason: why not, one sentence; empty otherwise.
     """
 
