@@ -9,6 +9,7 @@ from flying_telemetry import DT_NS, START_NS, flying, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_baselines import thesis, whole
+from made_statistics import assert_alike
 from made_telemetry import cut, flight
 
 from mavdiag.chain import Chain, ChainState, chain_of
@@ -33,18 +34,14 @@ def run(chain: Chain, chunks: list[Telemetry]) -> Story:
 
 def assert_same(found: Story, expected: Story) -> None:
     """Equal, but for the rounding of running sums."""
-    for ours, theirs in ((found[0], expected[0]), (found[1], expected[1])):
-        assert len(ours) == len(theirs)
-        for one, other in zip(ours, theirs, strict=True):
-            for field in dataclasses.fields(one):
-                a, b = getattr(one, field.name), getattr(other, field.name)
-                assert a == (pytest.approx(b, rel=1e-9, nan_ok=True) if isinstance(b, float) else b), field.name
+    assert_alike(found[0], expected[0])
+    assert_alike(found[1], expected[1])
     assert found[2].judged_s == pytest.approx(expected[2].judged_s)
     assert found[2].diagnosis.stage is expected[2].diagnosis.stage
-    for ours, theirs in zip(found[2].accounts, expected[2].accounts, strict=True):
-        assert ours.peak == (None if theirs.peak is None else pytest.approx(theirs.peak, rel=1e-9))
-        assert (ours.flight_s, ours.judged_s) == pytest.approx((theirs.flight_s, theirs.judged_s))
-        assert dict(ours.not_judged) == pytest.approx(dict(theirs.not_judged), abs=1e-6)
+    for one, other in zip(found[2].accounts, expected[2].accounts, strict=True):
+        assert one.peak == (None if other.peak is None else pytest.approx(other.peak, rel=1e-9))
+        assert (one.flight_s, one.judged_s) == pytest.approx((other.flight_s, other.judged_s))
+        assert dict(one.not_judged) == pytest.approx(dict(other.not_judged), abs=1e-6)
 
 
 def hard_flight(seed: int) -> Telemetry:

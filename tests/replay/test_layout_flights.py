@@ -15,7 +15,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.rates import RateSpec
-from mavdiag.telemetry import NS_PER_S
+from mavdiag.units import NS_PER_S
 
 FLIGHTS = {
     "arducopter_live/locked_yaw_healthy.tlog": "x",

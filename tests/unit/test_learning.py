@@ -1,6 +1,7 @@
 """Learning from healthy flights: what it needs, and what it says when it does not get it."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, front_for, learn, thesis_options
 from mavdiag.monitors import by_name, monitor_of
+from mavdiag.monitors.base import Monitor
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.thresholds.rule import poisson_upper
 
@@ -168,7 +170,7 @@ def test_b4_the_longest_runs_have_no_empty_blocks() -> None:
 
 def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Learnt, written, read, judged, and its alarm reported, by nothing but its class."""
-    registry = (*mavdiag.monitors.MONITORS, MadeUp)
+    registry: tuple[type[Monitor[Any, Any]], ...] = (*mavdiag.monitors.MONITORS, MadeUp)
     monkeypatch.setattr(mavdiag.monitors, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.monitors, "BY_NAME", {kind.name: kind for kind in registry})
     monkeypatch.setattr(mavdiag.chain, "MONITORS", registry)
