@@ -79,6 +79,7 @@ class EventSpec:
     def step(self, state: EventState, found: Statistic) -> tuple[EventState, tuple[Event, ...]]:
         """Take the next values; return the events that opened (end_ns None) or closed, in order of time.
 
+        >>> import numpy as np
         >>> t, x = np.arange(5) * 1000, np.array([0.0, 3.0, 4.0, 1.0, 1.0])
         >>> found = Statistic(t, 1e-6, x, np.ones(5, dtype=bool), x, x)
         >>> state, seen = EventSpec("fsd", Axis.ROLL, threshold=2.0).step(EventState(), found)
