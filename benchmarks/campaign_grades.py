@@ -6,9 +6,19 @@ type, type with severity (nine classes), and severity within one grade are right
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+
+
+def spread(latencies: Sequence[float | None]) -> str:
+    """How many were found, and how soon."""
+    found = [one for one in latencies if one is not None]
+    if not found:
+        return f"0 of {len(latencies)} found"
+    median, late = np.percentile(found, [50, 95])
+    return f"{len(found)} of {len(latencies)} found, latency s median {median:.2f}, 95 % {late:.2f}"
 
 
 def main() -> None:
@@ -17,12 +27,8 @@ def main() -> None:
     flights = [one for one in lines if one.get("record") == "flight" and one["onset_s"] is not None]
     for scale in sorted({one["phenomenology"] for one in flights}, reverse=True):
         own = [one for one in flights if one["phenomenology"] == scale]
-        found = np.array([one["latency_s"] for one in own if one["latency_s"] is not None])
-        weak = [one["latency_s"] for one in own if one["cause"] == "F2/SV1" and one["latency_s"] is not None]
-        print(
-            f"phenomenology {scale:g}: {len(found)} of {len(own)} found; latency s median {np.median(found):.2f}, "
-            f"95 % {np.percentile(found, 95):.2f}; F2/SV1 median {np.median(weak):.2f} of {len(weak)}"
-        )
+        weak = [one["latency_s"] for one in own if one["cause"] == "F2/SV1"]
+        print(f"phenomenology {scale:g}: {spread([one['latency_s'] for one in own])}; F2/SV1: {spread(weak)}")
     told = [(one["cause"], one["answer"]) for one in flights if one["answer"]["fault_type"]]
     right = [(int(cause[-1]), answer) for cause, answer in told if cause.startswith(answer["fault_type"])]
     graded = [(true, answer["severity"]) for true, answer in right if answer["severity"]]

@@ -16,29 +16,28 @@ import numpy as np
 from emulated import as_flight
 from scipy.signal import lfilter, savgol_filter
 
+from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
 from mavdiag.learning import LearnOptions, learn, thesis_options
-from mavdiag.telemetry import NS_PER_S, Axis, Series, Signal, Telemetry
+from mavdiag.telemetry import Axis, IntArray, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 from sitl_plant.plant import PlantConfig
 
 STAMP = "1970-01-01T00:00:00+00:00"
 
 
-def blocks(telemetry: Telemetry, block_s: float) -> list[Telemetry]:
-    """The telemetry as a daemon gets it, a block at a time."""
-    start = min(int(one.t_ns[0]) for one in telemetry.series)
-    stop = max(int(one.t_ns[-1]) for one in telemetry.series)
-    edges = np.arange(start, stop + 1, round(block_s * NS_PER_S))
-    cuts = [np.searchsorted(one.t_ns, edges) for one in telemetry.series]
+def blocks(telemetry: Telemetry, edges_ns: IntArray) -> list[Telemetry]:
+    """The telemetry in pieces that begin at these times of the receiver's clock, as a live link brings it."""
+    cuts = [np.append(np.searchsorted(one.host_ns, edges_ns), len(one)) for one in telemetry]
     pieces = []
-    for i in range(len(edges)):
-        parts = []
-        for one, cut in zip(telemetry.series, cuts, strict=True):
-            rows = slice(cut[i], cut[i + 1] if i + 1 < len(edges) else len(one))
-            if one.t_ns[rows].size:
-                parts.append(Series(one.signal, one.t_ns[rows], one.host_ns[rows], one.values[rows]))
-        pieces.append(Telemetry(tuple(parts)))
+    for i in range(len(edges_ns)):
+        rows = [
+            (one, slice(cut[i], cut[i + 1])) for one, cut in zip(telemetry, cuts, strict=True) if cut[i] < cut[i + 1]
+        ]
+        pieces.append(
+            Telemetry(tuple(Series(one.signal, one.t_ns[at], one.host_ns[at], one.values[at]) for one, at in rows))
+        )
     return pieces
 
 
@@ -53,8 +52,8 @@ def chain_seconds(baseline: Baseline, pieces: list[Telemetry]) -> float:
 
 def peer_seconds(baseline: Baseline, telemetry: Telemetry) -> float:
     """CPU time of filters and models by scipy, all at once."""
-    setpoint, gyro = telemetry.need(Signal.ATTITUDE_SETPOINT).values, telemetry.need(Signal.BODY_RATE).values
-    window, model = baseline.window, baseline.model_of(Axis.ROLL)
+    setpoint, gyro = telemetry[Signal.ATTITUDE_SETPOINT].values, telemetry[Signal.BODY_RATE].values
+    window, model = baseline.window, baseline.fsd[0][0].model
     started = time.process_time()
     u = savgol_filter(setpoint, window.samples, window.order, deriv=1, delta=baseline.link.dt_s, axis=0)
     y = savgol_filter(gyro, window.samples, window.order, axis=0)
@@ -75,13 +74,15 @@ def main() -> None:
     arguments = parser.parse_args()
     flights = [as_flight(PlantConfig(seed=seed), 30.0) for seed in range(4)]
     telemetry = as_flight(PlantConfig(seed=99), arguments.seconds).telemetry
-    pairs = len(telemetry.need(Signal.BODY_RATE))
-    contenders = (("thesis rule", thesis_options()), ("all monitors", LearnOptions(axes=(Axis.ROLL,))))
+    pairs = len(telemetry[Signal.BODY_RATE])
+    start, stop = min(int(one.host_ns[0]) for one in telemetry), max(int(one.host_ns[-1]) for one in telemetry)
+    everything = LearnOptions(axes=(Axis.ROLL,), airframe=airframe_named("qdrone2"))
+    contenders = (("thesis rule", thesis_options()), ("all monitors", everything))
     for name, options in contenders:
         baseline = learn(flights, options, created=STAMP)
         peer = 1e6 * best(arguments.repeats, partial(peer_seconds, baseline, telemetry)) / pairs
         for block_s in (0.04, 0.1, 0.25):
-            pieces = blocks(telemetry, block_s)
+            pieces = blocks(telemetry, np.arange(start, stop + 1, round(block_s * NS_PER_S)))
             cost = 1e6 * best(arguments.repeats, partial(chain_seconds, baseline, pieces)) / pairs
             print(f"{name}, blocks of {1e3 * block_s:.0f} ms: {cost:.2f} us a pair, {cost / peer:.1f} x the peer")
 

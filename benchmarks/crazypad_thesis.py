@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.identify import ArxModel, fit
-from mavdiag.learning import Flight, LearntFlight, airborne, front_for
+from mavdiag.learning import LearntFlight, airborne, front_for
 from mavdiag.logs import read_log
 from mavdiag.monitors.base import Rows
 from mavdiag.monitors.run_length import Residual, longest_runs, margin_of, residuals, training_pieces
@@ -59,10 +59,7 @@ def one_step(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Residu
 
 def load(root: Path) -> tuple[list[Labelled], list[Labelled]]:
     """Healthy flights, and all others, airborne parts only."""
-    flights = []
-    for path in sorted(root.glob("*/E8_log*")):
-        log = read_log(path)
-        flights.append((path.parent.name, Flight(str(path), log.sha256, log.profile, log.telemetry)))
+    flights = [(path.parent.name, read_log(path)) for path in sorted(root.glob("*/E8_log*"))]
     front = front_for([flight for label, flight in flights if label == "normal_flight"], 0.1)
     labelled = [Labelled(label, total_cut_mm(label), airborne(front, flight)) for label, flight in flights]
     healthy = [one for one in labelled if one.label == "normal_flight"]

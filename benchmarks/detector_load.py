@@ -16,7 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.airframe.load import airframe_named
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs.tlog import read_tlog
 
 SETTLE_S = 4.0  # from the first message until the detector judges
@@ -34,9 +35,8 @@ def baseline_file(folder: Path, rate: int) -> Path:
     log, path = folder / "healthy.tlog", folder / "baseline.json"
     plant = [sys.executable, "-m", "sitl_plant", "record", "-o", str(log), "--duration", "30", "--rate", str(rate)]
     subprocess.run(plant, check=True, capture_output=True)
-    one = read_tlog(log)
-    flight = Flight(one.name, one.sha256, one.profile, one.telemetry)
-    learn([flight], LearnOptions(), created="2026-01-01T00:00:00Z").save(path)
+    options = LearnOptions(airframe=airframe_named("qdrone2"))
+    learn([read_tlog(log)], options, created="2026-01-01T00:00:00Z").save(path)
     return path
 
 

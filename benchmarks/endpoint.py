@@ -33,34 +33,37 @@ def microseconds(send: Callable[[bytes], object], receive: Callable[[], int]) ->
 def bare() -> float:
     """A socket read in a loop."""
     with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mouth,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
-        ear.bind(("127.0.0.1", 0))
-        mouth.connect(ear.getsockname())
-        return microseconds(mouth.send, lambda: bool(ear.recvfrom(65_535)))
+        receiver.bind(("127.0.0.1", 0))
+        sender.connect(receiver.getsockname())
+        return microseconds(sender.send, lambda: bool(receiver.recvfrom(65_535)))
 
 
 def ours(decode: bool) -> float:
     """The endpoint, and the decoder behind it."""
     decoder = Decoder()
-    with open_endpoint("udpin:127.0.0.1:0") as ear, open_endpoint(ear.address.replace("udpin", "udpout")) as mouth:
+    with (
+        open_endpoint("udpin:127.0.0.1:0") as receiver,
+        open_endpoint(receiver.address.replace("udpin", "udpout")) as sender,
+    ):
 
         def receive() -> int:
-            chunks = ear.receive(1.0)
+            chunks = receiver.receive(1.0)
             if decode:
                 return sum(len(decoder.feed(data, host_ns)) for data, host_ns in chunks)
             return len(chunks)
 
-        return microseconds(mouth.send, receive)
+        return microseconds(sender.send, receive)
 
 
 def theirs() -> float:
     """mavutil, which cannot receive without decoding."""
-    with closing(mavutil.mavlink_connection("udpin:127.0.0.1:0", dialect="ardupilotmega")) as ear:
-        port = ear.port.getsockname()[1]
-        with open_endpoint(f"udpout:127.0.0.1:{port}") as mouth:
-            return microseconds(mouth.send, lambda: ear.recv_match(blocking=False) is not None)
+    with closing(mavutil.mavlink_connection("udpin:127.0.0.1:0", dialect="ardupilotmega")) as receiver:
+        port = receiver.port.getsockname()[1]
+        with open_endpoint(f"udpout:127.0.0.1:{port}") as sender:
+            return microseconds(sender.send, lambda: receiver.recv_match(blocking=False) is not None)
 
 
 def main() -> None:

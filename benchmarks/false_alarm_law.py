@@ -15,9 +15,9 @@ import numpy as np
 from emulated import as_flight
 
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.chain import front_of, model_of
-from mavdiag.learning import airborne, learn, residuals_of, thesis_options
-from mavdiag.monitors.margin import latency_of
+from mavdiag.chain import front_of
+from mavdiag.learning import learn, rows_of, thesis_options
+from mavdiag.monitors.run_length import longest_runs, residuals
 from mavdiag.telemetry import Axis
 from sitl_plant.plant import PlantConfig
 
@@ -29,9 +29,9 @@ GROUPS = (3, 10, 40)
 def longest_run(seed: int, text: str) -> float:
     """Longest run above the margin in one healthy flight [s]."""
     baseline = parse(text)
-    flown = airborne(front_of(baseline), as_flight(PlantConfig(drone=1, seed=seed), FLIGHT_S))
-    residuals = residuals_of(flown, Axis.ROLL, model_of(baseline, Axis.ROLL))
-    return float(latency_of([residuals], baseline.latency[0][0].margin_rad_s)[0])
+    rows = rows_of(front_of(baseline), as_flight(PlantConfig(drone=1, seed=seed), FLIGHT_S).telemetry)
+    spec = baseline.fsd[0][0]
+    return float(longest_runs([residuals(rows, Axis.ROLL, spec.model.model())], spec.margin_rad_s)[0])
 
 
 def teach(seed: int) -> Baseline:

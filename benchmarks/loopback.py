@@ -60,8 +60,8 @@ def fly(flight: Flight, baseline: Path) -> Result:
         loop.plant.end()
         loop.station.listen(POLL_S)
         loop.detector.end()
-        words = " ".join(loop.detector.lines)
-    cpu, lost = re.search(r"([\d.]+) % CPU", words), re.search(r"(\d+) datagrams overflowed", words)
+        printed = " ".join(loop.detector.lines)
+    cpu, lost = re.search(r"([\d.]+) % CPU", printed), re.search(r"(\d+) datagrams overflowed", printed)
     return Result(
         DemoResult(flight.onset_s, tuple(loop.station.texts)),
         float(cpu[1]) if cpu else float("nan"),

@@ -8,7 +8,7 @@ flights judges the others; each healthy flight is judged by the baseline of the 
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -16,8 +16,9 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from mavdiag.baseline import Baseline
-from mavdiag.judging import LogVerdict, Verdict, between, judge
-from mavdiag.learning import Flight, LearnOptions, learn
+from mavdiag.commands.options import between
+from mavdiag.judging import LogVerdict, Verdict, judge
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import Log, read_log
 
 PROPELLER_MM = 47.0
@@ -45,19 +46,22 @@ def total_cut_mm(folder: str) -> float | None:
 
 def taught(logs: Sequence[Log]) -> Baseline:
     """A baseline by the defaults."""
-    flights = [Flight(log.name, log.sha256, log.profile, log.telemetry) for log in logs]
-    return learn(flights, LearnOptions(), created=STAMP)
+    return learn(logs, LearnOptions(), created=STAMP)
 
 
 def part(log: Log, from_s: float | None, to_s: float | None) -> Log:
     """The log between two times of the vehicle's clock."""
-    return Log(log.name, log.sha256, log.profile, between(log.telemetry, from_s, to_s), log.started_ns)
+    return replace(log, telemetry=between(log.telemetry, from_s, to_s))
+
+
+def layout_of(baseline: Baseline) -> str:
+    """Name of the rotor layout that its flights show."""
+    return "none" if baseline.airframe.layout is None else baseline.airframe.layout.name
 
 
 def rotor_of(verdict: LogVerdict) -> int | None:
     """The rotor that was named last."""
-    named = [one.event.rotor for one in verdict.events if one.event.rotor is not None]
-    return named[-1] if named else None
+    return next((one.rotor for one in reversed(verdict.changes) if one.rotor is not None), None)
 
 
 def detected(judged: Sequence[tuple[Labelled, LogVerdict]]) -> list[str]:
@@ -90,13 +94,10 @@ def crazypad(console: Console, folder: Path) -> None:
         table.add_row(f"without {left_out.log.name}", *detected(verdicts), *cells)
     console.print(table)
     large = [v for one, v in judged if (one.cut_mm or 0) > 2 and v.verdict is Verdict.FAULT]
-    right = sum(rotor_of(v) == CUT_ROTOR for v in large)
-    console.print(f"rotor: M3 named in {right} of {len(large)} declared cuts above 2 mm")
-    ranked = [
-        (one.cut_mm, next(m.maximum for m in v.monitors if m.name == "effort"))
-        for one, v in judged
-        if one.cut_mm is not None
-    ]
+    right, unnamed = (sum(rotor_of(v) == rotor for v in large) for rotor in (CUT_ROTOR, None))
+    console.print(f"rotor: M3 named in {right} of {len(large)} declared cuts above 2 mm, none named in {unnamed}")
+    rises = ((one.cut_mm, next(m.maximum for m in v.monitors if m.name == "rotor_trim")) for one, v in judged)
+    ranked = [(mm, rise) for mm, rise in rises if mm is not None and rise is not None]
     rank = spearmanr([mm for mm, _ in ranked], [rise for _, rise in ranked]).statistic
     console.print(f"severity: rank correlation of the trim shift with the total cut {rank:.3f} ({len(ranked)} logs)")
 
@@ -108,9 +109,8 @@ def count(judged: Sequence[tuple[Labelled, LogVerdict]], prefix: str) -> str:
 
 
 def line(name: str, verdict: LogVerdict) -> str:
-    """One judged log: verdict, reason, first alarm."""
-    first = f", first alarm at {verdict.events[0].t_s:.1f} s" if verdict.verdict is Verdict.FAULT else ""
-    return f"  {name}: {verdict.verdict}, {verdict.reason}{first}"
+    """One judged log: verdict and reason."""
+    return f"  {name}: {verdict.verdict}, {verdict.reason}"
 
 
 def ardupilot(console: Console, folder: Path) -> None:
@@ -127,15 +127,13 @@ def arducopter(console: Console, folder: Path) -> None:
     logs = {path.stem: read_log(path) for path in sorted(folder.glob("*quad3kg*.tlog"))}
     for name in (name for name in logs if name.startswith("healthy")):
         base = taught([logs[name]])
-        console.print(f"ArduCopter 3 kg, taught by {name}, rotor layout found: {base.airframe.frame}")
+        console.print(f"ArduCopter 3 kg, taught by {name}, rotor layout found: {layout_of(base)}")
         for other in (other for other in logs if other != name):
             console.print(line(other, judge(logs[other], base)))
     healthy = read_log(folder / "healthy_jsonplant2_sq1.tlog")
     middle_s = float(healthy.telemetry.series[0].t_ns.min()) / 1e9 + 60
     base = taught([part(healthy, None, middle_s)])
-    console.print(
-        f"ArduCopter, external physics, taught by the first minute, rotor layout found: {base.airframe.frame}"
-    )
+    console.print(f"ArduCopter, external physics, taught by its first minute, rotor layout found: {layout_of(base)}")
     console.print(line("second minute", judge(part(healthy, middle_s, None), base)))
     damaged = read_log(folder / "fault_jsonplant2_m1_eff090_imb_sq1.tlog")
     console.print(line("efficiency 0.90 and unbalance", judge(damaged, base)))
@@ -144,7 +142,7 @@ def arducopter(console: Console, folder: Path) -> None:
 def px4(console: Console, folder: Path) -> None:
     """A bench log without thrust can teach nothing and be judged by nothing."""
     log = read_log(folder / "pyulog_sample.ulg")
-    own = Log(log.name, log.sha256, "ardupilot-log", log.telemetry, 0)
+    own = replace(log, profile="ardupilot-log")
     base = taught([part(read_log(folder.parent / "ardupilot_real" / "log171.bin"), 75, 146)])
     console.print(line("px4 bench log", judge(log, base)))
     console.print(line("px4 bench log, taken for one of the same link", judge(own, base)))

@@ -14,62 +14,101 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mixed_flights import FAULT_CODES, HOVER, Fault, airframe_of, fly
 
-from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.propellers import FaultType
-from mavdiag.decision.grading import (
-    SCHEMA,
-    FaultCloud,
-    FaultTypes,
-    Features,
-    Gathered,
-    assess,
-    features_of,
-    gather,
-    start,
-)
-from mavdiag.monitors import rotor_signature, rotor_trim, unbalance
-from mavdiag.monitors.base import Monitor, Rows
+from mavdiag.decision.grading import SCHEMA, FaultCloud, FaultTypes, Gathered, assess
+from mavdiag.learning import rows_of
+from mavdiag.logs import gate_for
+from mavdiag.monitors.base import LearnContext, Monitor, Rows
+from mavdiag.monitors.rotor_signature import RotorSignature
+from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.monitors.unbalance import Unbalance
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.front import Front
+from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.savgol import window_samples
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
+from sitl_plant.autopilot.telemetry import flight_telemetry
+from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import airframe_of, qdrone2
 
 SEED = 20_000
 AFTER_S = (3.0, 8.0)
 STRENGTHS = (1.0, 0.5, 0.0)
+FAULT_CODES = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))
+FAULTS = tuple((strength, code) for strength in STRENGTHS for code in FAULT_CODES)
 SHRINK = 0.3  # share of the mean covariance in each (our choice)
 FLOOR = 1e-4  # least variance
 ONSET_S = 8.0
-FRAME = layout_named("qdrone2")
+DT_S = 0.001
+WINDOW = window_samples(DT_S)
+FRONT = Front(AlignSpec(DT_S, Grid.NATIVE), gate_for("qdrone2"), RateSpec.of(DT_S, WINDOW))
+CONTEXT = LearnContext(airframe_of(qdrone2(), "emulated"), None, DT_S, WINDOW)
+KINDS: tuple[type[Monitor[Any, Any]], ...] = (Unbalance, RotorSignature, RotorTrim)
+# shape, speed [m/s], heading [deg]
+PATHS = (
+    ("square", 0.5, 0),
+    ("square", 0.8, 0),
+    ("square", 0.5, 45),
+    ("square", 0.8, 45),
+    ("hover", 0.5, 0),
+    ("circle", 0.5, 0),
+    ("figure8", 0.5, 0),
+)
 OUT = Path(__file__).resolve().parents[1] / "mavdiag" / "decision" / "fault_types.json"
 
 
-def features_at(monitors: Sequence[Monitor[Any]], rows: Sequence[Rows], rotor: int, after_s: float) -> Features:
-    """What is read of a flight from the onset to `after_s` later."""
-    state, states, end_ns = start(round(ONSET_S * 1e9)), [one.start() for one in monitors], (ONSET_S + after_s) * 1e9
-    for one in rows:
-        readings = []
-        for i, monitor in enumerate(monitors):
-            states[i], reading = monitor.step(states[i], one)
-            readings.append(replace(reading, valid=reading.valid & (reading.t_ns <= end_ns)))
-        state = gather(state, vibration=readings[0], energy=readings[1], effort=readings[2], rotor=rotor)
-    return features_of(state)
+def conditions(airframe: Airframe, rng: np.random.Generator, wind_m_s: float) -> PlantConfig:
+    """Drawn: path, wind up to `wind_m_s` from anywhere, payload up to 100 g."""
+    shape, speed, heading = PATHS[int(rng.integers(len(PATHS)))]
+    return PlantConfig(
+        airframe=airframe,
+        trajectory=shape,
+        speed_m_s=speed,
+        heading_rad=float(np.radians(heading)),
+        wind_m_s=float(rng.uniform(0, wind_m_s)),
+        wind_towards_rad=float(rng.uniform(0, 2 * np.pi)),
+        payload=Payload(float(rng.uniform(0, 0.1))),
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def fly(config: PlantConfig, duration_s: float) -> tuple[Rows, ...]:
+    """The rows of one flight."""
+    return rows_of(FRONT, flight_telemetry(config, duration_s)[0])
+
+
+def features(monitors: Sequence[Monitor[Any, Any]], rows: Sequence[Rows], rotor: int) -> FloatArray:
+    """x of a flight with a fault, as it is known at each of the times after the onset, (2, 3)."""
+    out = np.empty((len(AFTER_S), 3))
+    found = [(one, list(one.over(rows))) for one in monitors]
+    for k, after_s in enumerate(AFTER_S):
+        gathered = Gathered(round(ONSET_S * NS_PER_S))
+        for monitor, parts in found:
+            end_ns = (ONSET_S + after_s - monitor.delay_s) * NS_PER_S
+            for part in parts:
+                known = replace(part, valid=part.valid & (part.t_ns <= end_ns))
+                gathered = gathered.add(str(monitor.feature), known, rotor)
+        out[k] = gathered.features.vector
+    return out
 
 
 def record(airframe_seed: int) -> FloatArray:
-    """(27, 2, 3): x of each fault and strength, at each time."""
-    airframe, rng = airframe_of(airframe_seed), np.random.default_rng([airframe_seed, 2])
-    flights = [fly(airframe, rng, 40.0) for _ in range(8)]
-    monitors: list[Monitor[Any]] = [
-        unbalance.Unbalance(unbalance.fit(flights, FRAME, HOVER)),
-        rotor_signature.RotorSignature(rotor_signature.fit(flights, FRAME)),
-        rotor_trim.RotorTrim(rotor_trim.fit(flights, FRAME)),
-    ]
-    x = np.empty((len(STRENGTHS) * len(FAULT_CODES), len(AFTER_S), 3))
-    for i, (strength, code) in enumerate((strength, code) for strength in STRENGTHS for code in FAULT_CODES):
-        fault = Fault(code, int(rng.integers(4)) + 1, ONSET_S, strength)
-        rows = fly(airframe, rng, ONSET_S + max(AFTER_S) + 0.1, wind_m_s=1.0, fault=fault)
-        for k, after_s in enumerate(AFTER_S):
-            x[i, k] = features_at(monitors, rows, fault.rotor, after_s).vector
+    """x of each fault and strength, at each time, (27, 2, 3), on one airframe that is aged or new by chance."""
+    chance = np.random.default_rng([airframe_seed, 1])
+    airframe = draw_airframe(qdrone2(), aged=bool(chance.random() < 0.5), rng=chance)
+    rng = np.random.default_rng([airframe_seed, 2])
+    flights = [fly(conditions(airframe, rng, 1.5), 40.0) for _ in range(8)]
+    monitors = [kind(spec) for kind in KINDS for spec in kind.fit(flights, CONTEXT)]
+    x = np.empty((len(FAULTS), len(AFTER_S), 3))
+    for i, (strength, code) in enumerate(FAULTS):
+        rotor = int(rng.integers(4)) + 1
+        config = replace(
+            conditions(airframe, rng, 1.0), fault=code, rotor=rotor, onset_s=ONSET_S, phenomenology=strength
+        )
+        x[i] = features(monitors, fly(config, ONSET_S + max(AFTER_S) + 0.1), rotor)
     return x
 
 
@@ -83,7 +122,7 @@ def clouds(x: FloatArray) -> list[FaultCloud]:
     own = np.stack([np.cov(x[:, i].T) for i in range(x.shape[1])])
     pooled = own.mean(axis=0)
     out = []
-    for i, (strength, code) in enumerate((strength, code) for strength in STRENGTHS for code in FAULT_CODES):
+    for i, (strength, code) in enumerate(FAULTS):
         C = (1 - SHRINK) * own[i] + SHRINK * pooled + FLOOR * np.eye(3)
         out.append(FaultCloud(FaultType(code[:2]), int(code[-1]), strength, means[i], C))
     return out
@@ -94,9 +133,9 @@ def report(x: FloatArray) -> None:
     for k, after_s in enumerate(AFTER_S):
         right = np.zeros((len(STRENGTHS), 4))
         for left_out in range(len(x)):
-            known = [FaultTypes(after_s, tuple(clouds(np.delete(x, left_out, axis=0)[:, :, k])), "")]
-            for i, code in enumerate(FAULT_CODES * len(STRENGTHS)):
-                found = assess(made(x[left_out, i, k], after_s), known)
+            known = FaultTypes(after_s, tuple(clouds(np.delete(x, left_out, axis=0)[:, :, k])), "")
+            for i, (_, code) in enumerate(FAULTS):
+                found = assess(gathered_of(x[left_out, i, k]), known)
                 kind = found.fault_type is not None and found.fault_type.value == code[:2]
                 apart = 9 if found.severity is None else abs(found.severity - int(code[-1]))
                 right[i // len(FAULT_CODES)] += (kind, kind and apart == 0, apart <= 1, found.fault_type is None)
@@ -107,12 +146,11 @@ def report(x: FloatArray) -> None:
             print(f"{after_s:g} s after, fluctuation {strength:g}: {figures}")
 
 
-def made(x: FloatArray, after_s: float) -> Gathered:
+def gathered_of(x: FloatArray) -> Gathered:
     """A gathering with these features."""
-    features = Features(*(None if not np.isfinite(v) else float(v) for v in (np.exp(x[0]), np.exp(x[1]), x[2] / 100)))
-    square = [(v * v, 1) if v is not None else (0.0, 0) for v in (features.unbalance_g_mm, features.motion_rad_s)]
-    rise = (0.0, 0) if features.rise is None else (features.rise, 1)
-    return Gathered(0, square[0], square[1], rise, round(after_s * 1e9))
+    unbalance, motion, rise = (float(v) for v in (np.exp(x[0]), np.exp(x[1]), x[2] / 100))
+    squares = [(v * v, 1) if np.isfinite(v) else (0.0, 0) for v in (unbalance, motion)]
+    return Gathered(0, squares[0], squares[1], (rise, 1) if np.isfinite(rise) else (0.0, 0))
 
 
 def text_of(x: FloatArray) -> str:

@@ -1,6 +1,6 @@
-"""The `mavdiag-detector` command (edge): listen to vehicles over MAVLink and say when a propeller is damaged.
+"""The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
 
-Exit codes: 0 stopped by SIGINT or SIGTERM; 2 a wrong option, baseline or address, told in one line on stderr.
+Exit codes: 0 stopped by SIGINT or SIGTERM; 2 a wrong option, baseline or address, reported in one line on stderr.
 """
 
 import contextlib

@@ -159,9 +159,9 @@ def cause_of(finding: Change | Diagnosis) -> str:
 
 
 def evidence_of(finding: Change | Diagnosis) -> str:
-    """Statistic and threshold, with as many decimals as it takes to tell them apart; "" without evidence.
+    """Statistic and threshold, with as many decimals as it takes to make them differ; "" without evidence.
 
-    A suspicion begins, and a fault lasts, somewhat below the threshold: the sign tells.
+    A suspicion begins, and a fault lasts, somewhat below the threshold: the sign shows it.
     """
     if finding.monitor is None:
         return ""

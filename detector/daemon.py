@@ -48,7 +48,7 @@ __all__ = ["Daemon", "Host"]
 
 BEAT_S = 1.0
 DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
-FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end must be spoken to first
+FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
 _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
@@ -110,7 +110,7 @@ class Daemon:
         self._unclear: dict[int, str] = {}
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Look, again and again, until told to stop; then say what was done."""
+        """Look at the links until `stop` says so; then write the summary."""
         self.begin()
         next_at = self._now()
         while not stop():
@@ -187,7 +187,7 @@ class Daemon:
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; choose one with --vehicle")
 
     def _beat(self) -> None:
-        """Heartbeats of the healthy sessions; on a link that must be spoken to first, also before a vehicle."""
+        """Heartbeats of the healthy sessions; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.healthy:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))

@@ -32,7 +32,7 @@ class FittingJob:
 
     vehicle: system id.
     airframe: what is known of it; its name is the one that the baseline gets.
-    profile: how it speaks.
+    profile: of its link.
     telemetry: the flight.
     """
 
@@ -56,7 +56,7 @@ class Fitter(Protocol):
 
 
 def fit_baseline(job: FittingJob) -> Outcome:
-    """Make a baseline here and now, as `mavdiag identify` does unless told otherwise."""
+    """Make a baseline here and now, as `mavdiag identify` does by default."""
     # Imported by the process that fits, not by the daemon: it brings the identification with it.
     from mavdiag.learning import LearnOptions, learn
 

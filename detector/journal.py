@@ -98,10 +98,10 @@ def _iso(at: datetime) -> str:
 
 
 class _Appender:
-    """A file that is appended to. What cannot be written is counted, and told once.
+    """A file that is appended to. What cannot be written is counted, and reported once.
 
     option: the command-line option that names it.
-    warn: told once when writing begins to fail, and once when it works again.
+    warn: called once when writing begins to fail, and once when it works again.
     Raises UsageError if the file cannot be opened.
     """
 

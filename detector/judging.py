@@ -20,7 +20,7 @@ from mavdiag.telemetry import Instant, Telemetry
 __all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "unknown_suspects"]
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
-STREAM_S = 5.0  # how long a stream may take to come before its absence is told (our choice)
+STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
 ALERTING = (Stage.SUSPECTED, Stage.FAULT)
 
 Finding: TypeAlias = Change | Diagnosis

@@ -33,7 +33,7 @@ _SLOW: Mapping[Signal, tuple[float, float]] = {
     Signal.ROTOR_SPEED: (5.0, 1.0),
 }
 
-# What a signal that does not come is called, in the words of an operator.
+# What a signal that does not come is called in a text for an operator.
 LABELS: Mapping[Signal, str] = {
     Signal.BODY_RATE: "gyro",
     Signal.SPECIFIC_FORCE: "accelerometer",

@@ -126,7 +126,7 @@ class Session:
         self.state = replace(self.state, **changes)
 
     def _move(self, trigger: Trigger, reason: str = "", **changes: Any) -> None:
-        """Go where the table says. reason: in place of the trigger's own words. changes: to the rest of the state."""
+        """Go where the table says. reason: in place of the trigger's own text. changes: to the rest of the state."""
         old, new, reason = self.state.state, advance(self.state.state, trigger), reason or trigger.value
         self._keep(state=new, reason=reason, **changes)
         self._effects.append(StateChanged(old, new, reason))

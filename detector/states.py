@@ -11,7 +11,7 @@ __all__ = ["TABLE", "State", "Trigger", "advance", "diagram"]
 
 
 class State(StrEnum):
-    """Where a session stands. The value is the word for it in texts, journal and metrics."""
+    """Where a session stands. The value is its name in texts, journal and metrics."""
 
     WAITING = "waiting"  # for the streams that are needed, at a rate that will do
     LEARNING = "learning"  # collecting healthy flight

@@ -1,4 +1,4 @@
-"""Identify an ARX model from arrays, by least squares and by SRIV, when the gyro is noisy; tell its figures."""
+"""Identify an ARX model from arrays, by least squares and by SRIV, when the gyro is noisy; print its figures."""
 
 import numpy as np
 

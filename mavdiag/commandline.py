@@ -23,7 +23,7 @@ INTERRUPTED = 130
 
 
 def application(summary: str, name: str | None = None, cls: type[TyperGroup] | None = None) -> typer.Typer:
-    """A command-line application in the house style: plain help, no tracebacks, no shell-completion options.
+    """A command-line application in one style: plain help, no tracebacks, no shell-completion options.
 
     name: of the program, where it is one and answers --version. cls: how its sub-commands are chosen.
     """

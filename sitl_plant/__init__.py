@@ -1,4 +1,6 @@
-"""A software-in-the-loop QDrone 2: flight dynamics, control, sensors and propeller faults, seen over MAVLink.
+"""A software-in-the-loop multirotor, by default a QDrone 2, seen over MAVLink.
+
+Flight dynamics, control, sensors and propeller faults:
 
     trajectory ▶ controller ▶ mixer ▶ rotors × faults ▶ rigid body ▶ sensors ▶ attitude estimate ┐
          ▲                                                                └─ motion capture ─────┤

@@ -4,14 +4,16 @@ A contender studies flights of *other* airframes (faulty ones too, if it needs t
 turns healthy flights of the judged airframe into a scorer; the scorer turns a flight into a score.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, IntArray
-from mavdiag.thresholds.heldout import BLOCK_S, Scores
+from mavdiag.thresholds.heldout import Scores, pooled, score
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 from peers.flights import Flown, Truth
 
@@ -23,7 +25,7 @@ __all__ = [
     "Scorer",
     "Watch",
     "alarms",
-    "block_maxima",
+    "block_scores",
     "calibrated",
     "caught",
 ]
@@ -87,27 +89,29 @@ def calibrated(contender: Contender, learner: Learner, flights: Sequence[Flown])
     """Learn from all healthy flights; set the threshold on scores of flights that the fit did not see, in 3 folds."""
     if contender.rule is None:
         return Watch(learner(flights), 0.5)
-    maxima: list[FloatArray] = []
-    judged_s = 0.0
+    parts: list[Scores] = []
     for fold in range(FOLDS):
         scorer = learner([one for i, one in enumerate(flights) if i % FOLDS != fold])
-        for one in flights[fold::FOLDS]:
-            scored = scorer(one)
-            maxima.append(block_maxima(scored))
-            judged_s += float(scored.t_s[-1] - scored.t_s[0])
-    scores = Scores(np.concatenate(maxima), judged_s)
-    found = threshold_of(scores, flights=len(flights), budget_per_hour=BUDGET_PER_HOUR, rule=contender.rule)
+        parts += [block_scores(scorer(one)) for one in flights[fold::FOLDS]]
+    found = threshold_of(pooled(parts), flights=len(flights), budget_per_hour=BUDGET_PER_HOUR, rule=contender.rule)
     return Watch(learner(flights), found.value)
 
 
-def block_maxima(scored: Scored) -> FloatArray:
-    """The maximum of every 10 s of a flight; a rest counts if it is 5 s or more."""
-    since = scored.t_s - scored.t_s[0]
-    number = (since // BLOCK_S).astype(np.int64)
-    last = int(number[-1])
-    if last > 0 and since[-1] - last * BLOCK_S < BLOCK_S / 2:
-        last -= 1
-    return np.array([scored.score[number == one].max() for one in range(last + 1)])
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Scores as the product's own block maxima read them."""
+
+    scored: Scored
+    axis: None = None
+
+    def over(self, _flight: Sequence[Rows]) -> Iterator[Statistic]:
+        t_s, x = self.scored.t_s, self.scored.score
+        yield Statistic(np.round(1e9 * t_s).astype(np.int64), float(t_s[1] - t_s[0]), x, np.isfinite(x), x, x)
+
+
+def block_scores(scored: Scored) -> Scores:
+    """The maximum of every 10 s of a flight, by the product's own rule."""
+    return score(_Judged(scored), ())
 
 
 def alarms(scored: Scored, threshold: float) -> tuple[Alarm, ...]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from emulated import as_flight
 
-from mavdiag.learning import Flight, front_for, rows_of
-from mavdiag.telemetry import FloatArray
+from mavdiag.learning import front_for, rows_of
+from mavdiag.telemetry import FloatArray, Log
 from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.physics.faults import FAULTS
 from sitl_plant.plant import PlantConfig
@@ -43,7 +43,7 @@ class Flown:
     airframe: a name. truth: None if healthy. front_s: CPU time that the rows took [s].
     """
 
-    flight: Flight
+    flight: Log
     airframe: str
     t_s: FloatArray
     dt_s: float
@@ -100,7 +100,7 @@ def flown(config: PlantConfig, duration_s: float) -> Flown:
     front_s = time.process_time() - started
     block_ns = np.concatenate([one.block.t_ns for one in rows])
     rate_ns = np.concatenate([one.rates.t_ns for one in rows])
-    valid = np.concatenate([one.rates.valid for one in rows])
+    valid = np.concatenate([one.rates.commanded for one in rows])
     edges = np.flatnonzero(np.diff(valid, prepend=False, append=False)).reshape(-1, 2)
     first, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])].tolist()
     low, high = np.searchsorted(block_ns, [rate_ns[first], rate_ns[stop - 1]]).tolist()

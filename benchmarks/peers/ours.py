@@ -5,18 +5,21 @@ from functools import lru_cache
 
 import numpy as np
 
+from mavdiag.airframe.load import airframe_named
+from mavdiag.decision.alarm import Stage
 from mavdiag.identify import ArxModel, fit
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.logs import Log
 from mavdiag.monitors.run_length import Exceedance, exceedance
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 
 __all__ = ["product", "thesis_rule"]
 
 CREATED = "2025-01-01T00:00:00Z"
+OPTIONS = LearnOptions(airframe=airframe_named("qdrone2"))
 AXES = (0, 1)  # roll and pitch
 SETTLE_S = 2.0  # the free run begins in motion
 TRAIN_FLIGHTS = 2  # more than a minute at 1 kHz is not needed for four parameters, as in `mavdiag.learning`
@@ -35,22 +38,18 @@ def product(_others: Sequence[Flown]) -> Learner:
     """`mavdiag.learning.learn` and `mavdiag.judging.judge` as they stand, with their own thresholds and budget."""
 
     def learner(healthy: Sequence[Flown]) -> Scorer:
-        baseline = learn([one.flight for one in healthy], LearnOptions(), created=CREATED)
+        baseline = learn([one.flight for one in healthy], OPTIONS, created=CREATED)
 
         def score(one: Flown) -> Scored:
-            flight = one.flight
-            found = judge(Log(flight.name, flight.sha256, flight.profile, flight.telemetry, 0), baseline)
+            found = judge(one.flight, baseline)
             if found.verdict not in (Verdict.HEALTHY, Verdict.FAULT):
                 raise RuntimeError(f"an emulated flight cannot be judged: {found.reason}")
             raised, rotor = np.zeros(len(one)), np.zeros(len(one), dtype=np.int64)
-            for each in found.events:
-                if each.event.monitor == "latency":  # beside others the thesis rule only raises a suspicion
-                    continue
-                end_s = np.inf if each.end_s is None else each.end_s
-                inside = (one.t_s >= each.t_s) & (one.t_s <= end_s)
-                raised[inside] = 1.0
-                rotor[inside] = each.event.rotor or 0
-            return Scored(one.t_s + one.delay_s, raised, rotor)
+            for change in found.changes:  # each holds until the next
+                since = one.t_s >= change.t_ns / NS_PER_S
+                raised[since] = (change.stage is Stage.FAULT) * (1.0 + (change.confidence or 0.0))
+                rotor[since] = change.rotor or 0
+            return Scored(one.t_s, raised, rotor)
 
         return score
 

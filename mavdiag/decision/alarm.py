@@ -93,6 +93,7 @@ class DecisionState:
     looked_ns: everything up to here was looked at; None before the first value.
     calm_ns: since when all ratios are calm; None if they are not.
     fault: the diagnosis of the latest fault, for events that close after it.
+    lead: by how much the named rotor led the next when it was most certain [logits].
     gathered, graded: what was gathered since the fault was declared, and how many of the fixed times have passed.
     """
 
@@ -103,6 +104,7 @@ class DecisionState:
     looked_ns: int | None = None
     calm_ns: int | None = None
     fault: Diagnosis | None = None
+    lead: float = 0.0
     gathered: Gathered | None = None
     graded: int = 0
 
@@ -192,7 +194,7 @@ class DecisionSpec:
         return replace(state, latest=tuple(latest), events=tuple(events)), fresh
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
-        """Look the transition up, and see whether the rotor can be named; tells whether anything changed."""
+        """Look the transition up, and see whether the rotor can be named; True if anything changed."""
         fresh = [
             (reading, slot)
             for reading, slot in zip(state.latest, self.slots, strict=True)
@@ -222,11 +224,14 @@ class DecisionSpec:
                 if slot.evidence is not None
             ]
         )
-        if place.rotor is not None and place.rotor != now.rotor:
+        lead = 0.0 if now.rotor is None else state.lead
+        if place.rotor is not None and (now.rotor is None or place.lead > lead):  # the most certain name holds
+            lead = place.lead
+            if place.rotor != now.rotor:
+                now = replace(now, reason=now.reason if changed else "the rotor is named")
+                changed = True
             now = replace(now, rotor=place.rotor, confidence=place.confidence)
-            if not changed:
-                now, changed = replace(now, reason="the rotor is named"), True
-        return replace(state, diagnosis=now, fault=now), changed
+        return replace(state, diagnosis=now, fault=now, lead=lead), changed
 
     def _grade(
         self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int

@@ -22,7 +22,7 @@ class Stage(StrEnum):
 class Diagnosis:
     """What is held of the vehicle now.
 
-    stage, reason: where it stands, and why in words.
+    stage, reason: where it stands, and why, as a sentence.
     since_ns: vehicle time since when; 0 before the first look.
     monitor, axis, unit, statistic, threshold: the evidence with the highest ratio at present; None and nan without one.
     rotor, fault_type, severity, confidence: as in `Event`.

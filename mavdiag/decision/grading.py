@@ -201,7 +201,7 @@ def assess(gathered: Gathered, known: FaultTypes) -> Assessment:
 
 
 def _densities(clouds: Sequence[FaultCloud], x: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Log density of x in each cloud, up to a constant, and its squared distance, in the features that are told."""
+    """Log density of x in each cloud, up to a constant, and its squared distance, in the features that are known."""
     log_density, distance = np.empty(len(clouds)), np.empty(len(clouds))
     for i, cloud in enumerate(clouds):
         C = cloud.covariance[np.ix_(told, told)]

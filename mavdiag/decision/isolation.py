@@ -47,10 +47,12 @@ class Isolation:
 
     rotor: from 1; None if the evidence fits more than one, or if there is none.
     confidence: of the likeliest rotor, 1/R..1; 0 without evidence.
+    lead: logits by which it leads the next; it tells names apart whose confidence is near 1.
     """
 
     rotor: int | None
     confidence: float
+    lead: float = 0.0
 
 
 def isolate(readings: Sequence[RotorReading]) -> Isolation:
@@ -75,4 +77,5 @@ def isolate(readings: Sequence[RotorReading]) -> Isolation:
         return Isolation(None, 0.0)
     highest = max(logits)
     confidence = 1.0 / math.fsum(math.exp(one - highest) for one in logits)
-    return Isolation(logits.index(highest) + 1 if confidence >= NAME_AT else None, confidence)
+    lead = highest - sorted(logits)[-2] if len(logits) > 1 else 0.0
+    return Isolation(logits.index(highest) + 1 if confidence >= NAME_AT else None, confidence, lead)

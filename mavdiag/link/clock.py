@@ -50,7 +50,7 @@ class Counter:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether it wraps within a day, so that its first reading alone does not tell the time since boot."""
+        """Whether it wraps within a day, so that its first reading alone does not give the time since boot."""
         return 0 < self.turn * self.tick_ns < 86_400 * NS_PER_S
 
 

@@ -29,7 +29,7 @@ def open_link(address: str, vehicle: int | None = None, profile: str | None = No
 
     address: see `mavdiag.link.ports`.
     vehicle: its system id; None takes the only one there is.
-    profile: name of its link profile; None tells it by what it sends.
+    profile: name of its link profile; None finds it by what it sends.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
     chosen = None if profile is None else profile_named(profile)

@@ -33,7 +33,7 @@ __all__ = [
 
 MILLI = 1e-3
 MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1000, about 2048; parted at their mean
-# Our choices: armed, more than idle thrust, and two seconds for take-off. Live, an alert must not wait for an end.
+# Our choices: armed, more than idle thrust, and five seconds for the climb. Live, an alert must not wait for an end.
 LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
@@ -234,7 +234,7 @@ def is_autopilot_heartbeat(frame: Frame) -> bool:
 class Recognised:
     """What a vehicle's frames say of its profile.
 
-    profile: None if it cannot be told.
+    profile: None if it cannot be recognised.
     reason: why not, one sentence; empty otherwise.
     """
 

@@ -115,7 +115,7 @@ class SampleDecoder:
     table: the messages that are known.
     wanted: the message ids that it reads, for the decoder of frames.
     Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
-    has told the time since boot. A block costs some 100 us however short it is: convert 50 pairs of set-point and IMU
+    has given the time since boot. A block costs some 100 us however short it is: convert 50 pairs of set-point and IMU
     message or more at a time.
     """
 

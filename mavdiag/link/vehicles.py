@@ -1,6 +1,6 @@
 """From the bytes of a link to its vehicles: one a system id, each with its own profile, clock and state.
 
-A vehicle enters with a heartbeat of its autopilot (component 1), once its frames tell its profile. Ground stations,
+A vehicle enters with a heartbeat of its autopilot (component 1), once its frames show its profile. Ground stations,
 cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now` in, values out.
 
 Made-up senders cost a bounded amount: there are 255 system ids, and of each one that has not entered the last 512
@@ -152,7 +152,7 @@ class _Pending:
 class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
-    profile: of all vehicles; None to tell each by its frames.
+    profile: of all vehicles; None to recognise each by its frames.
     only: the one system id to follow, None for all.
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.

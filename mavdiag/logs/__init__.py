@@ -32,7 +32,7 @@ def read_log(
     """Read a flight from a .tlog, DataFlash .bin, .ulg or Crazyflie log, chosen by its content.
 
     vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is.
-    profile: link profile of a .tlog where its messages do not tell; other kinds know their own.
+    profile: link profile of a .tlog where its messages do not show it; other kinds know their own.
     among: the kinds of logs, None for all.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
     """

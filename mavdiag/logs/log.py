@@ -14,7 +14,7 @@ __all__ = ["RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
 
-#: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not told.
+#: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not given.
 Reader = Callable[[Path, int | None, str | None], Log]
 
 
@@ -25,7 +25,7 @@ class LogKind:
     name: for messages.
     recognise: whether a file's first bytes are of this kind.
     read: the reader.
-    profile: the profile of every such log; None where the file's messages tell.
+    profile: the profile of every such log; None where the file's messages show it.
     gate: what counts as flying in it; None where the profile's holds.
     airframe_name: name of the one airframe that writes such logs; None if it may be any.
     """

@@ -28,7 +28,7 @@ __all__ = ["KIND", "TlogContent", "decode_tlog", "read_tlog", "tlog_record"]
 
 STAMP_BYTES = 8
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
-DAMAGED_SHARE = 0.5  # of the bytes: beyond it there is no telling what was lost (our choice)
+DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset(IMU_MESSAGES).union(*(SampleDecoder(profile).wanted for profile in PROFILES.values()))
 
@@ -87,8 +87,8 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     """Read one vehicle's flight from a telemetry log.
 
     vehicle: its system id; None takes the only one that has an autopilot. profile: name of the link profile; None
-    tells it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no vehicle
-    or several, or does not tell its profile; UsageError for an unknown profile.
+    recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
+    vehicle or several, or does not show its profile; UsageError for an unknown profile.
     """
     data = read_bytes(path)
     content = decode_tlog(data)

@@ -1,1 +1,1 @@
-"""Numerics on uniform grids: alignment, Savitzky-Golay filters, spectra, percentiles. Knows no link and no log."""
+"""From streams to rows on a uniform grid: alignment, gate, rates, sliding windows. Knows no link and no log."""

@@ -2,8 +2,8 @@
 
 Windows over an array depend on their own rows alone, so a NaN spoils the windows that hold it and no other. Running
 means are folds in the order of the rows, so any chunking gives the same bits. Nothing pads: what a running window has
-not seen yet counts as zero, and the caller is told which windows are full. numpy only: importing scipy.signal takes
-0.8 s.
+not seen yet counts as zero, and a flag for each window says whether it is full. numpy only: importing scipy.signal
+takes 0.8 s.
 """
 
 import math

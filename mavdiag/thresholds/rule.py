@@ -14,7 +14,7 @@ The floor on beta is for few blocks: a handful of like maxima does not prove a t
 share 0.1, the 20 blocks and the other small-sample allowances are our choices, made on recorded healthy flights).
 Moments are used and not L-moments (Hosking, J. R. Stat. Soc. B 52 (1990)): for the Gumbel law with tens of blocks both
 scatter alike, and the floor rules anyway. A third parameter (GEV, or a generalised Pareto tail above a level) is not
-offered: tens of blocks cannot tell its shape.
+offered: tens of blocks do not show its shape.
 
 **Its price.** A budget of 0.05 alarms an hour from a minute of flight is an extrapolation by ten beta, not evidence.
 What the flights themselves show is `demonstrated_per_hour`: T hours without an alarm exclude, at 95 %, only rates above

@@ -206,7 +206,7 @@ def _by_level(
 
 
 def _natural(level: str) -> tuple[float, str]:
-    """Numbers by size, then words."""
+    """Numbers by size, then texts."""
     try:
         return float(level), ""
     except ValueError:

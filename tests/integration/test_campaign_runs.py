@@ -58,7 +58,9 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
     _, results = finished
     (learnt,) = results.learnt
     assert learnt.error == ""
-    assert learnt.judged_s == pytest.approx(2 * (12.0 - 1.1), abs=0.1)  # start-up and windows are not judged
+    assert learnt.judged_s == pytest.approx(
+        2 * (12.0 - 5.1), abs=0.1
+    )  # five seconds after take-off and windows are not judged
     by_cause = {flight.cause: flight for flight in results.flights}
     assert by_cause["healthy"].onset_s is None
     assert by_cause["healthy"].flown_s == 12.0

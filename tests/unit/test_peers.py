@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from mavdiag.airframe.layout import layout_named
-from mavdiag.learning import Flight
-from mavdiag.telemetry import Telemetry
+from mavdiag.telemetry import Log, Telemetry
 from mavdiag.thresholds.rule import ThresholdRule
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from peers.contender import Alarm, Contender, Learner, Scored, Scorer, alarms, block_maxima, calibrated, caught
+from peers.contender import Alarm, Contender, Learner, Scored, Scorer, alarms, block_scores, calibrated, caught
 from peers.flights import Flown, Truth, airframe, faulty, mixed, other_airframe
 from peers.learned import neural_network
 from peers.model_based import bank_of_models, fixed_threshold, kalman, sliding_mode
@@ -46,7 +45,7 @@ def made(seed: int, *, seconds: float = 12.0, loss: float = 0.0, rotor: int = 1,
     line = after * shake * np.sin(2.0 * math.pi * 167.0 * t_s)[:, None]
     slow = np.cumsum(rng.standard_normal((len(t_s), 3)), axis=0) * 0.003
     return Flown(
-        flight=Flight(f"made {seed}", "0" * 64, "qdrone2", Telemetry()),
+        flight=Log(f"made {seed}", "0" * 64, "qdrone2", Telemetry()),
         airframe="made",
         t_s=t_s,
         dt_s=DT_S,
@@ -84,10 +83,12 @@ def test_an_alarm_that_stands_at_the_onset_is_no_detection() -> None:
     assert caught([standing, later], truth) == later
 
 
-def test_block_maxima_take_ten_seconds_and_a_rest_of_five() -> None:
+def test_blocks_take_ten_seconds_and_a_shorter_rest_joins_the_last() -> None:
     t_s = np.arange(0.0, 26.0, 0.5)
-    assert block_maxima(Scored.anonymous(t_s, t_s)).tolist() == [9.5, 19.5, 25.5]
-    assert block_maxima(Scored.anonymous(t_s[:48], t_s[:48])).tolist() == [9.5, 19.5]
+    assert block_scores(Scored.anonymous(t_s, t_s)).maxima.tolist() == [9.5, 19.5, 25.5]
+    joined = block_scores(Scored.anonymous(t_s[:48], t_s[:48]))
+    assert joined.maxima.tolist() == [9.5, 23.5]
+    assert joined.spans_s.tolist() == [10.0, 14.0]
 
 
 @pytest.mark.parametrize("rule", list(ThresholdRule))

@@ -153,7 +153,7 @@ def _loop_values(model: ArxModel) -> FloatArray:
     size = model.lag + 1
     B, A = np.pad(model.b, (0, size - len(model.b))), np.pad(model.a, (0, size - len(model.a)))
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it tells which of its two ways it takes
+        warnings.simplefilter("ignore")  # it says which of its two ways it takes
         loop = control.TransferFunction(B, A - B, model.dt)
         gain, phase, modulus = control.stability_margins(loop)[:3]
         at_nyquist = float(np.real(loop(-1.0)))

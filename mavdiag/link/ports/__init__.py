@@ -7,7 +7,7 @@
     /dev/ttyUSB0,921600     a serial device and its baud
 
 HOST is always written: 127.0.0.1 is this machine only, 0.0.0.0 every network it is on. An IPv6 host stands in brackets.
-Port 0 asks for a free port; `Endpoint.address` tells which. A host name is looked up once, when the endpoint is opened.
+Port 0 asks for a free port; `Endpoint.address` has it. A host name is looked up once, when the endpoint is opened.
 """
 
 import re

@@ -52,7 +52,7 @@ class _Stream:
                 return False
             self._tail = data[os.write(self.fileno, data) :]
             return True
-        except OSError:  # full, or ended: the next read tells which
+        except OSError:  # full, or ended: the next read shows which
             return False
 
     def close(self) -> None:

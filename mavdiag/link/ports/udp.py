@@ -14,7 +14,7 @@ _DATAGRAM_MAX = 65_535
 _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
 _BUFFER_BYTES = 8 << 20  # seconds of 2000 datagrams/s; Linux accounts for several hundred bytes each
 _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for the privileged
-_SO_RXQ_OVFL = 40  # <asm-generic/socket.h>: datagrams dropped so far, told with the next one that is read
+_SO_RXQ_OVFL = 40  # <asm-generic/socket.h>: datagrams dropped so far, given with the next one that is read
 _OVFL_SPACE = socket.CMSG_SPACE(4)
 
 

@@ -1,0 +1,167 @@
+"""ArduCopter on a live link: a nose that turns, weak motors one after the other, and live against a scan.
+
+    python benchmarks/arducopter_live.py FOLDER      (the folder arducopter_live of the recordings)
+
+Weak motors: one rotor at 0.95, 0.90 or 0.80 for 45 s, with 20 s of healthy flight after each. A fault clears when all
+monitors have been calm for 2 s, and the longest window of a monitor is 5 s, so what changes in the first 7 s after the
+motor is whole again still belongs to the fault.
+"""
+
+import argparse
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from chain_speed import blocks
+from recorded_flights import STAMP, layout_of, part, taught
+
+from mavdiag.baseline import Baseline
+from mavdiag.chain import chain_of
+from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.errors import MavdiagError
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.logs import Log, read_log
+from mavdiag.telemetry import Telemetry
+from mavdiag.units import NS_PER_S
+
+CLEARING_S = 7.0  # window of 5 s, and 2 s until a fault is cleared
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a flight between two times of the vehicle's clock [s]. motor: the weak one, 0 if all are whole."""
+
+    name: str
+    start_s: float
+    end_s: float
+    motor: int
+
+    def of(self, changes: Sequence[Change], skip_s: float = 0.0) -> list[Change]:
+        """The changes in it, without its first `skip_s`."""
+        return [one for one in changes if self.start_s + skip_s <= one.t_ns / NS_PER_S < self.end_s]
+
+
+def stretches(path: Path) -> list[Stretch]:
+    """The flown stretches of a flight, from its .csv; weakness begins with the change of its parameter."""
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = [one for one in csv.DictReader(file) if one["boot_ms"]]
+    starts = [(float(one["boot_ms"]) / 1000, one["name"]) for one in lines if one["kind"] == "segment"]
+    weakened = [float(one["boot_ms"]) / 1000 for one in lines if one["name"] == "SIM_ENGINE_MUL"]
+    found = []
+    for (start_s, name), (end_s, _) in pairwise(starts):
+        motor = int(name[1]) if name.startswith("m") else 0
+        since_s = next((t_s for t_s in weakened if t_s >= start_s), start_s) if motor else start_s
+        found.append(Stretch(name, since_s, end_s, motor))
+    return found
+
+
+def run(baseline: Baseline, pieces: Sequence[Telemetry]) -> tuple[tuple[Event, ...], tuple[Change, ...]]:
+    """Events and changes of a flight that comes in pieces."""
+    chain = chain_of(baseline)
+    state, outputs = chain.start(), []
+    for piece in pieces:
+        state, output = chain.step(state, piece)
+        outputs.append(output)
+    outputs.append(chain.finish(state)[1])
+    return tuple(e for one in outputs for e in one.events), tuple(c for one in outputs for c in one.changes)
+
+
+def entered(changes: Sequence[Change]) -> list[Change]:
+    """The changes with which a stage began."""
+    return [one for i, one in enumerate(changes) if i == 0 or one.stage is not changes[i - 1].stage]
+
+
+def since(change: Change, stretch: Stretch) -> float:
+    """How long into the stretch it came [s]."""
+    return change.t_ns / NS_PER_S - stretch.start_s
+
+
+def counted(changes: Sequence[Change]) -> str:
+    """Faults and suspicions that began."""
+    faults, suspicions = (sum(one.stage is stage for one in changes) for stage in (Stage.FAULT, Stage.SUSPECTED))
+    return f"{faults} faults, {suspicions} suspicions"
+
+
+def turning_nose(turning: Log, healthy: Log, weak: Log, plan: Sequence[Stretch]) -> None:
+    """A link with set-point and gyro only, on a vehicle whose nose follows its path."""
+    whole = learn([turning], LearnOptions(), created=STAMP)
+    fits = ", ".join(f"{spec.axis} {spec.model.r2t:.4f}" for spec, _ in whole.fsd)
+    print(f"turning nose, learnt whole: R_T^2 {fits or 'no model'}; layout {layout_of(whole)}")
+    for one in whole.not_judgeable:
+        print(f"  {one.monitor}: {one.reason}")
+    times = turning.telemetry.series[0].t_s
+    middle_s = float(times.min() + times.max()) / 2
+    half = taught([part(turning, None, middle_s)])
+    print(f"  judged by its first half ({', '.join(dict.fromkeys(one.spec.kind for one in half.monitors))})")
+    for name, log in (("second half", part(turning, middle_s, None)), ("locked yaw, healthy", healthy)):
+        print(f"  {name}: {counted(entered(run(half, [log.telemetry])[1]))}")
+    changes = entered(run(half, [weak.telemetry])[1])
+    own = [change for stretch in plan if not stretch.motor for change in stretch.of(changes, CLEARING_S)]
+    found = sum(any(one.stage is Stage.FAULT for one in stretch.of(changes)) for stretch in plan if stretch.motor)
+    print(f"  weak motors' flight, healthy stretches: {counted(own)}; {found} of its 12 weak motors found")
+
+
+def weak_motors(base: Baseline, weak: Log, plan: Sequence[Stretch]) -> None:
+    """Latency and rotor of every weakness, and what changes in the healthy stretches between them."""
+    print("weak motors, judged by the whole locked-yaw flight")
+    _, changes = run(base, [weak.telemetry])
+    starts = entered(changes)
+    for stretch in plan:
+        inside = stretch.of(changes)
+        if not stretch.motor:
+            late = ", ".join(str(one) for one in stretch.of(starts, CLEARING_S))
+            clearing = [one for one in stretch.of(starts) if one.t_ns / NS_PER_S < stretch.start_s + CLEARING_S]
+            ended = "".join(f"; {one.stage} after {since(one, stretch):.1f} s" for one in clearing)
+            print(f"  {stretch.name:14} healthy: {late or 'nothing'}{ended}")
+            continue
+        fault = next((one for one in stretch.of(starts) if one.stage is Stage.FAULT), None)
+        names = [one for i, one in enumerate(inside) if one.rotor and (i == 0 or one.rotor != inside[i - 1].rotor)]
+        told = "not named"
+        if names:
+            told = f"{names[0].rotor} after {since(names[0], stretch):.1f} s, at last {names[-1].rotor}"
+            told += f" (changed {len(names) - 1} times)" if len(names) > 1 else ""
+        latency = "not found" if fault is None else f"fault after {since(fault, stretch):.1f} s by {fault.monitor}"
+        print(f"  {stretch.name:14} {latency}; rotor {told}; {counted(stretch.of(starts))}")
+
+
+def same_live(name: str, base: Baseline, log: Log, seed: int) -> None:
+    """The same flight cut at random, as a live link brings it."""
+    rng = np.random.default_rng(seed)
+    since = min(int(one.host_ns[0]) for one in log.telemetry)
+    until = max(int(one.host_ns[-1]) for one in log.telemetry)
+    spans_s = np.exp(rng.uniform(np.log(0.04), np.log(10.0), 4 * (until - since) // NS_PER_S))
+    edges = since + np.round(np.cumsum(spans_s) * NS_PER_S).astype(np.int64)
+    pieces = blocks(log.telemetry, np.concatenate([[since], edges[edges < until]]))
+    whole, live = run(base, [log.telemetry]), run(base, pieces)
+    same = [list(map(repr, a)) == list(map(repr, b)) for a, b in zip(whole, live, strict=True)]  # nan equals nan
+    print(
+        f"  {name}, {len(pieces)} pieces, seed {seed}: {len(whole[0])} events {'equal' if same[0] else 'DIFFERENT'}, "
+        f"{len(whole[1])} changes {'equal' if same[1] else 'DIFFERENT'}"
+    )
+
+
+def main() -> None:
+    """Print all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    folder: Path = parser.parse_args().folder
+    names = ("turning_nose_healthy", "locked_yaw_healthy", "locked_yaw_weak_motors")
+    turning, healthy, weak = (read_log(folder / f"{name}.tlog") for name in names)
+    plan = stretches(folder / f"{names[2]}.csv")
+    try:
+        turning_nose(turning, healthy, weak, plan)
+    except MavdiagError as error:
+        print(f"turning nose: {error}")
+    base = taught([healthy])
+    weak_motors(base, weak, plan)
+    print("scan = live, cut into 0.04 to 10 s")
+    for seed in (1, 2, 3):
+        same_live(names[2], base, weak, seed)
+    same_live(names[0], base, turning, 4)
+
+
+if __name__ == "__main__":
+    main()
