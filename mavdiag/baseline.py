@@ -30,7 +30,7 @@ from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
-from mavdiag.thresholds.rule import Threshold
+from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = [
     "RATE_TOLERANCE",
@@ -211,7 +211,19 @@ class Baseline(_Part):
             lines.append(f"{'':<15} {entry.threshold.statement()}")
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
-        return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}"])
+        return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()])
+
+    def _advice(self) -> list[str]:
+        """How much more would be needed for what is promised to be shown."""
+        limits = [entry.threshold for entry in self.monitors]
+        lines = []
+        missing = flights_for_guarantee() - len(self.provenance.logs)
+        if missing > 0 and any(one.rule is ThresholdRule.MAXIMUM for one in limits):
+            lines.append(f"A 95/95 guarantee by the longest healthy run needs {missing} more flights.")
+        more = max((more_flights(one) for one in limits if one.rule is ThresholdRule.GUMBEL), default=0)
+        if more:
+            lines.append(f"To show the budget instead of extrapolating to it takes {more} more such flights.")
+        return lines
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(entry.spec.kind for entry in self.monitors))
@@ -233,7 +245,7 @@ def parse(text: str) -> Baseline:
     try:
         raw = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise BaselineError(f"the text is no JSON ({error}); {REMEDY}") from error
+        raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
     found = raw.get("schema") if isinstance(raw, dict) else None
     if found == "mavdiag.baseline/1":
         raise BaselineError(f"schema: {found!r} is the old one; bring it up with `mavdiag baseline upgrade`")

@@ -17,7 +17,7 @@ from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
-from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, flights_for_guarantee, more_flights
+from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
 
 __all__ = ["identify", "make_baseline"]
 
@@ -75,7 +75,7 @@ def identify(
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
     else:
-        typer.echo("\n".join((str(baseline), *_advice(baseline), f"written to {output}")))
+        typer.echo(f"{baseline}\nwritten to {output}")
 
 
 def make_baseline(
@@ -90,16 +90,3 @@ def make_baseline(
     flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
     with working(f"learning from {len(flights)} flights ..."):
         return learn(flights, options, created=now())
-
-
-def _advice(baseline: Baseline) -> list[str]:
-    """How much more would be needed for what is promised to be shown."""
-    shown = [entry.threshold for entry in baseline.monitors]
-    lines = []
-    missing = flights_for_guarantee() - len(baseline.provenance.logs)
-    if missing > 0 and any(one.rule is ThresholdRule.MAXIMUM for one in shown):
-        lines.append(f"A 95/95 guarantee by the longest healthy run needs {missing} more flights.")
-    budgeted = [more_flights(one, one.budget_per_hour) for one in shown if one.rule is ThresholdRule.GUMBEL]
-    if any(budgeted):
-        lines.append(f"To show the budget instead of extrapolating to it takes {max(budgeted)} more such flights.")
-    return lines

@@ -29,7 +29,7 @@ class Diagnosis:
     """
 
     stage: Stage = Stage.NOT_JUDGED
-    reason: str = "nothing seen yet"
+    reason: str = "nothing judged yet"
     since_ns: int = 0
     monitor: str | None = None
     axis: Axis | None = None

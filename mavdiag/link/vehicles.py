@@ -3,8 +3,8 @@
 A vehicle enters with a heartbeat of its autopilot (component 1), once its frames show its profile. Ground stations,
 cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now` in, values out.
 
-Made-up senders cost a bounded amount: there are 255 system ids, and of each one that has not entered the last 512
-frames are kept (in all under 40 MB).
+Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
+all together.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,7 +22,9 @@ from mavdiag.units import NS_PER_S
 __all__ = ["WATCH_S", "Ack", "Command", "LinkDecoder", "Received", "VehicleStream"]
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
-WAITING_FRAMES = 512  # of a vehicle whose profile is not clear that are kept (our choice)
+CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
+WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
+WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -124,7 +126,7 @@ class VehicleStream:
         return telemetry
 
     def _choose_imu(self, frames: Sequence[Frame]) -> None:
-        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-WAITING_FRAMES:]
+        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
         chosen = with_imu(self.profile, self._imu, USEFUL_FRAMES)
         if chosen is not self.profile:
             self._decoder = SampleDecoder(chosen, self._signals)
@@ -214,9 +216,10 @@ class LinkDecoder:
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
         pending = self._pending.setdefault(sysid, _Pending(now_ns))
-        pending.frames = [*pending.frames, *frames][-WAITING_FRAMES:]
+        kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
+        pending.frames = [*pending.frames, *frames][-kept:]
         pending.beat = next(filter(is_autopilot_heartbeat, reversed(frames)), pending.beat)
-        watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) == WAITING_FRAMES
+        watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) >= min(kept, CLEAR_FRAMES)
         if pending.beat is None or (self._profile is None and not watched):
             return []
         profile = self._profile

@@ -174,9 +174,12 @@ def poisson_upper(events: int, confidence: float = 0.95) -> float:
     return float(gammaincinv(events + 1, confidence))
 
 
-def more_flights(threshold: Threshold, budget_per_hour: float) -> int:
-    """How many more healthy flights of the same mean length, all without an alarm, would demonstrate a budget."""
-    needed_hours = poisson_upper(threshold.exceeding) / budget_per_hour
+def more_flights(threshold: Threshold, budget_per_hour: float | None = None) -> int:
+    """How many more healthy flights of the same mean length, all without an alarm, would demonstrate a budget.
+
+    budget_per_hour: None for the threshold's own.
+    """
+    needed_hours = poisson_upper(threshold.exceeding) / (budget_per_hour or threshold.budget_per_hour)
     missing = (needed_hours - threshold.hours) / (threshold.hours / threshold.flights)
     return max(0, math.ceil(missing - 1e-9))
 
