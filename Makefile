@@ -40,7 +40,7 @@ examples: $(STAMP)  ## run the examples as they stand
 	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
 
 bench: $(STAMP)  ## the short benchmarks: ratios against a peer in the same run
-	set -e; for script in decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done
+	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done
 
 check: lint types layers doctest test examples  ## everything that CI runs
 
