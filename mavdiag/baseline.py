@@ -284,8 +284,9 @@ def _place(raw: dict[str, Any]) -> str:
 def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
     """Refuse a link that the baseline was not made for. Raises BaselineError with the differing field."""
     link = baseline.link
-    if profile != link.profile:
-        raise BaselineError(f"link.profile: the baseline is for {link.profile!r}, the data are {profile!r}")
+    if profile != link.profile:  # a log and a live link of one vehicle differ too: in filters, rates and stamps
+        differ = f"the baseline is for {link.profile!r}, the data are {profile!r}"
+        raise BaselineError(f"link.profile: {differ}; learn one from healthy flights of this kind")
     if abs(dt_s / link.dt_s - 1.0) > RATE_TOLERANCE:
         raise BaselineError(f"link.dt_s: the baseline is for {1 / link.dt_s:.1f} Hz, the data have {1 / dt_s:.1f} Hz")
 

@@ -163,3 +163,9 @@ def test_it_says_what_it_is_in_a_notebook(baseline: Baseline) -> None:
     text = str(baseline)
     for word in ("made (airframe), rotor layout x", "unbalance       not judgeable: ", "support    3 flights"):
         assert word in text
+
+
+def test_l12_a_log_and_a_live_link_are_two_links_and_the_refusal_says_what_to_do() -> None:
+    made = thesis()
+    with pytest.raises(BaselineError, match="are 'ardupilot-log'; learn one from healthy flights of this kind"):
+        check_link(made, profile="ardupilot-log", dt_s=made.link.dt_s)
