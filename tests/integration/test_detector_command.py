@@ -68,10 +68,10 @@ def ended(child: subprocess.Popen[str], number: int) -> tuple[int, str]:
     return child.returncode, rest
 
 
-def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str) -> list[str]:
-    """Fly in real time until a text with these words comes back."""
+def until(endpoint: Endpoint, vehicle: MadeVehicle, words: str, patience_s: float = PATIENCE_S) -> list[str]:
+    """Fly in real time until a text with these words comes back, or for that long; all texts that came."""
     decoder, texts = Decoder({MessageId.STATUSTEXT}), list[str]()
-    give_up = time.monotonic() + PATIENCE_S
+    give_up = time.monotonic() + patience_s
     while time.monotonic() < give_up and not any(words in text for text in texts):
         for frame in vehicle.samples(2):
             endpoint.send(frame)
@@ -246,12 +246,14 @@ def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> No
         with open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:
             vehicle = MadeVehicle(1)
             until(far, vehicle, "monitoring")
+            healthy = until(far, vehicle, "FAULT", 4.0)  # an alert waits for three seconds of flight
             vehicle.turning = 0.5
             texts = until(far, vehicle, "FAULT")
             with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5.0) as page:
                 figures = page.read().decode()
         code, rest = ended(child, signal.SIGINT)
-    assert texts[-1].startswith("PROP FAULT roll FSD ")
+    assert not any("FAULT" in text for text in healthy)
+    assert texts[-1].startswith("PROP FAULT roll FSD 0.")
     assert 'mavdiag_events_total{monitor="fsd",vehicle="1"} 1.0' in figures
     assert 'mavdiag_state{state="monitoring",vehicle="1"}' in figures
     assert code == 0
