@@ -30,6 +30,7 @@ from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
+from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
 
 __all__ = [
@@ -154,6 +155,7 @@ class Baseline(_Part):
     link, window: how rows are made.
     monitors: what judges by it.
     not_judgeable: monitors that cannot work on such flights, and why.
+    envelope: the conditions that the healthy flights covered.
     healthy_hours: flight that it was learnt from.
     provenance: where it came from.
     digest: over all the rest.
@@ -167,6 +169,7 @@ class Baseline(_Part):
     window: Window
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
+    envelope: tuple[Covered, ...] = ()
     healthy_hours: NotNegative
     provenance: Provenance
     digest: str = ""

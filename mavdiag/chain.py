@@ -1,6 +1,6 @@
 """The chain put together: telemetry in, alarms and the decision out; the same for a log and for a live link.
 
-    telemetry ─ front ─▶ rows ─ monitors ─▶ statistics ─ decision ─▶ events, changes
+    telemetry ─ front ─▶ rows ─ monitors ─▶ statistics ─ envelope ─▶ statistics ─ decision ─▶ events, changes
 
 One pass: each step is entered once for a chunk. All memory is in the state.
 """
@@ -20,11 +20,13 @@ from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.rows.align import AlignSpec
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal, Telemetry
+from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
 
 __all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Slot", "chain_of", "front_of"]
 
@@ -56,31 +58,43 @@ class Account:
     judged_s: time that its valid values stand for.
     peak: highest valid statistic; None if there was none.
     missing: flight time with a valid gyro in which what it takes of a signal was unknown, by signal [s].
+    outside: time that it did not judge because a condition was outside of the envelope, and how far that was.
     """
 
     flight_s: float = 0.0
     judged_s: float = 0.0
     peak: float | None = None
     missing: Mapping[Signal, float] = field(default_factory=dict)
+    outside: Mapping[Condition, Outside] = field(default_factory=dict)
+
+    @property
+    def outside_s(self) -> float:
+        """Time outside of the envelope [s]."""
+        return sum(one.span_s for one in self.outside.values())
 
     @property
     def not_judged(self) -> Mapping[str, float]:
         """Reasons with their seconds: a signal that is unknown, or waiting for unbroken flight."""
         found: dict[str, float] = {}
-        idle_s = self.flight_s - self.judged_s
+        idle_s = max(0.0, self.flight_s - self.judged_s - self.outside_s)
         for signal, span_s in self.missing.items():
             found[f"no {signal.replace('_', ' ')}"] = min(span_s, max(0.0, idle_s))
             idle_s -= span_s
         return {**found, WAITING: idle_s} if idle_s > 0 else found
 
-    def add(self, found: Statistic, flight_s: float, missing: Mapping[Signal, float]) -> "Account":
+    def add(
+        self, found: Statistic, flight_s: float, missing: Mapping[Signal, float], outside: Mapping[Condition, Outside]
+    ) -> "Account":
         """The account after the next rows."""
+        beside = dict(self.outside)
+        for condition, one in outside.items():
+            beside[condition] = beside[condition].plus(one) if condition in beside else one
         lacking = dict(self.missing)
         for signal, span_s in missing.items():
             lacking[signal] = lacking.get(signal, 0.0) + span_s
         highest = float(found.value[found.valid].max()) if found.valid.any() else None
         peak = highest if self.peak is None else self.peak if highest is None else max(self.peak, highest)
-        return Account(self.flight_s + flight_s, self.judged_s + found.judged_s, peak, lacking)
+        return Account(self.flight_s + flight_s, self.judged_s + found.judged_s, peak, lacking, beside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +133,7 @@ class ChainOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainState:
-    """Memory of the front, the monitors and the decision.
+    """Memory of the front, the envelope, the monitors and the decision.
 
     accounts: of each slot, since the start.
     judged_s: judged time of the deciding slot that judged for longest, since the start.
@@ -127,6 +141,7 @@ class ChainState:
     """
 
     front: FrontState
+    envelope: EnvelopeState
     monitors: tuple[Any, ...]
     decision: DecisionState
     accounts: tuple[Account, ...]
@@ -141,16 +156,19 @@ class ChainState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Front, slots and decision: the whole way from telemetry to alarms."""
+    """Front, slots, envelope and decision: the whole way from telemetry to alarms."""
 
     front: Front
     slots: tuple[Slot, ...]
     decision: DecisionSpec
+    envelope: Envelope = Envelope()
 
     def start(self) -> ChainState:
         """Nothing seen yet."""
         accounts = (Account(),) * len(self.slots)
-        return ChainState(self.front.start(), self._fresh(), self.decision.start(), accounts)
+        return ChainState(
+            self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts
+        )
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
@@ -180,7 +198,7 @@ class Chain:
         for part in parts:
             if isinstance(part, Border):
                 decision, events, changes = self.decision.end_flight(state.decision, part.t_ns)
-                state = replace(state, monitors=self._fresh(), decision=decision)
+                state = replace(state, envelope=self.envelope.start(), monitors=self._fresh(), decision=decision)
             elif len(part.block) == 0:
                 continue
             else:
@@ -191,15 +209,18 @@ class Chain:
     def _rows(
         self, state: ChainState, rows: Rows, output: ChainOutput
     ) -> tuple[ChainState, tuple[Event, ...], tuple[Change, ...], ChainOutput]:
-        monitors, found = [], []
-        for slot, memory in zip(self.slots, state.monitors, strict=True):
+        monitors, found, outside = [], [], []
+        envelope = self.envelope.step(state.envelope, rows)
+        for number, (slot, memory) in enumerate(zip(self.slots, state.monitors, strict=True)):
             after, statistic = slot.monitor.step(memory, rows)
+            statistic, denied = self.envelope.apply(number, statistic, envelope)
             monitors.append(after)
             found.append(statistic)
+            outside.append(denied)
         now_ns = int(rows.block.t_ns[-1])
         decision, events, changes = self.decision.step(state.decision, found, now_ns)
         flight_s = len(rows.block) * rows.block.dt_s
-        accounts = self._accounts(state.accounts, found, rows.block, flight_s)
+        accounts = self._accounts(state.accounts, found, outside, rows.block, flight_s)
         judged_s = max((a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.decides), default=0.0)
         output = replace(
             output,
@@ -208,17 +229,23 @@ class Chain:
             judged_s=output.judged_s + judged_s - state.judged_s,
             now_ns=now_ns,
         )
-        state = ChainState(state.front, tuple(monitors), decision, accounts, judged_s, now_ns)
+        state = ChainState(state.front, envelope, tuple(monitors), decision, accounts, judged_s, now_ns)
         return state, events, changes, output
 
     def _accounts(
-        self, accounts: Sequence[Account], found: Sequence[Statistic], block: Block, flight_s: float
+        self,
+        accounts: Sequence[Account],
+        found: Sequence[Statistic],
+        outside: Sequence[Mapping[Condition, Outside]],
+        block: Block,
+        flight_s: float,
     ) -> tuple[Account, ...]:
         out = []
-        for slot, account, one in zip(self.slots, accounts, found, strict=True):
+        for slot, account, one, denied in zip(self.slots, accounts, found, outside, strict=True):
             known = {signal: slot.monitor.known(block, signal) for signal in sorted(slot.monitor.signals)}
             rows = {signal: int(np.count_nonzero(block.valid & ~there)) for signal, there in known.items()}
-            out.append(account.add(one, flight_s, {s: count * block.dt_s for s, count in rows.items() if count}))
+            missing = {s: count * block.dt_s for s, count in rows.items() if count}
+            out.append(account.add(one, flight_s, missing, denied))
         return tuple(out)
 
 
@@ -270,4 +297,6 @@ def chain_of(baseline: Baseline) -> Chain:
     )
     features = {spec.feature for spec in specs}
     known = known_fault_types(baseline.airframe.classifier) if "motion" in features else ()
-    return Chain(front_of(baseline), slots, DecisionSpec(specs, known))
+    depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
+    envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
+    return Chain(front_of(baseline), slots, DecisionSpec(specs, known), envelope)

@@ -46,6 +46,7 @@ def example_rows(
         rate_setpoint=absent,
         thrust=absent[:, 0] if thrust is None else thrust,
         height=absent[:, 0],
+        voltage=absent[:, 0],
         armed=np.ones(n),
         vibration=absent if vibration is None else vibration,
         actuator=np.empty((n, 0)) if actuator is None else actuator,

@@ -20,6 +20,7 @@ from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Front
 from mavdiag.telemetry import Axis, Log
+from mavdiag.thresholds.envelope import covered_by
 from mavdiag.thresholds.heldout import Scores, held_out_scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
@@ -109,6 +110,7 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
             window=Window(samples=front.rates.window, order=2),
             monitors=tuple(_entries(fitted, options, len(flights))),
             not_judgeable=tuple(refusals),
+            envelope=covered_by(rows),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
             provenance=_provenance(learnt, created),
         )

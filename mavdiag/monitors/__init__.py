@@ -10,6 +10,7 @@ from mavdiag.monitors.innovation import Innovation
 from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import RunLength
+from mavdiag.monitors.trim_step import TrimStep
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.monitors.vibration_level import VibrationLevel
 
@@ -22,6 +23,7 @@ MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
     Unbalance,
     VibrationLevel,
     RotorTrim,
+    TrimStep,
 )
 
 BY_NAME: Mapping[str, type[Monitor[Any, Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})

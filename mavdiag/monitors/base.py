@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.identify import Method, Order
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, Signal
@@ -89,6 +90,8 @@ class Monitor(ABC, Generic[Spec, State]):
     label: how a text for a pilot calls it, at most 10 characters.
     statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
     needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
+    depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
+        them it does not judge (`thresholds.envelope`).
     decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
     clear_s: how long its statistic must have been back before its event closes.
     guard: what its few healthy flights cannot show.
@@ -102,6 +105,7 @@ class Monitor(ABC, Generic[Spec, State]):
     statistic_label: ClassVar[str] = ""
     threshold_label: ClassVar[str] = ""
     needs: ClassVar[frozenset[Signal]]
+    depends: ClassVar[frozenset[Condition]] = frozenset()
     decides: ClassVar[bool] = True
     clear_s: ClassVar[float] = 2.0  # our choice
     guard: ClassVar[Guard] = Guard()
@@ -148,6 +152,11 @@ class Monitor(ABC, Generic[Spec, State]):
     def delay_s(self) -> float:
         """How much later than its time stamp a value is known [s]."""
         return 0.0
+
+    @property
+    def memory_s(self) -> float:
+        """How long what was flown stays in the statistic [s]."""
+        return 1.0
 
     @property
     def feature(self) -> str | None:

@@ -16,6 +16,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
 from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
@@ -125,6 +126,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     name = "innovation"
     label = "innovation"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
+    depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
     spec_type = InnovationSpec
     unit = "x healthy rms"
 
@@ -160,6 +162,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     def delay_s(self) -> float:
         """Half the window of the rate filters [s]."""
         return self.spec.delay_s
+
+    @property
+    def memory_s(self) -> float:
+        """Its window, and the memory of the command [s]."""
+        return self.spec.window_s + self.spec.memory_s
 
     def start(self) -> InnovationState:
         """No row yet."""

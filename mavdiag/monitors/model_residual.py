@@ -3,7 +3,12 @@
     r_roll, r_pitch = y - y_sim                  free run of a closed-loop ARX model on the commanded rate (T 5.5)
     r_heave         = a_z - a_sim                the same on the commanded thrust
     r  <- r - EMA_1s(r)                          slow wind and trim are no fault
+    r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
+
+g is an error of the loop's gain and h one of its speed: a battery that empties, a payload and new propellers change
+them by some percent, slowly and for every manoeuvre alike. They are the least-squares fit to the last 10 s, drawn to
+zero where little was commanded; an unsteady rotor has no part in them, since what it does does not follow f.
 
 The filtered rates hold nothing above some 8 Hz, so all of this runs on every tenth row at 1 kHz. A step of commanded
 motion that began before the first row cannot be simulated: the first 1.5 s of a segment are left out.
@@ -38,6 +43,10 @@ __all__ = [
 
 PERIOD_S = 0.01  # our choice: ten times what the 0.1 s window passes
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
+FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
+GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
+SPEED_S = 0.05  # time that h is in units of (our choice)
+CORRELATION_S = 0.1  # residuals this far apart are independent (METHOD section 4: 8 Hz pass)
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 
 
@@ -191,6 +200,7 @@ class ResidualState:
     drift: (3,) running mean of the residuals.
     busy: (3,) running mean square of what was commanded.
     thrust: the last one.
+    errors: what the correction of gain and speed needs.
     """
 
     waiting: DecimatorState
@@ -200,22 +210,38 @@ class ResidualState:
     drift: FloatArray
     busy: FloatArray
     thrust: float
+    errors: "_Errors"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Errors:
+    """Memory of the gain and speed errors.
+
+    simulated: (3,) the last simulated values. slow: (6,) running means of f and df/dt. sums: (15,) running means of
+    f f, f df, df df, f r and df r, each of roll, pitch and heave.
+    """
+
+    simulated: FloatArray
+    slow: FloatArray
+    sums: FloatArray
 
 
 class ModelResidual:
-    """The healthy models at work: rows in, residuals out."""
+    """The healthy models at work: rows in, residuals out. follows: the errors of gain and speed are taken out."""
 
-    def __init__(self, motion: HealthyMotion) -> None:
-        self.motion = motion
+    def __init__(self, motion: HealthyMotion, follows: bool = True) -> None:
+        self.motion, self._follows = motion, follows
         self._decimator = Decimator(motion.stride, motion.window)
         self._models = tuple(record.model() for record in (motion.roll, motion.pitch, motion.heave))
         self._k0, self._k1 = np.array(motion.k0), np.array(motion.k1)
         self._drift = forgetting(DRIFT_S, motion.period_s)
         self._memory = forgetting(MEMORY_S, motion.period_s)
+        self._follow = forgetting(FOLLOW_S, motion.period_s)
+        self._prior = self._k0 * (CORRELATION_S / (FOLLOW_S * GAIN_RMS**2))
 
     def start(self) -> ResidualState:
         """Before the first row."""
-        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0)
+        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0, _no_errors())
 
     def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
         """The residuals that the next rows complete."""
@@ -229,14 +255,18 @@ class ModelResidual:
             state = self._begin(state, u, y, heave)
         level, mean = ema(state.level, heave, self._drift)
         slope = np.diff(heave[:, 1], prepend=state.thrust) / self.motion.period_s
-        runs, r = self._simulate(state, u, y, heave - mean)
+        runs, r, simulated = self._simulate(state, u, y, heave - mean)
         settled = state.seen + np.arange(k) >= SETTLE_S / self.motion.period_s
         r[~settled] = 0.0
         drift, slow = ema(state.drift, r, self._drift)
         r -= slow
+        errors = state.errors
+        if self._follows:
+            errors, explained = self._explained(errors, simulated, r)
+            r -= explained
         busy, trace = ema(state.busy, np.concatenate((u, slope[:, None]), axis=1) ** 2, self._memory)
         n = np.clip(r / np.sqrt(self._k0 + self._k1 * trace), -LIMIT, LIMIT)
-        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]))
+        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors)
         known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
         return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
 
@@ -251,15 +281,35 @@ class ModelResidual:
 
     def _simulate(
         self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
-    ) -> tuple[tuple[FreeRunState, ...], FloatArray]:
-        """Measured less simulated roll rate, pitch rate and a_z, (k, 3). lift: (k, 2) a_z and thrust."""
-        runs, r = [], np.empty((len(u), 3))
+    ) -> tuple[tuple[FreeRunState, ...], FloatArray, FloatArray]:
+        """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: (k, 2) a_z, thrust."""
+        runs, r, y_sim = [], np.empty((len(u), 3)), np.empty((len(u), 3))
         pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
         for i, (command, measured) in enumerate(pairs):
             run, simulated = freerun.step(self._models[i], state.runs[i], command)
             runs.append(run)
-            r[:, i] = measured - simulated
-        return tuple(runs), r
+            r[:, i], y_sim[:, i] = measured - simulated, simulated
+        return tuple(runs), r, y_sim
+
+    def _explained(self, errors: _Errors, simulated: FloatArray, r: FloatArray) -> tuple[_Errors, FloatArray]:
+        """What the errors of gain and speed, as known before each sample, explain of it: (k, 3)."""
+        df = np.diff(simulated, axis=0, prepend=errors.simulated[None]) * (SPEED_S / self.motion.period_s)
+        both = np.concatenate((simulated, df), axis=1)
+        slow, trace = ema(errors.slow, both, self._drift)
+        f, df = np.hsplit(both - trace, 2)
+        # [ mean f f + prior   mean f df          ] [ g ]   [ mean f r  ]
+        # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
+        products = np.concatenate((f * f, f * df, df * df, f * r, df * r), axis=1)
+        sums, means = ema(errors.sums, products, self._follow)
+        ff, fd, dd, fr, dr = np.hsplit(np.concatenate((errors.sums[None], means[:-1])), 5)
+        ff, dd = ff + self._prior, dd + self._prior
+        determinant = ff * dd - fd * fd
+        g, h = (dd * fr - fd * dr) / determinant, (ff * dr - fd * fr) / determinant
+        return _Errors(simulated[-1], slow, sums), g * f + h * df
+
+
+def _no_errors() -> _Errors:
+    return _Errors(np.zeros(3), np.zeros(6), np.zeros(15))
 
 
 def _finite(x: FloatArray) -> FloatArray:

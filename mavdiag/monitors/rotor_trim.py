@@ -8,7 +8,7 @@ the centre or a damaged blade all shift the trim.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -16,25 +16,18 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import Three, three
+from mavdiag.monitors.trim import SIGNALS, Source, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
-__all__ = ["RotorTrim", "RotorTrimSpec", "Source"]
+__all__ = ["RotorTrim", "RotorTrimSpec"]
 
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
-YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
-LEVEL_RATIO = 3.0  # least spread of roll and pitch over that of yaw; METHOD section 5 measured .07 to .012
-MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
-
-Source: TypeAlias = Literal["actuator", "torque"]
-_SIGNALS: dict[Source, frozenset[Signal]] = {
-    "actuator": frozenset({Signal.ACTUATOR}),
-    "torque": frozenset({Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,13 +58,13 @@ class RotorTrimSpec:
 class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
-        w_i = o_i/mean(o) - 1,    m = C w averaged over 5 s,    C = pinv(B), B the layout's signs
-        a_j = c_j' W (m - mu) / (c_j' W c_j),    W = diag(1/sd^2),    statistic = max_j a_j,    rotor = argmax_j a_j
+        m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
+        statistic = max_j a_j,    rotor = argmax_j a_j
 
-    o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j is the
-    least-squares rise of rotor j alone, c_j its column of C, mu and sd the healthy trim's. A payload, a weak battery
+    sd is the healthy trim's spread. A payload, a weak battery
     or a shifted centre of mass move roll and pitch, not yaw; W gives them at least three times yaw's spread, so the
-    evidence is mostly yaw, and roll and pitch settle which rotor it is. `level` is the same amplitude, which grades
+    evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the vehicle tilted tips the rotor
+    discs too: the spread of roll and pitch has 0.3 times the commanded tilt of the same 5 s added in squares. `level` is the same amplitude, which grades
     the damage; `signal` is the yaw trim's shift; `rotors` are the a_j.
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; two flights from two
@@ -93,6 +86,7 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     name = "rotor_trim"
     label = "rotor trim"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
+    depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
     # An estimate from subsets of the five healthy recorded flights of one airframe: few flights do not show how the
     # trim changes from session to session, 0.06 more with one flight, nothing more from five on. And a shift of less
     # than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD section 3).
@@ -113,20 +107,18 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         layout = context.airframe.layout
         if layout is None:
             raise InputError("the rotor layout is not known; name the airframe")
-        source = _source(flights, layout)
+        source = source_of(flights, layout)
         means = [found for found in (_windows(flight, layout, source) for flight in flights) if len(found)]
         if not means:
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
         mu = np.mean([found.mean(axis=0) for found in means], axis=0)
-        roll, pitch, yaw = np.sqrt(np.mean((np.concatenate(means) - mu) ** 2, axis=0)).tolist()
-        yaw = math.hypot(yaw, YAW_FLOOR)
-        spread = (max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw)
+        spread = spread_of(np.concatenate(means) - mu)
         return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread),)
 
     @property
     def signals(self) -> frozenset[Signal]:
         """The outputs, or torque and thrust."""
-        return _SIGNALS[self.spec.source]
+        return SIGNALS[self.spec.source]
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
@@ -135,35 +127,25 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
             return block.known(signal)
         return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
 
+    @property
+    def memory_s(self) -> float:
+        """Its window [s]."""
+        return self.spec.window_s
+
     def start(self) -> MeanState:
         """An empty mean."""
-        return start_mean(3)
+        return start_mean(5)
 
     def step(self, state: MeanState, rows: Rows) -> tuple[MeanState, Statistic]:
         """The best single-rotor rise at each of the next rows."""
         spec, block = self.spec, rows.block
-        trim, known = _trim(block, spec.layout, spec.source)
-        state, mean, full = sliding_mean(state, trim, known, window_rows(spec.window_s, block.dt_s))
-        shift = mean - np.array(spec.mean)
-        # (n, rotors) = (n, 3) (3,) @ (3, rotors) / (rotors,)
-        C, W = spec.layout.unmixing, np.array(spec.spread) ** -2
-        rotors = np.einsum("nk,kr->nr", shift * W, C) / np.einsum("k,kr,kr->r", W, C, C)
+        trim, known = trim_of(block, spec.layout, spec.source)
+        both = np.concatenate((trim, tilt_of(block)), axis=1)
+        state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
+        shift = mean[:, :3] - np.array(spec.mean)
+        rotors = rises(shift, mean[:, 3:], spec.layout, spec.spread)
         rise = rotors.max(axis=1)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
-
-
-def _source(flights: Flights, layout: RotorLayout) -> Source:
-    """The outputs where they are sent, for they are what the rotors really got.
-
-    Raises InputError if there is neither.
-    """
-    sources: tuple[Source, ...] = ("actuator", "torque")
-    for source in sources:
-        if any(_trim(rows.block, layout, source)[1].any() for flight in flights for rows in flight):
-            return source
-    raise InputError(
-        f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
-    )
 
 
 def _windows(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
@@ -172,25 +154,7 @@ def _windows(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> Flo
     for segment in segments(flight):
         state = start_mean(3)
         for block in (rows.block for rows in segment):
-            trim, known = _trim(block, layout, source)
+            trim, known = trim_of(block, layout, source)
             state, mean, full = sliding_mean(state, trim, known, window_rows(WINDOW_S, block.dt_s))
             found.append(mean[full])
     return np.concatenate(found)
-
-
-def _trim(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
-    if source == "actuator":
-        outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
-        if outputs.shape[1] < layout.rotors:
-            return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-        level = outputs.mean(axis=1)
-        known = block.valid & np.isfinite(outputs).all(axis=1) & (level > MIN_OUTPUT)
-        w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
-        return np.einsum("nr,kr->nk", w, layout.unmixing), known
-    if layout.torque_gain is None:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
-    known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known

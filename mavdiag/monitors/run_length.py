@@ -18,6 +18,7 @@ from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
 from mavdiag.monitors.healthy import cut_to_share
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.statistic import Statistic
@@ -146,6 +147,7 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     statistic_label = "FSD "
     threshold_label = "FML "
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
+    depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION})
     decides = False
     clear_s = 0.0
     spec_type = RunLengthSpec
@@ -182,6 +184,11 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     def delay_s(self) -> float:
         """Half the window of the rate filters [s]."""
         return self.spec.delay_s
+
+    @property
+    def memory_s(self) -> float:
+        """Until the model has answered to it [s]."""
+        return SETTLE_S
 
     def start(self) -> RunLengthState:
         """No row yet, and no run is open."""

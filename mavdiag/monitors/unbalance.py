@@ -15,6 +15,7 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import highpass, window_all, window_mean
@@ -164,6 +165,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     name = "unbalance"
     label = "unbalance"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
+    depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
 
@@ -214,6 +216,11 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         """Of the accelerometer its x and y."""
         force = np.isfinite(block.force[:, :2]).all(axis=1)
         return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+
+    @property
+    def memory_s(self) -> float:
+        """Its window and its filter [s]."""
+        return self.spec.window_s + 2 * FILTER_S
 
     def start(self) -> UnbalanceState:
         """No row yet."""

@@ -13,6 +13,7 @@ import numpy as np
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import Flights, LearnContext, Monitor
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
@@ -64,6 +65,7 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
     name = "vibration_level"
     label = "vibration"
     needs = frozenset({Signal.VIBRATION})
+    depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     # An estimate: a vehicle in a simulator or on a calm day hardly vibrates, so 0.5 m/s^2 more is asked for at least.
     guard = Guard(above_mean=0.5)
     spec_type = VibrationLevelSpec
@@ -80,6 +82,11 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
         if not sum(map(len, sizes)):
             raise InputError("the vehicle sends no VIBRATION message with acceleration per axis")
         return (VibrationLevelSpec(healthy=float(np.concatenate(sizes).mean())),)
+
+    @property
+    def memory_s(self) -> float:
+        """Its window [s]."""
+        return self.spec.window_s
 
     def start(self) -> MeanState:
         """An empty mean."""

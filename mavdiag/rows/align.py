@@ -39,11 +39,13 @@ PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (ou
 
 # Interpolated to the row where two samples this near surround it [s]; a slow command stream may have 4 Hz (our choice).
 LINEAR = {Signal.SPECIFIC_FORCE: 0.0, Signal.TORQUE_COMMAND: 0.25, Signal.RATE_SETPOINT: 0.25}  # or max_gap_s if longer
-# How long the last value holds [s]: ACTUATOR comes at 10-50 Hz, VIBRATION at 2-10 Hz (our choices). Logs write ARMED
+# How long the last value holds [s]: ACTUATOR comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our
+# choices). Logs write ARMED
 # only when it changes.
 HELD = {
     Signal.THRUST_SETPOINT: 1.0,
     Signal.HEIGHT: 2.0,
+    Signal.VOLTAGE: 10.0,
     Signal.ARMED: math.inf,
     Signal.VIBRATION: 2.0,
     Signal.ACTUATOR: 1.0,
@@ -246,7 +248,7 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
     setpoint, gap = _setpoint(spec, state, rows)
     setpoint_valid, setpoint_blank_ns = _usable(spec, rows, gap, state.setpoint_blank_ns)
     force, torque, rate_setpoint = (_linear(spec, state, signal, rows) for signal in LINEAR)
-    thrust, height, armed, vibration, actuator = (_held(state, signal, rows) for signal in HELD)
+    thrust, height, voltage, armed, vibration, actuator = (_held(state, signal, rows) for signal in HELD)
     block = Block(
         segment=state.segment,
         dt_s=spec.dt_s,
@@ -258,6 +260,7 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
         rate_setpoint=rate_setpoint,
         thrust=thrust[:, 0],
         height=height[:, 0],
+        voltage=voltage[:, 0],
         armed=armed[:, 0],
         vibration=vibration,
         actuator=actuator,

@@ -26,6 +26,7 @@ class Block:
     rate_setpoint: (n, 3) commanded body rates [rad/s].
     thrust: (n,) collective set-point, 0..1.
     height: (n,) above take-off [m].
+    voltage: (n,) of the battery [V].
     armed: (n,) 0 or 1.
     vibration: (n, 3) VIBRATION message [m/s^2].
     actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
@@ -43,6 +44,7 @@ class Block:
     rate_setpoint: FloatArray
     thrust: FloatArray
     height: FloatArray
+    voltage: FloatArray
     armed: FloatArray
     vibration: FloatArray
     actuator: FloatArray
@@ -86,6 +88,7 @@ _SIGNALS = {
     Signal.RATE_SETPOINT: "rate_setpoint",
     Signal.THRUST_SETPOINT: "thrust",
     Signal.HEIGHT: "height",
+    Signal.VOLTAGE: "voltage",
     Signal.ARMED: "armed",
     Signal.VIBRATION: "vibration",
     Signal.ACTUATOR: "actuator",

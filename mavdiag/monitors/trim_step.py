@@ -1,0 +1,208 @@
+"""The trim-step monitor: within a flight one rotor came to be commanded more than the minute before.
+
+A session's own offset (battery, propellers, payload) is in the trim from the first second, and a battery that empties
+moves it slowly. A blade that breaks moves it at once. So the trim is compared with that of the same flight before.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.healthy import Three
+from mavdiag.monitors.trim import SIGNALS, YAW_FLOOR, Source, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.thresholds.guard import Guard
+
+__all__ = ["TrimStep", "TrimStepSpec", "TrimStepState"]
+
+TICK_S = 0.5  # a value twice a second (our choice)
+WINDOW_S = 5.0  # as the rotor-trim monitor's
+MEMORY_S = 30.0  # of the reference (our choice)
+DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
+UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrimStepSpec:
+    """How much the trim moves within a healthy flight.
+
+    layout: where the rotors are.
+    source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
+    spread: of the 5 s means of roll, pitch and yaw trim about the reference [fraction of hover].
+    window_s, memory_s: lengths of the mean and of the reference's memory [s].
+    drift_per_s: largest drift that is followed [fraction of hover a second].
+    Raises InputError if they do not describe a vehicle.
+    """
+
+    kind: Literal["trim_step"] = "trim_step"
+    layout: RotorLayout
+    source: Source
+    spread: Three
+    window_s: float = WINDOW_S
+    memory_s: float = MEMORY_S
+    drift_per_s: float = DRIFT_PER_S
+
+    def __post_init__(self) -> None:
+        figures = (*self.spread, self.window_s, self.memory_s, self.drift_per_s)
+        if not all(math.isfinite(x) for x in figures) or min(figures) <= 0:
+            raise InputError("trim_step: spread, window, memory and drift must be positive numbers")
+        if self.source == "torque" and self.layout.torque_gain is None:
+            raise InputError(f"trim_step: what a torque command does to the motors of {self.layout.name} is not known")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrimStepState:
+    """What the next rows need.
+
+    t_ns, rows, known: (h,), (h, 5) and (h,) rows of an unfinished tick: trim and commanded roll and pitch.
+    ticks: (k, 5) means of the last unbroken ticks, at most two windows of them.
+    reference: (5,) what the present window is compared with; None before there is one.
+    """
+
+    t_ns: IntArray
+    rows: FloatArray
+    known: BoolArray
+    ticks: FloatArray
+    reference: FloatArray | None
+
+
+class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
+    """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
+
+        m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
+        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)
+
+    m_ref begins as the first 5 s of a flight. What was there from the start, and what comes slower than 0.0003 a
+    second, does not count: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw
+    trim's shift, `rotors` are the a_j.
+
+    Warm-up: 10 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; a payload that is
+    picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the rotor-trim
+    monitor sees it) or grows slowly, and hops shorter than 10 s.
+
+    >>> from mavdiag.airframe.layout import layout_named
+    >>> from mavdiag.testing import example_rows
+    >>> outputs = np.random.default_rng(3).normal(0.5, 0.02, (4000, 4)) + [0.02, 0.0, 0.0, 0.0]
+    >>> outputs[2000:, 1] += 0.05   # rotor 2 breaks after 20 s; rotor 1 was weak from the start
+    >>> monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=(0.03, 0.03, 0.01)))
+    >>> _, found = monitor.step(monitor.start(), example_rows(4000, 0.01, actuator=outputs))
+    >>> [float(x.round(2)) for x in (found.value[20:40].max(), found.value[60])], int(found.rotors[60].argmax()) + 1
+    ([0.01, 0.09], 2)
+    """
+
+    name = "trim_step"
+    label = "trim step"
+    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
+    depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
+    guard = Guard(least=0.01)  # half of what the rotor-trim monitor must allow for wind and propellers (our choice)
+    evidence = RotorEvidence(10.0, relative=True, direct=False)  # as the rotor-trim monitor's
+    spec_type = TrimStepSpec
+    unit = "fraction of hover"
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[TrimStepSpec, ...]:
+        """The spread of healthy shifts within flights."""
+        layout = context.airframe.layout
+        if layout is None:
+            raise InputError("the rotor layout is not known; name the airframe")
+        first = cls(TrimStepSpec(layout=layout, source=source_of(flights, layout), spread=UNKNOWN))
+        shifts = [np.empty((0, 3))]
+        for flight in flights:
+            segment, state = None, first.start()
+            for rows in flight:
+                if rows.block.segment != segment:
+                    segment, state = rows.block.segment, first.start()
+                state, _, shift, _, valid = first._shifts(state, rows.block)
+                shifts.append(shift[valid])
+        found = np.concatenate(shifts)
+        if len(found) == 0:
+            raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
+        return (TrimStepSpec(layout=layout, source=first.spec.source, spread=spread_of(found)),)
+
+    @property
+    def signals(self) -> frozenset[Signal]:
+        """The outputs, or torque and thrust."""
+        return SIGNALS[self.spec.source]
+
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """Of the outputs those that move a rotor."""
+        outputs = block.actuator[:, : self.spec.layout.rotors]
+        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
+            return block.known(signal)
+        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
+
+    @property
+    def memory_s(self) -> float:
+        """Its window [s]."""
+        return self.spec.window_s
+
+    def start(self) -> TrimStepState:
+        """No row yet."""
+        none = np.empty((0, 5))
+        return TrimStepState(np.empty(0, dtype=np.int64), none, np.empty(0, dtype=np.bool_), none, None)
+
+    def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
+        """The best single-rotor rise twice a second."""
+        block = rows.block
+        state, t_ns, shift, tilt, valid = self._shifts(state, block)
+        rotors = rises(shift, tilt, self.spec.layout, self.spec.spread)
+        rise = rotors.max(axis=1)
+        period_s = self._tick(block) * block.dt_s
+        return state, Statistic(t_ns, period_s, rise, valid, rise, shift[:, 2], rotors)
+
+    def _tick(self, block: Block) -> int:
+        """Rows of a tick."""
+        return max(1, round(TICK_S / block.dt_s))
+
+    def _shifts(
+        self, state: TrimStepState, block: Block
+    ) -> tuple[TrimStepState, IntArray, FloatArray, FloatArray, BoolArray]:
+        """Time, shift of the trim (k, 3), shift of the tilt (k, 2) and validity of each tick that is completed."""
+        tick = self._tick(block)
+        trim, flown = trim_of(block, self.spec.layout, self.spec.source)
+        t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
+        rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block)), axis=1)))
+        count = len(t_ns) // tick
+        used = count * tick
+        whole = known[:used].reshape(count, tick).all(axis=1)
+        means = rows[:used].reshape(count, tick, 5).mean(axis=1)
+        shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
+        ticks, reference = state.ticks, state.reference
+        for i in range(count):
+            ticks, reference = self._add(ticks, reference, means[i], bool(whole[i]), tick * block.dt_s)
+            window = self._window(tick * block.dt_s)
+            if reference is not None and len(ticks) >= 2 * window:
+                shift[i], valid[i] = ticks[-window:].mean(axis=0) - reference, True
+        state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
+        return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
+
+    def _window(self, tick_s: float) -> int:
+        """Ticks of a window."""
+        return max(1, round(self.spec.window_s / tick_s))
+
+    def _add(
+        self, ticks: FloatArray, reference: FloatArray | None, mean: FloatArray, whole: bool, tick_s: float
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """The ticks with one more, and the reference with the window that lies one window back."""
+        if not whole:
+            return ticks[:0], reference
+        window = self._window(tick_s)
+        ticks = np.concatenate((ticks[-(2 * window - 1) :], mean[None]))
+        if len(ticks) < 2 * window:
+            return ticks, reference
+        before = ticks[:window].mean(axis=0)
+        if reference is None:
+            return ticks, before
+        step = (before - reference) * (tick_s / self.spec.memory_s)
+        most = self.spec.drift_per_s * tick_s
+        step[:3] = np.clip(step[:3], -most, most)
+        return ticks, reference + step

@@ -1,0 +1,144 @@
+"""Under which conditions a vehicle flies, ten times a second: what the envelope of a baseline is made of.
+
+A condition is measured from commands and slow signals, not from what the monitors judge, so that a damaged rotor does
+not move it. One that the link does not carry is nan and restricts nothing. The figures follow from whole bins of 0.1 s
+of the vehicle's clock, so any cut of the rows into chunks gives the same ones.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.units import NS_PER_S
+
+__all__ = ["BIN_S", "Condition", "Conditions", "ConditionState", "measure", "start_conditions"]
+
+BIN_S = 0.1  # our choice
+TILT_BINS = 50  # 5 s: longer than a manoeuvre of a hall, shorter than a change of the wind (our choice)
+_BIN_NS = round(BIN_S * NS_PER_S)
+
+
+class Condition(StrEnum):
+    """What is watched. The comment gives its unit and how a bin has it."""
+
+    TILT = "tilt"  # rad, of the mean commanded roll and pitch of 5 s: steady wind, or a steady acceleration
+    THROTTLE = "throttle"  # 0..1, mean collective set-point
+    VOLTAGE = "battery voltage"  # V, mean
+    COMMANDED_RATE = "commanded rate"  # rad/s, largest of roll and pitch
+    COMMANDED_ACCELERATION = "commanded angular acceleration"  # rad/s^2, of roll and pitch, over 0.1 s
+    YAW_RATE = "yaw rate"  # rad/s, of the commanded heading over 0.1 s; where none is known the mean measured one
+    HEIGHT = "height"  # m above take-off, least
+    CLIMB_RATE = "climb rate"  # m/s, up or down, over 0.1 s
+
+
+COUNT = len(Condition)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """Whole bins. end_ns: (n,) where they end. values: (n, COUNT) in the order of `Condition`; nan where unknown."""
+
+    end_ns: IntArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionState:
+    """Memory.
+
+    block_ns, block: (h,) and (h, 7) rows of an unfinished bin: roll and pitch set-point, thrust, voltage, measured yaw
+        rate, height and yaw set-point.
+    rates_ns, rates: (h,) and (h, 2) commanded roll and pitch rate.
+    tilt: (w, 2) mean set-points of the last bins.
+    last: (4,) commanded roll and pitch rate, height and yaw set-point at the end of the last bin.
+    """
+
+    block_ns: IntArray
+    block: FloatArray
+    rates_ns: IntArray
+    rates: FloatArray
+    tilt: FloatArray
+    last: FloatArray
+
+
+def start_conditions() -> ConditionState:
+    """Before the first row of a segment."""
+    never = np.empty(0, dtype=np.int64)
+    return ConditionState(never, np.empty((0, 7)), never, np.empty((0, 2)), np.empty((0, 2)), np.full(4, np.nan))
+
+
+def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditions]:
+    """The bins that the next rows of the same segment complete."""
+    block_ns, block = np.concatenate((state.block_ns, rows.block.t_ns)), np.concatenate((state.block, _block(rows)))
+    rates_ns, rates = np.concatenate((state.rates_ns, rows.rates.t_ns)), np.concatenate((state.rates, _rates(rows)))
+    until_ns = 0 if len(rates_ns) == 0 else int(rates_ns[-1]) // _BIN_NS * _BIN_NS
+    m, n = int(rates_ns.searchsorted(until_ns)), int(block_ns.searchsorted(until_ns))
+    if m == 0 or n == 0:
+        return ConditionState(block_ns, block, rates_ns, rates, state.tilt, state.last), _NOTHING
+    end_ns, starts = _bins(rates_ns[:m])
+    # A bin of the rates has rows of the block too, since each rate row is one of theirs, half a window earlier.
+    at = block_ns[:n].searchsorted(end_ns - _BIN_NS)
+    mean = _means(block[:n, :5], at)
+    tilt = np.concatenate((state.tilt, mean[:, :2]))
+    values = np.full((len(end_ns), COUNT), np.nan)
+    values[:, 0] = _tilt(tilt, len(end_ns))
+    values[:, 1:3] = mean[:, 2:4]
+    values[:, 3] = np.fmax.reduceat(np.abs(rates[:m]), starts, axis=0).max(axis=1)
+    values[:, 6] = np.fmin.reduceat(block[:n, 5], at)
+    ends = np.append(starts[1:], m) - 1
+    edge = np.concatenate((rates[ends], block[np.append(at[1:], n) - 1, 5:]), axis=1)
+    steps = np.abs(np.diff(np.concatenate((state.last[None], edge)), axis=0)) / BIN_S
+    values[:, 4], values[:, 7] = np.fmax(steps[:, 0], steps[:, 1]), steps[:, 2]
+    values[:, 5] = np.where(np.isfinite(steps[:, 3]), steps[:, 3], np.abs(mean[:, 4]))
+    state = ConditionState(block_ns[n:], block[n:], rates_ns[m:], rates[m:], tilt[-TILT_BINS:], edge[-1])
+    return state, Conditions(end_ns, values)
+
+
+_NOTHING = Conditions(np.empty(0, dtype=np.int64), np.empty((0, COUNT)))
+
+
+def _block(rows: Rows) -> FloatArray:
+    block = rows.block
+    setpoint = block.setpoint
+    if not block.setpoint_valid.all():
+        setpoint = np.where(block.setpoint_valid[:, None], setpoint, np.nan)
+    out = np.empty((len(block), 7))
+    out[:, :2], out[:, 6] = setpoint[:, :2], setpoint[:, 2]
+    out[:, 2], out[:, 3], out[:, 4], out[:, 5] = block.thrust, block.voltage, block.rate[:, 2], block.height
+    return out if block.valid.all() else np.where(block.valid[:, None], out, np.nan)
+
+
+def _rates(rows: Rows) -> FloatArray:
+    rates = rows.rates
+    return rates.u[:, :2] if rates.commanded.all() else np.where(rates.commanded[:, None], rates.u[:, :2], np.nan)
+
+
+def _bins(t_ns: IntArray) -> tuple[IntArray, IntArray]:
+    """Where the bins of rows end [ns], and their first rows."""
+    number = t_ns // _BIN_NS
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    return (number[starts] + 1) * _BIN_NS, starts
+
+
+def _means(values: FloatArray, starts: IntArray) -> FloatArray:
+    """Means of the finite values from each start to the next, nan where there is none."""
+    known: BoolArray = np.isfinite(values)
+    if known.all():
+        counts = np.diff(np.append(starts, len(values)))[:, None]
+        return np.asarray(np.add.reduceat(values, starts, axis=0) / counts, dtype=np.float64)
+    sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
+    number = np.add.reduceat(known.astype(np.float64), starts, axis=0)
+    return np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
+
+
+def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
+    """Tilt of the mean set-point over 5 s, for the last `fresh` bins; nan before there are 5 s."""
+    out = np.full(fresh, np.nan)
+    for i in range(fresh):
+        stop = len(setpoints) - fresh + i + 1
+        if stop >= TILT_BINS:
+            out[i] = np.hypot(*setpoints[stop - TILT_BINS : stop].mean(axis=0))
+    return out

@@ -1,0 +1,261 @@
+"""The envelope of a baseline: the conditions that its healthy flights covered, and what holds beside them.
+
+A threshold speaks for the conditions under which it was learnt. For a condition c with the largest healthy value C (or
+what counts as nothing, if that is more), and e = (c - C)/(R C):
+
+    e <= 0         inside: the threshold as it was learnt
+    0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
+    e > 1          outside, from (1 + R) C on: not judged
+
+R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A condition that no healthy flight told of, or that
+the link does not carry now, restricts nothing.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.errors import InputError
+from mavdiag.rows.conditions import BIN_S, Condition, Conditions, ConditionState, measure, start_conditions
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
+from mavdiag.units import NS_PER_S
+
+__all__ = ["Covered", "Dependence", "Envelope", "EnvelopeState", "Outside", "covered_by"]
+
+ORDER = tuple(Condition)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """How a condition is compared.
+
+    side: which side is limited; "both" takes the span between.
+    least: what counts as covered anyway: up to here, from here on, or so large a share about the middle of a span
+        (our choices; below half a metre the ground blows back).
+    unit: as a text gives it.
+    remedy: what to fly to cover more.
+    room: R, how far "near" reaches, as a share of what is covered (our choices).
+    """
+
+    side: Literal["upper", "lower", "both"]
+    least: float
+    unit: str
+    remedy: str
+    room: float = 0.5
+
+
+RULES: dict[Condition, _Rule] = {
+    Condition.TILT: _Rule("upper", 0.2, "rad", "fly in steady wind"),
+    Condition.THROTTLE: _Rule("both", 0.25, "", "fly with payload, and with a battery that empties"),
+    Condition.VOLTAGE: _Rule("both", 0.05, "V", "fly a battery from full to empty"),
+    Condition.COMMANDED_RATE: _Rule("upper", 0.3, "rad/s", "fly sharper turns and stops", 1.0),
+    Condition.COMMANDED_ACCELERATION: _Rule("upper", 5.0, "rad/s^2", "fly sharper turns and stops", 1.0),
+    Condition.YAW_RATE: _Rule("upper", 0.15, "rad/s", "turn the nose, steadily and along the path"),
+    Condition.HEIGHT: _Rule("lower", 0.5, "m", "fly as low as it is to be judged"),
+    Condition.CLIMB_RATE: _Rule("upper", 0.3, "m/s", "climb and descend"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """What the healthy flights covered of a condition, least to most. Raises InputError if that is no span."""
+
+    condition: Condition
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low <= self.high):
+            raise InputError(f"envelope: {self.condition} from {self.low} to {self.high} is no span")
+
+    def excess(self, values: FloatArray) -> FloatArray:
+        """e of values: 0 inside, up to 1 near, above 1 outside; 0 where unknown."""
+        rule = RULES[self.condition]
+        low, high = self._limits()
+        if rule.side == "both":
+            out = np.fmax(values - high, low - values) / (rule.room * (high - low))
+        elif rule.side == "upper":
+            out = (values - high) / (rule.room * high)
+        else:
+            out = (low - values) / (rule.room * low) if low > 0 else np.zeros(values.shape)
+        return np.fmax(out, 0.0)
+
+    def sentence(self, value: float) -> str:
+        """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3".
+
+        >>> Covered(Condition.YAW_RATE, 0.0, 0.3).sentence(1.81)
+        'yaw rate 1.8 rad/s, learnt up to 0.3'
+        """
+        rule, (low, high) = RULES[self.condition], self._limits()
+        unit = f" {rule.unit}" if rule.unit else ""
+        learnt = {"upper": f"up to {high:.2g}", "lower": f"from {low:.2g}", "both": f"{low:.3g} to {high:.3g}"}
+        places = ".3g" if rule.side == "both" else ".2g"
+        return f"{self.condition} {value:{places}}{unit}, learnt {learnt[rule.side]}"
+
+    def advice(self) -> str | None:
+        """What would widen it; None if the flights covered more than nothing."""
+        rule = RULES[self.condition]
+        if rule.side == "upper":
+            return rule.remedy if self.high <= rule.least else None
+        narrow = rule.side == "both" and self.high - self.low <= 2 * rule.least * self._middle
+        return rule.remedy if narrow else None
+
+    def _limits(self) -> tuple[float, float]:
+        """What counts as covered."""
+        rule = RULES[self.condition]
+        if rule.side == "upper":
+            return self.low, max(self.high, rule.least)
+        if rule.side == "lower":
+            return min(self.low, rule.least), self.high
+        reach = max(0.5 * (self.high - self.low), rule.least * abs(self._middle), 1e-9)
+        return self._middle - reach, self._middle + reach
+
+    @property
+    def _middle(self) -> float:
+        return 0.5 * (self.low + self.high)
+
+
+def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
+    """What flights covered, of the conditions that their links carry."""
+    found = [np.empty((0, len(ORDER)))]
+    for flight in flights:
+        segment, state = None, start_conditions()
+        for rows in flight:
+            if rows.block.segment != segment:
+                segment, state = rows.block.segment, start_conditions()
+            state, bins = measure(state, rows)
+            found.append(bins.values)
+    values = np.concatenate(found)
+    known = np.isfinite(values)
+    return tuple(
+        Covered(condition, float(values[known[:, i], i].min()), float(values[known[:, i], i].max()))
+        for i, condition in enumerate(ORDER)
+        if known[:, i].any()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """What a slot's statistic depends on.
+
+    conditions: those that raise it in healthy flight.
+    memory_s: how long what was flown stays in it [s].
+    """
+
+    conditions: frozenset[Condition]
+    memory_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """Time that a slot did not judge for a condition [s], and the condition's farthest value."""
+
+    span_s: float
+    value: float
+    excess: float
+
+    def plus(self, other: "Outside") -> "Outside":
+        """Both together."""
+        far = self if self.excess >= other.excess else other
+        return Outside(self.span_s + other.span_s, far.value, far.excess)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnvelopeState:
+    """Memory: of the conditions, and the bins that may still count: end_ns (h,), values and excess (h, covered)."""
+
+    conditions: ConditionState
+    end_ns: IntArray
+    values: FloatArray
+    excess: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """The covered conditions and what each slot depends on. delay_s: half the window of the rate filters."""
+
+    covered: tuple[Covered, ...] = ()
+    slots: tuple[Dependence, ...] = ()
+    delay_s: float = 0.0
+
+    def start(self) -> EnvelopeState:
+        """Before the first row of a segment."""
+        none = np.empty((0, len(self.covered)))
+        return EnvelopeState(start_conditions(), np.empty(0, dtype=np.int64), none, none)
+
+    def step(self, state: EnvelopeState, rows: Rows) -> EnvelopeState:
+        """Take the next rows of the same segment."""
+        if not self.covered:
+            return state
+        conditions, bins = measure(state.conditions, rows)
+        if len(bins.end_ns) == 0:
+            return replace(state, conditions=conditions)
+        values, excess = self._compared(bins)
+        keep_ns = int(rows.block.t_ns[0]) - round(self._longest_s * NS_PER_S)
+        first = int(state.end_ns.searchsorted(keep_ns))
+        return EnvelopeState(
+            conditions,
+            np.concatenate((state.end_ns[first:], bins.end_ns)),
+            np.concatenate((state.values[first:], values)),
+            np.concatenate((state.excess[first:], excess)),
+        )
+
+    def apply(self, number: int, found: Statistic, state: EnvelopeState) -> tuple[Statistic, dict[Condition, Outside]]:
+        """A slot's statistic as the envelope lets it count, and what it does not let judge."""
+        slot = self.slots[number] if self.covered else None
+        if slot is None or len(found) == 0:
+            return found, {}
+        columns = [i for i, one in enumerate(self.covered) if one.condition in slot.conditions]
+        if not columns or not state.excess[:, columns].any():
+            return found, {}
+        rooms = np.array([RULES[one.condition].room for one in self.covered])
+        excess, worst = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
+        outside: BoolArray = excess > 1.0
+        denied = outside & found.valid
+        reasons = {}
+        for column in columns:
+            here = denied & (worst[0] == column)
+            if here.any():
+                farthest = int(np.argmax(np.where(here, excess, -1.0)))
+                span_s = float(np.count_nonzero(here)) * found.period_s
+                value = float(state.values[worst[1][farthest], column])
+                reasons[self.covered[column].condition] = Outside(span_s, value, float(excess[farthest]))
+        value = found.value / (1.0 + rooms[worst[0]] * np.minimum(excess, 1.0))
+        return replace(found, value=value, valid=found.valid & ~outside), reasons
+
+    def sentence(self, condition: Condition, value: float) -> str:
+        """Why a slot does not judge."""
+        return next(one for one in self.covered if one.condition is condition).sentence(value)
+
+    @property
+    def _longest_s(self) -> float:
+        return max((slot.memory_s for slot in self.slots), default=0.0) + self.delay_s + 2 * BIN_S
+
+    def _compared(self, bins: Conditions) -> tuple[FloatArray, FloatArray]:
+        values = bins.values[:, [ORDER.index(one.condition) for one in self.covered]]
+        return values, np.column_stack([one.excess(values[:, i]) for i, one in enumerate(self.covered)])
+
+
+def _farthest(
+    state: EnvelopeState, columns: Sequence[int], t_ns: IntArray, memory_s: float, delay_s: float
+) -> tuple[FloatArray, tuple[IntArray, IntArray]]:
+    """The largest excess of the bins behind each value, (n,), and its column and bin.
+
+    Bins count that end within the memory, up to `delay_s` before the value: by then each of them is known.
+    """
+    first = state.end_ns.searchsorted(t_ns - round(memory_s * NS_PER_S), side="right")
+    stop = state.end_ns.searchsorted(t_ns - round(delay_s * NS_PER_S), side="right")
+    excess, column, place = np.zeros(len(t_ns)), np.zeros(len(t_ns), dtype=np.int64), np.zeros(len(t_ns), dtype=np.int64)
+    chosen = state.excess[:, columns]
+    changes = np.flatnonzero((np.diff(first, prepend=-1) != 0) | (np.diff(stop, prepend=-1) != 0))
+    for begin, end in zip(changes.tolist(), [*changes[1:].tolist(), len(t_ns)], strict=True):
+        part = chosen[first[begin] : stop[begin]]
+        if part.size and part.any():
+            row, best = divmod(int(part.argmax()), len(columns))
+            excess[begin:end], column[begin:end] = part[row, best], columns[best]
+            place[begin:end] = first[begin] + row
+    return excess, (column, place)
