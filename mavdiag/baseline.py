@@ -1,8 +1,8 @@
-"""The baseline artefact `mavdiag.baseline/2`: what a healthy airframe looks like over one link, and at what price.
+"""The baseline artefact `mavdiag.baseline/3`: what a healthy airframe looks like over one link, and at what price.
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
 support it, where the data came from, and a digest over all of it. Loading validates everything and refuses what does
-not fit, naming the field; `check_link` refuses another link. `upgrade` reads schema /1.
+not fit, naming the field; `check_link` refuses another link. `upgrade` reads the older schemas.
 """
 
 import hashlib
@@ -32,11 +32,15 @@ from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
+from mavdiag.units import NS_PER_S
 
 __all__ = [
+    "OLD_SCHEMAS",
     "RATE_TOLERANCE",
     "SCHEMA",
+    "SESSION_GAP_NS",
     "Baseline",
+    "HealthyScores",
     "Link",
     "MonitorEntry",
     "Provenance",
@@ -50,7 +54,9 @@ __all__ = [
     "validated",
 ]
 
-SCHEMA = "mavdiag.baseline/2"
+OLD_SCHEMAS = ("mavdiag.baseline/1", "mavdiag.baseline/2")
+SCHEMA = "mavdiag.baseline/3"
+SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
 RATE_TOLERANCE = 0.02  # of the sample time; beyond it the model's poles mean another system (our choice)
 REMEDY = "make the baseline anew with `mavdiag identify`"
 
@@ -92,11 +98,28 @@ class Window(_Part):
         return self
 
 
+class HealthyScores(_Part):
+    """What the statistic reached on healthy flights that its fit did not see; `thresholds.heldout.Scores`, plain."""
+
+    maxima: tuple[float, ...]
+    spans_s: tuple[Positive, ...]
+
+    @model_validator(mode="after")
+    def _fits(self) -> "HealthyScores":
+        if len(self.maxima) != len(self.spans_s):
+            raise ValueError("maxima and spans must be equally many")
+        return self
+
+
 class MonitorEntry(_Part):
-    """A monitor's fit, of the type that its class names, and the threshold of its statistic."""
+    """A monitor's fit, of the type that its class names, and the threshold of its statistic.
+
+    scores: what the threshold follows from; None in a baseline of an older schema, which cannot be extended.
+    """
 
     spec: Any
     threshold: Threshold
+    scores: HealthyScores | None = None
 
     @field_validator("spec", mode="before")
     @classmethod
@@ -133,11 +156,19 @@ class Refusal(_Part):
 
 
 class SourceLog(_Part):
-    """One healthy flight that the baseline rests on."""
+    """One healthy flight that the baseline rests on.
+
+    started_ns: wall-clock time of its beginning, unix epoch [ns]; 0 if it is not known.
+    session: number of the session that it was flown in.
+    propellers: number of the propeller set, 0 for the first.
+    """
 
     name: str
     sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")]
     judged_s: NotNegative
+    started_ns: Annotated[int, Field(ge=0)] = 0
+    session: Annotated[int, Field(ge=0)] = 0
+    propellers: Annotated[int, Field(ge=0)] = 0
 
 
 class Provenance(_Part):
@@ -163,7 +194,7 @@ class Baseline(_Part):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
-    schema_id: Literal["mavdiag.baseline/2"] = Field(alias="schema", default="mavdiag.baseline/2")
+    schema_id: Literal["mavdiag.baseline/3"] = Field(alias="schema", default="mavdiag.baseline/3")
     airframe: Airframe
     link: Link
     window: Window
@@ -178,6 +209,15 @@ class Baseline(_Part):
     def fsd(self) -> tuple[tuple[Any, Threshold], ...]:
         """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
         return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
+
+    def same_session(self, started_ns: int) -> bool:
+        """Whether a flight of that time belongs to a session of the healthy flights with the present propellers.
+
+        started_ns: wall-clock time, unix epoch [ns]; 0 if it is not known, and then the answer is no.
+        """
+        present = max(one.propellers for one in self.provenance.logs)
+        times = [one.started_ns for one in self.provenance.logs if one.propellers == present and one.started_ns]
+        return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
@@ -212,6 +252,12 @@ class Baseline(_Part):
             over = f" of |r| above {monitor.reference:.4f} rad/s" if monitor.reference else ""
             lines.append(f"{name:<15} threshold {entry.threshold.value:.4g} {monitor.unit}{over}")
             lines.append(f"{'':<15} {entry.threshold.statement()}")
+            if entry.threshold.session_allowance > 0:
+                within = entry.threshold.value - entry.threshold.session_allowance
+                lines.append(f"{'':<15} {within:.4g} in a session of these flights: others may shift the trim")
+        for covered in self.envelope:
+            advice = covered.advice()
+            lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()])
@@ -250,8 +296,8 @@ def parse(text: str) -> Baseline:
     except (ValueError, RecursionError) as error:
         raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
     found = raw.get("schema") if isinstance(raw, dict) else None
-    if found == "mavdiag.baseline/1":
-        raise BaselineError(f"schema: {found!r} is the old one; bring it up with `mavdiag baseline upgrade`")
+    if found in OLD_SCHEMAS:
+        raise BaselineError(f"schema: {found!r} is an old one; bring it up with `mavdiag baseline upgrade`")
     if found != SCHEMA:
         raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; {REMEDY}")
     baseline = validated(raw)

@@ -27,6 +27,7 @@ from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
+from mavdiag.thresholds.rule import Threshold
 
 __all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Slot", "chain_of", "front_of"]
 
@@ -166,9 +167,7 @@ class Chain:
     def start(self) -> ChainState:
         """Nothing seen yet."""
         accounts = (Account(),) * len(self.slots)
-        return ChainState(
-            self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts
-        )
+        return ChainState(self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
@@ -270,8 +269,15 @@ def front_of(baseline: Baseline) -> Front:
     return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates)
 
 
-def chain_of(baseline: Baseline) -> Chain:
+def _threshold(threshold: Threshold, same_session: bool) -> float:
+    return threshold.value - (threshold.session_allowance if same_session else 0.0)
+
+
+def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
     """The chain that judges by a baseline.
+
+    started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if it is not known. In a session of the healthy
+    flights nothing is allowed for what another session may shift.
 
     A monitor that does not decide (the thesis's rule, which alarms on trajectories that its flights did not have) does
     so where it stands alone.
@@ -280,8 +286,9 @@ def chain_of(baseline: Baseline) -> Chain:
     entries = sorted(baseline.monitors, key=lambda entry: order.index(entry.spec.kind))
     monitors = [monitor_of(entry.spec) for entry in entries]
     alone = not any(monitor.decides for monitor in monitors)
+    same = baseline.same_session(started_ns)
     slots = tuple(
-        Slot(monitor, entry.threshold.value, monitor.decides or alone)
+        Slot(monitor, _threshold(entry.threshold, same), monitor.decides or alone)
         for monitor, entry in zip(monitors, entries, strict=True)
     )
     specs = tuple(

@@ -37,6 +37,7 @@ class MonitorSummary:
     alarms: its events on all axes.
     judged_s: time that it judged [s].
     not_judged: why it did not judge for the longest; None if it judged all the flight but its warm-up.
+    outside_s: flight time outside of the envelope [s].
     decides: its alarm is a fault by itself.
     """
 
@@ -49,6 +50,7 @@ class MonitorSummary:
     judged_s: float = 0.0
     not_judged: str | None = None
     decides: bool = True
+    outside_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     except BaselineError as error:
         reason = f"another link: {error}"
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
-    chain = chain_of(baseline)
+    chain = chain_of(baseline, log.started_ns)
     state, first = chain.step(chain.start(), log.telemetry)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
@@ -183,8 +185,9 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
             slot.monitor.unit,
             alarms,
             account.judged_s,
-            _why_not(account),
+            _why_not(chain, account),
             slot.decides,
+            account.outside_s,
         )
         old = nearest.get(name)
         if old is None or (one.maximum or 0.0) / one.threshold > (old.maximum or 0.0) / old.threshold:
@@ -192,13 +195,12 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
     return tuple(nearest.values())
 
 
-def _why_not(account: Account) -> str | None:
+def _why_not(chain: Chain, account: Account) -> str | None:
     """The reason that cost most time; a monitor that judged and only warmed up has none."""
-    reasons = (
-        account.not_judged
-        if account.judged_s == 0
-        else {f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}
-    )
+    waiting = account.not_judged if account.judged_s == 0 else {}
+    reasons = {**waiting, **{f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}}
+    outside = {chain.envelope.sentence(c, one.value): one.span_s for c, one in account.outside.items()}
+    reasons = {**reasons, **outside}
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:
         return "no flight" if account.flight_s == 0 else None if account.judged_s else "too short a flight"
     return max(reasons, key=lambda reason: reasons[reason])

@@ -50,6 +50,7 @@ def _monitor_json(monitor: MonitorSummary) -> dict[str, Any]:
         "alarms": monitor.alarms,
         "judged_s": round(monitor.judged_s, 3),
         "not_judged": monitor.not_judged,
+        "outside_s": round(monitor.outside_s, 3),
         "axis": monitor.axis,
     }
 

@@ -1,4 +1,4 @@
-"""`mavdiag baseline show|check|upgrade`."""
+"""`mavdiag baseline show|check|extend|upgrade`."""
 
 import json
 from pathlib import Path
@@ -8,14 +8,19 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import AsJson
+from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
+from mavdiag.commands.progress import each, working
 from mavdiag.errors import BaselineError
+from mavdiag.face import now
+from mavdiag.learning.extend import extend as extended
 from mavdiag.storage import check_output, read_text
 from mavdiag.upgrade import upgrade as upgraded
 
-__all__ = ["app", "check", "show", "upgrade"]
+__all__ = ["app", "check", "extend", "show", "upgrade"]
 
-app = commandline.application("Look into a baseline file, or bring it to the present schema.")
+app = commandline.application(
+    "Look into a baseline file, add healthy flights to it, or bring it to the present schema."
+)
 
 File = Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.")]
 
@@ -35,11 +40,33 @@ def check(file: File) -> None:
 
 
 @app.command()
+def extend(
+    file: File,
+    logs: Annotated[list[Path], typer.Argument(help="Logs of more healthy flights of the same airframe.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
+    new_propellers: Annotated[
+        bool, typer.Option("--new-propellers", help="They were flown with new propellers; a hover of 15 s is enough.")
+    ] = False,
+    vehicle: Vehicle = None,
+    from_s: FromS = None,
+    to_s: ToS = None,
+) -> None:
+    """Add healthy flights of another session, or tell that the propellers are new."""
+    check_output(output)
+    baseline = Baseline.load(file)
+    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
+    with working(f"adding {len(flights)} flights ..."):
+        longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
+    longer.save(output)
+    typer.echo(f"{longer}\nwritten to {output}")
+
+
+@app.command()
 def upgrade(
     file: Annotated[Path, typer.Argument(help="Baseline of an older schema.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
 ) -> None:
-    """Bring a baseline of schema /1 to the present one. What the old one did not know is left unknown."""
+    """Bring a baseline of schema /1 or /2 to the present one. What the old one did not know is left unknown."""
     check_output(output)
     try:
         raw = json.loads(read_text(file))

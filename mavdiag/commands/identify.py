@@ -49,6 +49,12 @@ def identify(
     ] = None,
     name: Annotated[str | None, typer.Option(metavar="LABEL", help="What to call the airframe.")] = None,
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
+    sessions: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Sessions that the logs are from, in their order.  [default: by their times]"
+        ),
+    ] = None,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
@@ -66,6 +72,7 @@ def identify(
         monitors=THESIS if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
         rule=ThresholdRule.MAXIMUM if thesis else rule,
         alarms_per_hour=alarms_per_hour,
+        sessions=sessions,
     )
     options = with_airframe(options, airframe, name)
     if fleet:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
 from mavdiag.logs import gate_for
 from mavdiag.rows.align import AlignSpec, Grid, measure_grid
@@ -15,7 +16,7 @@ from mavdiag.rows.savgol import window_samples
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["LearntFlight", "airborne", "front_for", "rows_of"]
+__all__ = ["LearntFlight", "airborne", "front_for", "rows_of", "sessions_of"]
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
@@ -66,6 +67,23 @@ def airborne(front: Front, flight: Log) -> LearntFlight:
     if judged_s < MIN_FLIGHT_S:
         raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight, too short to learn from")
     return LearntFlight(flight, rows, judged_s)
+
+
+def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
+    """The session of each flight, numbered from 0: flights an hour apart by the wall clock are of two sessions.
+
+    told: how many sessions there were, in equal parts and in the order of the flights. Without it a flight whose time
+    is not known counts as a session of its own.
+    """
+    if told is not None:
+        return [i * min(told, len(flights)) // len(flights) for i in range(len(flights))]
+    order = sorted(range(len(flights)), key=lambda i: flights[i].started_ns)
+    found, number, last_ns = [0] * len(flights), -1, 0
+    for i in order:
+        started_ns = flights[i].started_ns
+        number += not started_ns or not last_ns or started_ns - last_ns > SESSION_GAP_NS
+        found[i], last_ns = number, started_ns
+    return found
 
 
 def _grid(flight: Log) -> tuple[float, Grid]:

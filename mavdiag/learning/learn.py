@@ -9,10 +9,20 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.load import airframe_named
-from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window, sealed
+from mavdiag.baseline import (
+    Baseline,
+    HealthyScores,
+    Link,
+    MonitorEntry,
+    Provenance,
+    Refusal,
+    SourceLog,
+    Window,
+    sealed,
+)
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, airborne, front_for
+from mavdiag.learning.flights import LearntFlight, airborne, front_for, sessions_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
@@ -24,7 +34,7 @@ from mavdiag.thresholds.envelope import covered_by
 from mavdiag.thresholds.heldout import Scores, held_out_scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
-__all__ = ["ALL_MONITORS", "LearnOptions", "learn", "thesis_options"]
+__all__ = ["ALL_MONITORS", "LearnOptions", "learn", "plain_scores", "sources", "thesis_options"]
 
 ALL_MONITORS = tuple(BY_NAME)
 
@@ -41,6 +51,8 @@ class LearnOptions:
     monitors: names of the monitors to use.
     rule: how thresholds follow from healthy maxima.
     alarms_per_hour: budget of all deciding monitors together.
+    sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
+        wall-clock times say, and for one each where a log has none.
     Raises UsageError for a monitor that there is not, or a budget that is not positive.
     """
 
@@ -53,6 +65,7 @@ class LearnOptions:
     monitors: tuple[str, ...] = ALL_MONITORS
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
+    sessions: int | None = None
 
     def __post_init__(self) -> None:
         for name in self.monitors:
@@ -61,6 +74,8 @@ class LearnOptions:
             raise UsageError(f"no monitor named; there are {', '.join(ALL_MONITORS)}")
         if not self.alarms_per_hour > 0:
             raise UsageError(f"alarms per hour must be positive, not {self.alarms_per_hour:g}")
+        if self.sessions is not None and self.sessions < 1:
+            raise UsageError(f"sessions must be 1 or more, not {self.sessions}")
 
 
 def thesis_options(airframe: Airframe | None = None, axes: tuple[Axis, ...] = (Axis.ROLL,)) -> LearnOptions:
@@ -93,7 +108,9 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     learnt = [airborne(front, flight) for flight in flights]
     rows = [one.rows for one in learnt]
     airframe, unknown = _with_layout(airframe, rows)
-    fitted, refusals = _fit_all(rows, options, _context(options, airframe, front, flights[0].profile), unknown)
+    sessions = sessions_of(flights, options.sessions)
+    context = _context(options, airframe, front, flights[0].profile)
+    fitted, refusals = _fit_all(rows, sessions, options, context, unknown)
     if not fitted:
         reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
@@ -108,11 +125,11 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
                 gate=front.gate,
             ),
             window=Window(samples=front.rates.window, order=2),
-            monitors=tuple(_entries(fitted, options, len(flights))),
+            monitors=tuple(_entries(fitted, options, sessions)),
             not_judgeable=tuple(refusals),
             envelope=covered_by(rows),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
-            provenance=_provenance(learnt, created),
+            provenance=Provenance(logs=sources(learnt, sessions), created=created, tool=f"mavdiag {__version__}"),
         )
     )
 
@@ -150,7 +167,7 @@ def _context(options: LearnOptions, airframe: Airframe, front: Front, profile: s
 
 
 def _fit_all(
-    flights: Flights, options: LearnOptions, context: LearnContext, unknown: str
+    flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext, unknown: str
 ) -> tuple[list[_Fitted], list[Refusal]]:
     """Every named monitor that can work on these flights, and the reason of each that cannot."""
     fitted: list[_Fitted] = []
@@ -159,7 +176,7 @@ def _fit_all(
         kind = by_name(name)
         try:
             specs = kind.fit(flights, context)
-            found = held_out_scores(flights, partial(_monitors, kind, context))
+            found = held_out_scores(flights, partial(_monitors, kind, context), sessions=sessions)
         except (InputError, IdentificationError) as error:
             reason = str(error)
             refusals.append(
@@ -186,7 +203,7 @@ def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Fli
     return [kind(spec) for spec in kind.fit(flights, context)]
 
 
-def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> list[MonitorEntry]:
+def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> list[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes."""
     names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
     share = options.alarms_per_hour / len(names)
@@ -195,15 +212,32 @@ def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> 
         same = sum(other.spec.kind == one.spec.kind for other in fitted)
         threshold = threshold_of(
             one.scores,
-            flights=flights,
+            flights=len(sessions),
+            sessions=len(set(sessions)),
             budget_per_hour=share / same,
             guard=by_name(one.spec.kind).guard,
             rule=options.rule,
         )
-        entries.append(MonitorEntry(spec=one.spec, threshold=threshold))
+        entries.append(MonitorEntry(spec=one.spec, threshold=threshold, scores=plain_scores(one.scores)))
     return entries
 
 
-def _provenance(flights: Sequence[LearntFlight], created: str) -> Provenance:
-    logs = tuple(SourceLog(name=one.flight.name, sha256=one.flight.sha256, judged_s=one.judged_s) for one in flights)
-    return Provenance(logs=logs, created=created, tool=f"mavdiag {__version__}")
+def plain_scores(scores: Scores) -> HealthyScores:
+    """Scores as a baseline keeps them, to six digits."""
+    maxima, spans_s = (tuple(float(f"{x:.6g}") for x in part.tolist()) for part in (scores.maxima, scores.spans_s))
+    return HealthyScores(maxima=maxima, spans_s=spans_s)
+
+
+def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers: int = 0) -> tuple[SourceLog, ...]:
+    """The flights as a baseline names them. propellers: number of the set that they flew with."""
+    return tuple(
+        SourceLog(
+            name=one.flight.name,
+            sha256=one.flight.sha256,
+            judged_s=one.judged_s,
+            started_ns=max(0, one.flight.started_ns),
+            session=session,
+            propellers=propellers,
+        )
+        for one, session in zip(flights, sessions, strict=True)
+    )

@@ -129,7 +129,9 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     name = "rotor_signature"
     label = "signature"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
-    depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION})
+    depends = frozenset(
+        {Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION}
+    )
     # An estimate: of five recorded healthy flights the fifth had three times the others' statistic, and fifteen
     # emulated ones did not show what a fast square in wind with a payload gives (campaign, seeds 31 and 32). So with
     # few flights more is asked for, and nothing more from thirty on.

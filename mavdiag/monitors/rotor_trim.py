@@ -87,10 +87,10 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     label = "rotor trim"
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
     depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
-    # An estimate from subsets of the five healthy recorded flights of one airframe: few flights do not show how the
-    # trim changes from session to session, 0.06 more with one flight, nothing more from five on. And a shift of less
+    # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
+    # trim changes from one to the next, 0.06 more with one session, nothing more from five on. And a shift of less
     # than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD section 3).
-    guard = Guard(few_flights=0.06, enough_flights=5, least=0.02)
+    guard = Guard(few_sessions=0.06, enough_sessions=5, least=0.02)
     evidence = RotorEvidence(
         10.0, relative=True, direct=False
     )  # of 35 recorded cuts a lead of 0.12 was right each time
@@ -108,12 +108,12 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         if layout is None:
             raise InputError("the rotor layout is not known; name the airframe")
         source = source_of(flights, layout)
-        means = [found for found in (_windows(flight, layout, source) for flight in flights) if len(found)]
-        if not means:
-            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
-        mu = np.mean([found.mean(axis=0) for found in means], axis=0)
-        spread = spread_of(np.concatenate(means) - mu)
-        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread),)
+        mu, windows = _mean(flights, layout, source)
+        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread_of(windows - mu)),)
+
+    def mean_of(self, flights: Flights) -> Three:
+        """The trim of other healthy flights: the mean over them of their means. Raises IdentificationError."""
+        return three(_mean(flights, self.spec.layout, self.spec.source)[0])
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -146,6 +146,14 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         rotors = rises(shift, mean[:, 3:], spec.layout, spec.spread)
         rise = rotors.max(axis=1)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
+
+
+def _mean(flights: Flights, layout: RotorLayout, source: Source) -> tuple[FloatArray, FloatArray]:
+    """The mean over flights of their means, (3,), and all their window means, (k, 3). Raises IdentificationError."""
+    means = [found for found in (_windows(flight, layout, source) for flight in flights) if len(found)]
+    if not means:
+        raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
+    return np.mean([found.mean(axis=0) for found in means], axis=0), np.concatenate(means)
 
 
 def _windows(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:

@@ -147,7 +147,9 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     statistic_label = "FSD "
     threshold_label = "FML "
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
-    depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION})
+    depends = frozenset(
+        {Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION}
+    )
     decides = False
     clear_s = 0.0
     spec_type = RunLengthSpec

@@ -22,7 +22,9 @@ __all__ = ["LEVEL_RATIO", "SIGNALS", "YAW_FLOOR", "Source", "rises", "source_of"
 
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over that of yaw; METHOD section 5 measured .07 to .012
-TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated flights have 0.28)
+TILT_TRIM = (
+    0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated flights have 0.28)
+)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]

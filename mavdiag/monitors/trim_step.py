@@ -173,7 +173,7 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block)), axis=1)))
         count = len(t_ns) // tick
         used = count * tick
-        whole = known[:used].reshape(count, tick).all(axis=1)
+        whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
         means = rows[:used].reshape(count, tick, 5).mean(axis=1)
         shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
         ticks, reference = state.ticks, state.reference

@@ -14,7 +14,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["BIN_S", "Condition", "Conditions", "ConditionState", "measure", "start_conditions"]
+__all__ = ["BIN_S", "Condition", "ConditionState", "Conditions", "measure", "start_conditions"]
 
 BIN_S = 0.1  # our choice
 TILT_BINS = 50  # 5 s: longer than a manoeuvre of a hall, shorter than a change of the wind (our choice)
@@ -131,7 +131,8 @@ def _means(values: FloatArray, starts: IntArray) -> FloatArray:
         return np.asarray(np.add.reduceat(values, starts, axis=0) / counts, dtype=np.float64)
     sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
     number = np.add.reduceat(known.astype(np.float64), starts, axis=0)
-    return np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
+    means: FloatArray = np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
+    return means
 
 
 def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:

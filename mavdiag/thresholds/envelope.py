@@ -90,11 +90,13 @@ class Covered:
         >>> Covered(Condition.YAW_RATE, 0.0, 0.3).sentence(1.81)
         'yaw rate 1.8 rad/s, learnt up to 0.3'
         """
-        rule, (low, high) = RULES[self.condition], self._limits()
+        rule = RULES[self.condition]
         unit = f" {rule.unit}" if rule.unit else ""
-        learnt = {"upper": f"up to {high:.2g}", "lower": f"from {low:.2g}", "both": f"{low:.3g} to {high:.3g}"}
-        places = ".3g" if rule.side == "both" else ".2g"
-        return f"{self.condition} {value:{places}}{unit}, learnt {learnt[rule.side]}"
+        return f"{self.condition} {value:{'.3g' if rule.side == 'both' else '.2g'}}{unit}, learnt {self._span()}"
+
+    def __str__(self) -> str:
+        unit = RULES[self.condition].unit
+        return f"{self.condition} {self._span()}" + (f" {unit}" if unit else "")
 
     def advice(self) -> str | None:
         """What would widen it; None if the flights covered more than nothing."""
@@ -103,6 +105,16 @@ class Covered:
             return rule.remedy if self.high <= rule.least else None
         narrow = rule.side == "both" and self.high - self.low <= 2 * rule.least * self._middle
         return rule.remedy if narrow else None
+
+    def _span(self) -> str:
+        side, (low, high) = RULES[self.condition].side, self._limits()
+        return (
+            f"{low:.3g} to {high:.3g}"
+            if side == "both"
+            else f"up to {high:.2g}"
+            if side == "upper"
+            else f"from {low:.2g}"
+        )
 
     def _limits(self) -> tuple[float, float]:
         """What counts as covered."""
@@ -224,8 +236,8 @@ class Envelope:
                 span_s = float(np.count_nonzero(here)) * found.period_s
                 value = float(state.values[worst[1][farthest], column])
                 reasons[self.covered[column].condition] = Outside(span_s, value, float(excess[farthest]))
-        value = found.value / (1.0 + rooms[worst[0]] * np.minimum(excess, 1.0))
-        return replace(found, value=value, valid=found.valid & ~outside), reasons
+        grown = 1.0 + rooms[worst[0]] * np.minimum(excess, 1.0)
+        return replace(found, value=found.value / grown, valid=found.valid & ~outside), reasons
 
     def sentence(self, condition: Condition, value: float) -> str:
         """Why a slot does not judge."""
@@ -249,7 +261,11 @@ def _farthest(
     """
     first = state.end_ns.searchsorted(t_ns - round(memory_s * NS_PER_S), side="right")
     stop = state.end_ns.searchsorted(t_ns - round(delay_s * NS_PER_S), side="right")
-    excess, column, place = np.zeros(len(t_ns)), np.zeros(len(t_ns), dtype=np.int64), np.zeros(len(t_ns), dtype=np.int64)
+    excess, column, place = (
+        np.zeros(len(t_ns)),
+        np.zeros(len(t_ns), dtype=np.int64),
+        np.zeros(len(t_ns), dtype=np.int64),
+    )
     chosen = state.excess[:, columns]
     changes = np.flatnonzero((np.diff(first, prepend=-1) != 0) | (np.diff(stop, prepend=-1) != 0))
     for begin, end in zip(changes.tolist(), [*changes[1:].tolist(), len(t_ns)], strict=True):

@@ -83,14 +83,19 @@ def pooled(parts: Iterable[Scores]) -> Scores:
 
 
 def held_out_scores(
-    flights: Flights, fit: Callable[[Flights], Sequence[Scored]], block_s: float = BLOCK_S
+    flights: Flights,
+    fit: Callable[[Flights], Sequence[Scored]],
+    block_s: float = BLOCK_S,
+    sessions: Sequence[int] | None = None,
 ) -> dict[Axis | None, Scores]:
     """Scores of all flights by axis, each flight scored by a fit that did not see it. fit: the monitors of a fit.
+
+    sessions: the session of each flight; with two or more of them the fit has not seen the session either.
 
     Raises IdentificationError if there is nothing to fit to or no block to score.
     """
     parts: dict[Axis | None, list[Scores]] = {}
-    for left_out, rest in folds(flights, block_s):
+    for left_out, rest in folds(flights, block_s, sessions):
         for monitor in fit(rest):
             parts.setdefault(monitor.axis, []).extend(score(monitor, flight, block_s) for flight in left_out)
     found = {axis: scores for axis, some in parts.items() if len((scores := pooled(some)).maxima)}
@@ -99,15 +104,19 @@ def held_out_scores(
     return found
 
 
-def folds(flights: Flights, block_s: float = BLOCK_S) -> Iterator[tuple[Flights, Flights]]:
-    """Pairs of what is left out and the rest: of flights, or of the pieces of a single one."""
+def folds(
+    flights: Flights, block_s: float = BLOCK_S, sessions: Sequence[int] | None = None
+) -> Iterator[tuple[Flights, Flights]]:
+    """Pairs of what is left out and the rest: of sessions, of flights, or of the pieces of a single flight."""
     if len(flights) == 1:
         yield from _pieces(flights[0], block_s)
         return
-    count = min(MAX_FOLDS, len(flights))
+    groups = list(range(len(flights))) if sessions is None or len(set(sessions)) < 2 else list(sessions)
+    order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
+    count = min(MAX_FOLDS, len(order))
     for fold in range(count):
-        left_out = [flight for i, flight in enumerate(flights) if i % count == fold]
-        yield left_out, [flight for i, flight in enumerate(flights) if i % count != fold]
+        left_out = [flight for flight, group in zip(flights, groups, strict=True) if order[group] % count == fold]
+        yield left_out, [flight for flight, group in zip(flights, groups, strict=True) if order[group] % count != fold]
 
 
 def _pieces(flight: Sequence[Rows], block_s: float) -> Iterator[tuple[Flights, Flights]]:

@@ -68,9 +68,12 @@ class Threshold:
     location, scale: mu and beta of the block maxima; for the maximum rule their mean, and 0.
     standard_error: of the extreme-value level, for independent blocks.
     allowance: what the guard added to that level.
+    session_allowance: the part of the value that stands for what another session (battery, propellers, payload) may
+        shift, as long as few sessions were seen; in a session of the healthy flights the value is less by it.
     blocks: healthy blocks that support it.
     block_s: judged time of a whole block [s].
     flights: flights that they come from.
+    sessions: sessions that these were flown in.
     hours: judged healthy time, that is valid values times the span that each stands for.
     exceeding: healthy blocks above the value.
     budget_per_hour: alarms asked for, in an hour of judged time.
@@ -84,9 +87,11 @@ class Threshold:
     scale: float
     standard_error: float
     allowance: float
+    session_allowance: float
     blocks: int
     block_s: float
     flights: int
+    sessions: int
     hours: float
     exceeding: int
     budget_per_hour: float
@@ -100,7 +105,9 @@ class Threshold:
 
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
-        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {self.flights} flights ({self.hours:.3g} h)"
+        sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
+        flights = f"{self.flights} flights in {sessions} ({self.hours:.3g} h)"
+        basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights}"
         shown = f"they exclude more than {self.demonstrated_per_hour:.3g} alarms/h at 95 %"
         if self.rule is ThresholdRule.MAXIMUM:
             price = f"an equal healthy flight alarms with probability {self.false_alarms_per_flight:.3g}"
@@ -118,11 +125,14 @@ def threshold_of(
     scores: Scores,
     *,
     flights: int,
+    sessions: int | None = None,
     budget_per_hour: float = BUDGET_PER_HOUR,
     guard: Guard = NO_GUARD,
     rule: ThresholdRule = ThresholdRule.GUMBEL,
 ) -> Threshold:
     """The threshold that scores of healthy flights allow. budget_per_hour: this monitor's share.
+
+    sessions: that the flights were flown in; None for one each.
 
     >>> maxima = np.random.default_rng(5).gumbel(1.0, 0.2, 200)   # 200 blocks, mu 1 and beta 0.2
     >>> found = threshold_of(Scores(maxima, np.full(200, 10.0)), flights=20, budget_per_hour=0.36)   # 1 in 1000 blocks
@@ -141,7 +151,9 @@ def threshold_of(
     if rule is ThresholdRule.GUMBEL:
         location, scale = _gumbel(scores, guard.scale_share)
         level = location - scale * math.log(rate)
-    value = max(level + guard.allowance(flights), float(np.mean(x)) + guard.above_mean, guard.least)
+    sessions = flights if sessions is None else sessions
+    least = max(float(np.mean(x)) + guard.above_mean, guard.least)
+    within, value = max(level, least), max(level + guard.allowance(sessions), least)
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
@@ -150,9 +162,11 @@ def threshold_of(
         scale=scale,
         standard_error=_standard_error(scale, rate, len(x)),
         allowance=value - level,
+        session_allowance=value - within,
         blocks=len(x),
         block_s=BLOCK_S,
         flights=flights,
+        sessions=sessions,
         hours=hours,
         exceeding=exceeding,
         budget_per_hour=budget_per_hour,

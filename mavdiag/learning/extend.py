@@ -1,0 +1,151 @@
+"""A baseline with more healthy flights: a new session, or a new set of propellers on the same airframe.
+
+The fits stay as they are; the new flights, which no fit has seen, add to what the thresholds rest on, to the envelope
+and to the healthy trim. New propellers change the trim and the vibration and nothing else, so one short hover tells
+what these are now, and the old flights still tell how much they vary.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mavdiag.baseline import Baseline, HealthyScores, MonitorEntry, Provenance, check_link, sealed
+from mavdiag.chain import front_of
+from mavdiag.errors import InputError
+from mavdiag.learning.flights import LearntFlight, airborne, sessions_of
+from mavdiag.learning.learn import plain_scores, sources
+from mavdiag.monitors import by_name, monitor_of
+from mavdiag.monitors.base import LearnContext
+from mavdiag.monitors.healthy import Three, three
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
+from mavdiag.monitors.unbalance import Unbalance
+from mavdiag.monitors.vibration_level import VibrationLevel
+from mavdiag.rows.align import measure_grid
+from mavdiag.telemetry import Log
+from mavdiag.thresholds.envelope import Covered, covered_by
+from mavdiag.thresholds.heldout import Scores, pooled, score
+from mavdiag.thresholds.rule import threshold_of
+
+__all__ = ["extend"]
+
+RESTS_ON_PROPELLERS = (RotorTrim.name, Unbalance.name, VibrationLevel.name)
+
+
+def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool = False, created: str) -> Baseline:
+    """The baseline with more healthy flights of its airframe. created: time stamp to record, ISO 8601 UTC.
+
+    new_propellers: they were flown with a new set; one hover of 15 s is enough.
+    Raises InputError, naming the flight, for one that is in it already or never flies, or for a baseline of an older
+    schema; BaselineError for a flight over another link.
+    """
+    if not flights:
+        raise InputError("no healthy flight to add; name one or more logs")
+    _check(baseline, flights)
+    front = front_of(baseline)
+    learnt = [airborne(front, flight) for flight in flights]
+    old = baseline.provenance.logs
+    propellers = max(one.propellers for one in old) + new_propellers
+    sessions = _sessions(baseline, flights)
+    entries = []
+    for entry in baseline.monitors:
+        moved = _moved(baseline, entry, learnt) if new_propellers else entry
+        entries.append(_grown(moved, learnt, len({one.session for one in old} | set(sessions)), len(old)))
+    if not new_propellers:
+        entries = [_with_trim(entry, learnt, len({one.session for one in old})) for entry in entries]
+    envelope = _joined(baseline.envelope, covered_by(one.rows for one in learnt))
+    logs = (*old, *sources(learnt, sessions, propellers))
+    return sealed(
+        baseline.model_copy(
+            update={
+                "monitors": tuple(entries),
+                "envelope": envelope,
+                "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
+                "provenance": Provenance(logs=logs, created=created, tool=baseline.provenance.tool),
+            }
+        )
+    )
+
+
+def _check(baseline: Baseline, flights: Sequence[Log]) -> None:
+    known = {one.sha256 for one in baseline.provenance.logs if one.sha256}
+    for flight in flights:
+        if flight.sha256 in known:
+            raise InputError(f"{flight.name}: is in the baseline already; leave it out")
+        check_link(baseline, profile=flight.profile, dt_s=measure_grid(flight.telemetry)[0])
+    if any(entry.scores is None for entry in baseline.monitors):
+        raise InputError("the baseline is of an older schema and holds no scores; make it anew with `mavdiag identify`")
+
+
+def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
+    """The session of each new flight: one of the baseline's if the wall clock says so, else a new one."""
+    logs = baseline.provenance.logs
+    first = max(one.session for one in logs) + 1
+    numbers = [first + number for number in sessions_of(flights)]
+    for i, flight in enumerate(flights):
+        near = [one.session for one in logs if baseline.same_session(flight.started_ns) and one.started_ns]
+        numbers[i] = near[-1] if near else numbers[i]
+    return numbers
+
+
+def _grown(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int, before: int) -> MonitorEntry:
+    """The entry with the new flights' scores, and the threshold of all."""
+    if entry.scores is None:
+        return entry
+    monitor = monitor_of(entry.spec)
+    fresh = [score(monitor, one.rows) for one in flights]
+    scores = pooled([Scores(np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
+    threshold = threshold_of(
+        scores,
+        flights=before + len(flights),
+        sessions=sessions,
+        budget_per_hour=entry.threshold.budget_per_hour,
+        guard=by_name(entry.spec.kind).guard,
+        rule=entry.threshold.rule,
+    )
+    return MonitorEntry(spec=entry.spec, threshold=threshold, scores=plain_scores(scores))
+
+
+def _with_trim(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int) -> MonitorEntry:
+    """The healthy trim as the mean over sessions, the new one among them."""
+    spec = entry.spec
+    if spec.kind != RotorTrim.name:
+        return entry
+    mean = np.array(spec.mean)
+    mean += (np.array(_trim(spec, flights)) - mean) / (sessions + 1)
+    return entry.model_copy(update={"spec": replace(spec, mean=three(mean))})
+
+
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Sequence[LearntFlight]) -> MonitorEntry:
+    """The entry for new propellers: its healthy level is that of the new flights, and its scores move along."""
+    spec = entry.spec
+    if spec.kind not in RESTS_ON_PROPELLERS or entry.scores is None:
+        return entry
+    if spec.kind == RotorTrim.name:
+        return entry.model_copy(update={"spec": replace(spec, mean=three(_trim(spec, flights)))})
+    context = LearnContext(
+        baseline.airframe, baseline.airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples
+    )
+    (new,) = by_name(spec.kind).fit([one.rows for one in flights], context)
+    if spec.kind == Unbalance.name:
+        new, ratio = replace(new, corner_hz=spec.corner_hz), (new.power / spec.power) ** 0.5
+    else:
+        ratio = new.healthy / spec.healthy if spec.healthy else 1.0
+    maxima = tuple(ratio * x for x in entry.scores.maxima)
+    scores = HealthyScores(maxima=maxima, spans_s=entry.scores.spans_s)
+    return entry.model_copy(update={"spec": new, "scores": scores})
+
+
+def _trim(spec: RotorTrimSpec, flights: Sequence[LearntFlight]) -> Three:
+    """Healthy trim of these flights alone."""
+    return RotorTrim(spec).mean_of([one.rows for one in flights])
+
+
+def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:
+    """What both covered together; a condition that one does not carry restricts as the other says."""
+    spans = {covered.condition: covered for covered in one}
+    for covered in other:
+        known = spans.get(covered.condition, covered)
+        low, high = min(known.low, covered.low), max(known.high, covered.high)
+        spans[covered.condition] = Covered(covered.condition, low, high)
+    return tuple(spans.values())
