@@ -8,17 +8,9 @@ import pytest
 
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group, causes_named, injections_of
-from sitl_plant.campaign.plan import (
-    MANOEUVRES,
-    PRESETS,
-    USUAL,
-    Design,
-    FlightTask,
-    balanced,
-    make_plan,
-    task_sequence,
-    with_conditions,
-)
+from sitl_plant.campaign.conditions import MANOEUVRES, USUAL
+from sitl_plant.campaign.levels import with_conditions
+from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, balanced, make_plan, task_sequence
 from sitl_plant.campaign.runner import task_key
 from sitl_plant.campaign.worker import specimen
 from sitl_plant.physics.airframe import drone

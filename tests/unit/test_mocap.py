@@ -61,6 +61,7 @@ def cameras(latency: int = 8) -> tuple[Mocap, MocapState]:
         queue=np.full((latency + 1, 4), np.nan),
         pose=np.zeros(4),
         velocity=np.zeros(3),
+        received=np.full(1, np.nan),
         seen=np.zeros((n, 3)),
         visible=np.zeros(n, dtype=np.int64),
         fit=np.zeros(RIGID),
