@@ -101,6 +101,20 @@ def test_hidden_markers_hold_the_last_pose() -> None:
     assert state.pose[0] == pytest.approx(1.0)
 
 
+def test_after_a_gap_the_speed_is_the_way_over_the_time_that_passed() -> None:
+    constants, state = cameras(latency=8)
+    normals, clear, dark = np.zeros((1, len(MARKERS), 3)), np.ones((1, len(MARKERS))), np.full((1, len(MARKERS)), -1.0)
+    for step in range(400):
+        if step % 4 == 0:
+            seen = dark if 100 <= step < 300 else clear
+            observe(state, constants, vehicle_at(0.002 * step, 0.0), step, normals, seen, 0)
+        deliver_pose(state, constants, step)
+        assert state.velocity[0] <= 2.0 + 1e-9
+        if 108 <= step < 308:
+            assert state.pose[0] == pytest.approx(0.002 * 96)
+    assert state.velocity[0] == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 2.5])
 def test_yaw_of_a_level_body(yaw: float) -> None:
     assert yaw_of(vehicle_at(0.0, yaw)) == pytest.approx(yaw)
