@@ -12,7 +12,7 @@ from mavdiag.errors import UsageError
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group, causes_named, injections_of
 from sitl_plant.campaign.conditions import CALM, CONDITIONS, MANOEUVRES, USUAL, Conditions, built, built_link
 from sitl_plant.campaign.levels import with_conditions
-from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, balanced, make_plan, task_sequence
+from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, LearnTask, balanced, make_plan, task_sequence
 from sitl_plant.campaign.runner import task_key
 from sitl_plant.campaign.worker import specimen
 from sitl_plant.physics.airframe import drone
@@ -161,7 +161,8 @@ def test_results_of_one_vehicle_are_not_those_of_another() -> None:
 def test_campaigns_without_conditions_keep_the_random_streams_they_had_before(preset: str, digest: str) -> None:
     """The digests were taken before there were conditions."""
     plan, whole = make_plan(PRESETS[preset]), hashlib.sha256()
-    for task in (*plan.learning, *plan.flights):
+    tasks: list[LearnTask | FlightTask] = [*plan.learning, *plan.flights]
+    for task in tasks:
         whole.update(task_sequence(0, task).generate_state(4).tobytes())
     assert whole.hexdigest()[:24] == digest
 
@@ -171,10 +172,11 @@ CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDIT
 
 def test_every_condition_has_its_share_of_hours_and_causes() -> None:
     flights = make_plan(CONDITIONED).flights
-    hours: Counter[str] = Counter()
+    hours: dict[str, float] = {}
     for flight in flights:
         if flight.cause == HEALTHY:
-            hours[flight.conditions.condition] += flight.duration_s / 3600
+            name = flight.conditions.condition
+            hours[name] = hours.get(name, 0.0) + flight.duration_s / 3600
     assert hours.keys() == CONDITIONS.keys()
     assert all(0.1 <= found < 0.1 + 600 / 3600 for found in hours.values())
     assert min(hours.values()) == pytest.approx(0.1)

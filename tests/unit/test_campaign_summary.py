@@ -158,7 +158,8 @@ def in_conditions() -> Results:
 def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
     calm, wind = summarise(in_conditions()).conditions
     assert (calm.condition, wind.condition) == ("calm", "wind-2")
-    assert (wind.flown_h, wind.judged_h) == (pytest.approx(12 * 60 / 3600), pytest.approx(11 * 45 / 3600))
+    assert wind.flown_h == pytest.approx(12 * 60 / 3600)
+    assert wind.judged_h == pytest.approx(11 * 45 / 3600)
     assert wind.judged_share == pytest.approx(11 * 45 / (12 * 60))
     assert (wind.alarms.count, wind.faults.count) == (2, 1)
     assert wind.faults.high == pytest.approx(poisson_rate(1, 11 * 45 / 3600).high)
@@ -174,8 +175,9 @@ def test_each_monitor_tells_what_it_judged_in_each_condition() -> None:
     flights = (flown(0, "wind-5", monitors=own), flown(1, "wind-5", monitors=()))
     (row,) = summarise(Results(PLAN, (), flights, 0, 0)).conditions
     latency, other = row.monitors
-    assert (latency.name, latency.judged_share) == ("latency", pytest.approx(30 / 120))
-    assert (latency.rate.count, latency.rate.hours) == (1, pytest.approx(30 / 3600))
+    assert (latency.name, latency.rate.count) == ("latency", 1)
+    assert latency.judged_share == pytest.approx(30 / 120)
+    assert latency.rate.hours == pytest.approx(30 / 3600)
     assert (other.judged_share, other.rate.high) == (0.0, None)
 
 
