@@ -1,5 +1,6 @@
 """The options that the commands of `sitl-plant` share, and how they become a flight."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -12,6 +13,9 @@ import typer
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.airframe import drone as specimen
+from sitl_plant.physics.loading import PickUp
+from sitl_plant.physics.sessions import in_session_number
 from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
@@ -24,6 +28,7 @@ VehicleName: TypeAlias = Annotated[
 TruthFile: TypeAlias = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
 ]
+PICKUP_BELOW_M = 0.05  # as the payload
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
 
 
@@ -61,7 +66,25 @@ def flight_plan(
     ] = None,
     seed: Annotated[int, typer.Option(help="Equal seeds give equal flights, bit for bit.")] = 0,
     wind: Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")] = 0.0,
+    turbulence: Annotated[
+        float, typer.Option(metavar="W20", help="Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s].")
+    ] = 0.0,
     payload: Annotated[float, typer.Option(metavar="KG", help="Point mass below the body.")] = 0.0,
+    pickup: Annotated[float, typer.Option(metavar="KG", help="Point mass taken up in flight.")] = 0.0,
+    pickup_at: Annotated[float, typer.Option(metavar="S", help="Flight time at which it is taken up.")] = 10.0,
+    pickup_beside: Annotated[float, typer.Option(metavar="MM", help="How far to the right it hangs.")] = 20.0,
+    drop_at: Annotated[
+        float | None, typer.Option(metavar="S", help="Flight time at which it is dropped.  [default: never]")
+    ] = None,
+    outages: Annotated[
+        float, typer.Option(metavar="PER_MIN", help="How often motion capture is lost, for 0.3 to 2 s.")
+    ] = 0.0,
+    session: Annotated[
+        int, typer.Option(help="Day of the specimen: 0 as drawn; others have battery, trim and bias of their own.")
+    ] = 0,
+    propellers: Annotated[
+        float, typer.Option(metavar="PERCENT", help="New healthy propellers, one set a session; thrust +- this.")
+    ] = 0.0,
     profile: Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
 ) -> FlightPlan:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
@@ -73,9 +96,15 @@ def flight_plan(
         raise UsageError(f"--onset must be zero or more, not {onset:g}")
     if duration is not None and not duration > 0.0:
         raise UsageError(f"duration must be positive, not {duration:g}")
+    kind = vehicle_from(vehicle)
+    taken = None
+    if pickup:
+        beside = Payload(pickup, (0.0, 1e-3 * pickup_beside, PICKUP_BELOW_M))
+        taken = PickUp(beside, pickup_at, math.inf if drop_at is None else drop_at)
     config = PlantConfig(
-        vehicle=vehicle_from(vehicle),
+        vehicle=kind,
         drone=drone,
+        airframe=in_session_number(specimen(kind, drone), session, propellers / 100),
         trajectory=trajectory,
         nose=nose,
         start="ground" if takeoff else "hover",
@@ -86,6 +115,9 @@ def flight_plan(
         phenomenology=phenomenology,
         wind_m_s=wind,
         payload=Payload(payload),
+        turbulence_m_s=turbulence,
+        pickup=taken,
+        outages_per_min=outages,
         seed=seed,
     )
     return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)

@@ -20,14 +20,19 @@ from sitl_plant.physics.attitude import ESTIMATE
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import parse_fault
 from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import Model, Noise, Rows, fly
+from sitl_plant.physics.kernel import Model, Rows, fly
+from sitl_plant.physics.loading import PickUp, carried, reload
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
+from sitl_plant.physics.sessions import Wear
+from sitl_plant.physics.streams import MOST_OUTAGES_PER_MIN, Streams
 from sitl_plant.physics.trajectory import Nose, Path, Shape, landing_time, path
+from sitl_plant.physics.turbulence import Dryden, dryden
 from sitl_plant.vehicle import Vehicle, qdrone2
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
 
 STEP_NS = round(STEP_S * 1e9)
+WEAR_STEPS = 1000  # wear is held for a second
 SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, integrals and the wind are settled
 
 
@@ -45,6 +50,10 @@ class PlantConfig:
     injections: other causes.
     wind_m_s: mean speed.
     wind_towards_rad: where the wind blows to; 0 is north, pi/2 east.
+    turbulence_m_s: wind W20 of Dryden turbulence, in place of the gusts of the vehicle's file; 0 for the latter.
+    pickup: a payload taken up, and perhaps dropped, in flight.
+    outages_per_min: how often motion capture is lost for `streams.OUTAGE_S`.
+    wear: what the propellers lose with the hours.
     vehicle: the type of which drones 1 to 3 are specimens.
     airframe: another specimen instead.
     start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
@@ -66,6 +75,10 @@ class PlantConfig:
     wind_m_s: float = 0.0
     wind_towards_rad: float = math.pi / 4
     payload: Payload = NO_PAYLOAD
+    turbulence_m_s: float = 0.0
+    pickup: PickUp | None = None
+    outages_per_min: float = 0.0
+    wear: Wear | None = None
     seed: int = 0
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
     airframe: Airframe | None = None
@@ -88,6 +101,23 @@ class PlantConfig:
         if self.seed < 0:
             raise UsageError(f"seed must be zero or more, not {self.seed}")
         self.all_injections()  # refuses a fault that does not exist
+        self.gusts()
+        if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
+            most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
+            raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
+        if self.wear is not None and len(self.wear.loss_per_h) != len(self.type.rotors):
+            raise UsageError(f"wear needs a loss for each of {len(self.type.rotors)} rotors")
+
+    @property
+    def type(self) -> Vehicle:
+        """The vehicle that flies."""
+        return self.vehicle if self.airframe is None else self.airframe.vehicle
+
+    def gusts(self) -> Dryden | None:
+        """The turbulence at the height of the path, None if it was not asked for."""
+        if not self.turbulence_m_s:
+            return None
+        return dryden(self.turbulence_m_s, self.altitude_m, self.wind_m_s)
 
     def _check_ground(self) -> None:
         if self.start == "ground" and not self.altitude_m > 0.0:
@@ -169,12 +199,15 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
-        self._streams = _Streams(config.seed)
+        gusts = config.gusts()
+        blown = None if gusts is None else (gusts, config.wind_towards_rad)
+        self._streams = Streams(config.seed, STEP_S, blown, config.outages_per_min)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._injections = _placed(config.all_injections(), rotors, self._streams.angle)
         self._spans = [injection.span(STEP_S) for injection in self._injections]
         self._model = _model(config, self.airframe)
-        self._state = initial_state(self._model, azimuth)
+        self._loaded = False
+        self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._step = -SETTLING_STEPS
         self._renew_condition()
         self.advance(SETTLING_STEPS)
@@ -230,7 +263,22 @@ class Plant:
         ]
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
-        self._changes_at = min((step for span in self._spans for step in span if step > self._step), default=NEVER)
+        changes = [step for span in self._spans for step in span]
+        if self.config.wear is not None:
+            self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
+            changes.append(self._step + WEAR_STEPS)
+        if self.config.pickup is not None:
+            changes += [NEVER if step is None else step for step in self.config.pickup.span(STEP_S)]
+            self._load(self.config.pickup)
+        self._changes_at = min((step for step in changes if step > self._step), default=NEVER)
+
+    def _load(self, pickup: PickUp) -> None:
+        """Take the payload up or drop it, if that happens now."""
+        hangs = carried(pickup, self._step, STEP_S)
+        if hangs != self._loaded:
+            payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
+            self._model = reload(self._model, self._state, self.airframe, payloads, pickup if hangs else None)
+            self._loaded = hangs
 
 
 def _placed(injections: tuple[Injection, ...], rotors: int, rng: np.random.Generator) -> tuple[Injection, ...]:
@@ -245,32 +293,10 @@ def _placed(injections: tuple[Injection, ...], rotors: int, rng: np.random.Gener
     )
 
 
-class _Streams:
-    """Independent random streams, one per purpose, each consumed in order of time: cutting a flight changes nothing."""
-
-    def __init__(self, seed: int) -> None:
-        children = np.random.SeedSequence(seed).spawn(6)
-        self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = (
-            np.random.default_rng(child) for child in children
-        )
-
-    def draw(self, first: int, count: int, model: Model) -> Noise:
-        """Numbers for `count` steps from step `first` on."""
-        period, markers = model.mocap.period, len(model.mocap.markers)
-        frames = (first + count - 1) // period - (first - 1) // period
-        return Noise(
-            rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),
-            imu=self.imu.standard_normal((count, 6)),
-            wind=self.wind.standard_normal((count, 3)),
-            markers=self.markers.standard_normal((frames, markers, 3)),
-            occlusion=self.occlusion.random((frames, markers)),
-        )
-
-
 def _model(config: PlantConfig, airframe: Airframe) -> Model:
     towards = config.wind_towards_rad
     wind = config.wind_m_s * np.array([math.cos(towards), math.sin(towards), 0.0])
-    return make_model(airframe, config.payload, config.path(), wind)
+    return make_model(airframe, config.payload, config.path(), wind, config.gusts() is not None)
 
 
 def _empty_rows(steps: int, rotors: int) -> Rows:

@@ -33,6 +33,7 @@ __all__ = [
     "Piv",
     "Propulsion",
     "Rotor",
+    "SoftMount",
     "Spread",
     "Vehicle",
     "Wind",
@@ -109,14 +110,23 @@ class Battery:
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class SoftMount:
+    """The mode between airframe and IMU, see `sitl_plant.physics.mount`."""
+
+    resonance_hz: Positive
+    damping_ratio: Positive
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Imu:
-    """Inertial sensor: place, noise density (one-sided), on-chip filter, bias."""
+    """Inertial sensor: place, noise density (one-sided), on-chip filter, bias, and its mount if that is not rigid."""
 
     position_m: Vector
     gyro_noise_density: NotNegative
     accel_noise_density: NotNegative
     filter_hz: Positive
     gyro_bias_rms: NotNegative
+    mount: SoftMount | None = None
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from mavdiag.errors import UsageError
-from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
+from sitl_plant.campaign.levels import with_conditions
+from sitl_plant.campaign.plan import PRESETS, Design, make_plan
 from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
@@ -26,20 +27,23 @@ def campaign(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
     ] = Path("campaign.jsonl"),
-    preset: Annotated[Literal["quick", "full"], typer.Option(help="Size and levels to start from.")] = "quick",
+    preset: Annotated[
+        Literal["quick", "full", "conditions"], typer.Option(help="Size and levels to start from.")
+    ] = "quick",
     flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
     hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
     airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
     learn: Annotated[
-        Literal["mixed", "square"], typer.Option(help="Learn from mixed flights, or from T's square alone.")
-    ] = "mixed",
+        Literal["mixed", "square"] | None,
+        typer.Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
+    ] = None,
     learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
     duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
     conditions: Annotated[
         list[str],
         typer.Option(
             metavar="FACTOR=LEVEL,..",
-            help="Levels of cause, rotor, phenomenology, manoeuvre, wind, payload, link or loss; repeatable.",
+            help="Levels of cause, rotor, phenomenology, condition, manoeuvre, wind, payload, link, loss; repeatable.",
         ),
     ] = [],  # noqa: B006  # typer copies its defaults
     vehicle: VehicleName = "qdrone2",
@@ -62,7 +66,7 @@ def campaign(
         base,
         vehicle=vehicle_from(vehicle),
         seed=seed,
-        learn=learn,
+        learn=base.learn if learn is None else learn,
         flights=base.flights if flights is None else flights,
         hours=base.hours if hours is None else hours,
         airframes=base.airframes if airframes is None else airframes,

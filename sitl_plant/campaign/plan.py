@@ -11,81 +11,31 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.units import S_PER_H
-from sitl_plant.autopilot.telemetry import LinkSpec
-from sitl_plant.campaign.causes import CAUSES, HEALTHY, causes_named
+from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group
+from sitl_plant.campaign.conditions import CALM, CONDITIONS, USUAL, Conditions, built, built_link
 from sitl_plant.vehicle import Vehicle, qdrone2
 
 __all__ = [
-    "MANOEUVRES",
     "PRESETS",
-    "USUAL",
-    "Conditions",
     "Design",
     "FlightTask",
     "LearnTask",
-    "Manoeuvre",
     "Plan",
     "balanced",
     "make_plan",
-    "parse_link",
     "task_sequence",
-    "with_conditions",
 ]
 
 Level = TypeVar("Level")
 
-# Factors whose levels are numbers, and their ranges.
-RANGES = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
-
-
-@dataclass(frozen=True, slots=True)
-class Manoeuvre:
-    """A named path.
-
-    speed_m_s: along it.
-    heading_rad: how far it is turned.
-    nose: where the nose points, see `sitl_plant.physics.trajectory.Nose`.
-    takeoff: it begins and ends on the ground.
-    """
-
-    shape: str
-    speed_m_s: float = 0.5
-    heading_rad: float = 0.0
-    nose: str = "fixed"
-    takeoff: bool = False
-
-
-MANOEUVRES: Mapping[str, Manoeuvre] = {
-    "square": Manoeuvre("square"),  # T 5.2
-    "square-fast": Manoeuvre("square", speed_m_s=0.8),
-    "square-turned": Manoeuvre("square", heading_rad=math.pi / 4),
-    "hover": Manoeuvre("hover"),
-    "circle": Manoeuvre("circle"),
-    "figure8": Manoeuvre("figure8"),
-    "square-nose": Manoeuvre("square", nose="path"),
-    "circle-nose": Manoeuvre("circle", nose="path"),
-    "figure8-nose": Manoeuvre("figure8", nose="path"),
-    "hover-spin": Manoeuvre("hover", nose="spin"),
-    "square-spin": Manoeuvre("square", nose="spin"),
-    "square-takeoff": Manoeuvre("square", takeoff=True),
-}
-USUAL = tuple(name for name, one in MANOEUVRES.items() if one.nose == "fixed" and not one.takeoff)
-
-
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """What a flight flies, and in what. payload_g hangs 5 cm below the centre, up to 1 cm beside it."""
-
-    manoeuvre: str = "square"
-    wind_m_s: float = 0.0
-    payload_g: float = 0.0
+FLIGHTS_A_DAY = 4  # flights of one session, where a condition has other sessions (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +56,7 @@ class FlightTask:
 
     cause: a name of `causes.CAUSES`, or "healthy".
     rotor: where the cause is, if it has a place.
+    session: 0 is that of the healthy flights learnt from, each other a day later.
     """
 
     index: int
@@ -116,6 +67,7 @@ class FlightTask:
     conditions: Conditions
     loss: float
     duration_s: float
+    session: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +81,7 @@ class Design:
     hours: of healthy flight, besides.
     vehicle: the type of all specimens.
     rotor: levels; None for every rotor of the vehicle.
+    condition: names of `CONDITIONS`, each with its share of flights and hours.
     """
 
     seed: int = 0
@@ -146,6 +99,7 @@ class Design:
     payload: tuple[float, ...] = (0.0, 100.0)
     link: tuple[str, ...] = ("qdrone2@1000",)
     loss: tuple[float, ...] = (0.0,)
+    condition: tuple[str, ...] = (CALM,)
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
@@ -170,6 +124,18 @@ PRESETS: Mapping[str, Design] = {
         link=("qdrone2@1000", "qdrone2@1000", "qdrone2@200", "px4@160", "ardupilot@100"),
         loss=(0.0, 0.0, 0.05, 0.2),
     ),
+    # Each condition alone, against a baseline of five flights of T's square.
+    "conditions": Design(
+        learn="square",
+        learn_flights=5,
+        flights=27 * len(CONDITIONS),
+        hours=2.0 * len(CONDITIONS),
+        cause=tuple(name for name, cause in CAUSES.items() if cause.group is Group.FAULT),
+        manoeuvre=("square",),
+        wind=(0.0,),
+        payload=(0.0,),
+        condition=tuple(CONDITIONS),
+    ),
 }
 
 
@@ -184,33 +150,43 @@ class Plan:
 
 def make_plan(design: Design) -> Plan:
     """All tasks of a design. The same design makes the same plan."""
-    healthy = math.ceil(design.hours * S_PER_H / design.duration_s)
-    flights = (*_flights(design, "cause", design.flights), *_flights(design, "healthy", healthy))
+    names = design.condition
+    flights: list[FlightTask] = []
+    for number, name in enumerate(names):
+        share, left = divmod(design.flights, len(names))
+        flights += _flights(design, "cause", share + (number < left), name)
+    for name in names:
+        duration_s = CONDITIONS[name].duration_s or design.duration_s
+        flights += _flights(design, "healthy", math.ceil(design.hours / len(names) * S_PER_H / duration_s), name)
     learning = tuple(dict.fromkeys(flight.learnt for flight in flights))
-    return Plan(design, learning, flights)
+    return Plan(design, learning, tuple(flights))
 
 
-def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
+def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTask]:
+    """`count` flights in the named condition; kind: "cause" or "healthy"."""
+    condition, part = CONDITIONS[name], kind if name == CALM else f"{kind} {name}"
+
     def column(name: str, levels: Sequence[Level]) -> list[Level]:
         return balanced(levels, count, design.seed, f"{part} {name}")
 
     learning = {
-        (airframe, link): _learning(design, airframe, link)
+        (airframe, link): _learning(design, airframe, built_link(link, name), built(design.vehicle, name))
         for airframe in range(design.airframes)
         for link in dict.fromkeys(design.link)
     }
     rotors = design.rotor or tuple(range(1, len(design.vehicle.rotors) + 1))
-    causes = [HEALTHY] * count if part == "healthy" else column("cause", design.cause)
+    causes = [HEALTHY] * count if kind == "healthy" else column("cause", design.cause)
     columns = zip(
         causes,
         _within(causes, rotors, design.seed, f"{part} rotor"),
         _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
-        column("manoeuvre", design.manoeuvre),
+        column("manoeuvre", condition.manoeuvres or design.manoeuvre),
         column("wind", design.wind),
         column("payload", design.payload),
         column("link", design.link),
         column("loss", design.loss),
-        column("airframe", range(design.airframes)),
+        airframes := column("airframe", range(design.airframes)),
+        _sessions(airframes) if condition.another_day else [0] * count,
         strict=True,
     )
     return [
@@ -220,15 +196,28 @@ def _flights(design: Design, part: str, count: int) -> list[FlightTask]:
             cause=cause,
             rotor=rotor,
             phenomenology=phenomenology if cause in CAUSES and CAUSES[cause].fitted else 1.0,
-            conditions=Conditions(manoeuvre, wind, payload),
+            conditions=Conditions(manoeuvre, wind, payload, name).applied(),
             loss=loss,
-            duration_s=design.duration_s,
+            duration_s=condition.duration_s or design.duration_s,
+            session=session,
         )
-        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe) in enumerate(columns)
+        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in enumerate(
+            columns
+        )
     ]
 
 
-def _learning(design: Design, airframe: int, link: str) -> LearnTask:
+def _sessions(airframes: Sequence[int]) -> list[int]:
+    """Sessions 1, 2, ... of each airframe, of `FLIGHTS_A_DAY` flights each."""
+    flown: Counter[int] = Counter()
+    sessions = []
+    for airframe in airframes:
+        sessions.append(1 + flown[airframe] // FLIGHTS_A_DAY)
+        flown[airframe] += 1
+    return sessions
+
+
+def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> LearnTask:
     """Half of the flights, and the first, are T's square in calm air: it excites the model."""
     count = design.learn_flights
     mixed = zip(
@@ -244,7 +233,7 @@ def _learning(design: Design, airframe: int, link: str) -> LearnTask:
     )
     drawn = [Conditions(str(manoeuvre), float(wind), float(payload)) for manoeuvre, wind, payload in mixed]
     flights = tuple(drawn[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
-    return LearnTask(design.vehicle, airframe, airframe % 2 == 1, link, flights, design.duration_s)
+    return LearnTask(vehicle, airframe, airframe % 2 == 1, link, flights, design.duration_s)
 
 
 def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> list[Level]:
@@ -275,70 +264,17 @@ def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequ
     """
     match task:
         case LearnTask():
-            flown = ["learn", task.airframe, [asdict(one) for one in task.flights], task.duration_s]
+            flown = ["learn", task.airframe, [_flown(one) for one in task.flights], task.duration_s]
         case FlightTask():
             place = [task.index, task.learnt.airframe, task.cause, task.rotor]
-            flown = ["flight", *place, asdict(task.conditions), task.duration_s]
+            flown = ["flight", *place, _flown(task.conditions), task.duration_s]
     words = np.frombuffer(hashlib.sha256(json.dumps(flown, sort_keys=True).encode()).digest(), dtype="<u4")
     return np.random.SeedSequence([seed, *words.tolist()])
 
 
-def parse_link(text: str) -> LinkSpec:
-    """A link such as "qdrone2@1000": profile and rate [Hz]. Raises UsageError for what cannot be.
-
-    >>> parse_link("ardupilot@100")
-    LinkSpec(profile='ardupilot', rate_hz=100.0, loss=0.0)
-    """
-    profile, _, rate = text.partition("@")
-    return LinkSpec(profile, _number("link", rate) if rate else None)
-
-
-def with_conditions(design: Design, filters: Sequence[str]) -> Design:
-    """The design with the levels of some factors replaced, each given as "factor=level,level".
-
-    Raises UsageError for an unknown factor or level.
-    """
-    changed: dict[str, Any] = {}
-    for text in filters:
-        factor, _, levels = (part.strip() for part in text.partition("="))
-        wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
-        if not wanted:
-            raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
-        match factor:
-            case "cause":
-                changed[factor] = causes_named(wanted)
-            case "manoeuvre":
-                if unknown := set(wanted) - MANOEUVRES.keys():
-                    raise UsageError(f"no manoeuvre {min(unknown)!r}: give one of {', '.join(MANOEUVRES)}")
-                changed[factor] = wanted
-            case "link":
-                changed[factor] = wanted
-                for one in wanted:
-                    parse_link(one)
-            case "rotor":
-                changed[factor] = _rotors(wanted, len(design.vehicle.rotors))
-            case number if number in RANGES:
-                changed[factor] = _numbers(factor, wanted, *RANGES[number])
-            case other:
-                raise UsageError(f"no factor {other!r}: give cause, rotor, manoeuvre, link, {', '.join(RANGES)}")
-    return replace(design, **changed)
-
-
-def _rotors(texts: Sequence[str], rotors: int) -> tuple[int, ...]:
-    if not set(texts) <= {str(rotor) for rotor in range(1, rotors + 1)}:
-        raise UsageError(f"rotor must be 1 to {rotors}, not {', '.join(texts)}")
-    return tuple(int(text) for text in texts)
-
-
-def _numbers(factor: str, texts: Sequence[str], low: float, high: float) -> tuple[float, ...]:
-    values = tuple(_number(factor, text) for text in texts)
-    if not all(low <= value <= high for value in values):
-        raise UsageError(f"{factor} must be {low:g} to {high:g}, not {', '.join(texts)}")
-    return values
-
-
-def _number(factor: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"{factor} must be a number, not {text!r}") from None
+def _flown(conditions: Conditions) -> dict[str, Any]:
+    """What the stream follows from. Calm flights keep the streams that they had before there were conditions."""
+    row = asdict(conditions)
+    if conditions.condition == CALM:
+        del row["condition"]
+    return row

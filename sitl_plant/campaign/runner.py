@@ -43,7 +43,10 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 # What cannot change a result: bytecode, and the edges.
 UNRELATED = (
     *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
-    *(f"sitl_plant/campaign/{name}.py" for name in ("command", "runner", "summary", "tables")),
+    *(
+        f"sitl_plant/campaign/{name}.py"
+        for name in ("command", "condition_rows", "intervals", "runner", "summary", "tables")
+    ),
 )
 
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])

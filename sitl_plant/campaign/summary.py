@@ -1,8 +1,5 @@
 """What a campaign found, with 95 % confidence intervals: Wilson's for shares, the exact Poisson one for rates.
 
-    share:  Wilson, JASA 22 (1927)
-    rate:   chi2(0.025, 2k) / 2T  to  chi2(0.975, 2k + 2) / 2T                      Garwood, Biometrika 28 (1936)
-
 Flights of one airframe share its baseline, so they are not independent; the intervals do not know that.
 """
 
@@ -14,6 +11,8 @@ import numpy as np
 
 from mavdiag.units import S_PER_H
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group
+from sitl_plant.campaign.condition_rows import UNJUDGED, ConditionRow, condition_rows
+from sitl_plant.campaign.intervals import Rate, Share, poisson, wilson
 from sitl_plant.campaign.runner import Results
 from sitl_plant.campaign.worker import FlightResult
 
@@ -22,35 +21,9 @@ __all__ = [
     "AnswerRow",
     "DetectionRow",
     "MonitorRow",
-    "Rate",
-    "Share",
     "Summary",
-    "poisson",
     "summarise",
-    "wilson",
 ]
-
-UNJUDGED = ("not_judgeable", "error")
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """hits of `of`, with the interval of the true share; 0 to 1 if `of` is 0."""
-
-    hits: int
-    of: int
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """count in so many hours, and the interval of the true rate [1/h]; without hours it is 0 to infinity (None)."""
-
-    count: int
-    hours: float
-    low: float
-    high: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,39 +92,12 @@ class Summary:
     detection: tuple[DetectionRow, ...]
     monitors: tuple[MonitorRow, ...]
     answers: tuple[AnswerRow, ...]
-
-
-def wilson(hits: int, of: int) -> Share:
-    """The share and its interval.
-
-    >>> one = wilson(8, 10)
-    >>> round(one.low, 3), round(one.high, 3)
-    (0.49, 0.943)
-    """
-    if of == 0:
-        return Share(0, 0, 0.0, 1.0)
-    from scipy.stats import binomtest  # scipy.stats takes a second to load
-
-    interval = binomtest(hits, of).proportion_ci(method="wilson")
-    return Share(hits, of, float(interval.low), float(interval.high))
-
-
-def poisson(count: int, hours: float) -> Rate:
-    """The rate's exact interval.
-
-    >>> round(poisson(0, 10.0).high, 3)        # ln(40) / 10
-    0.369
-    """
-    from scipy.stats import chi2
-
-    if hours <= 0.0:
-        return Rate(count, 0.0, 0.0, None)
-    low = float(chi2.ppf(0.025, 2 * count)) / (2 * hours) if count else 0.0
-    return Rate(count, hours, low, float(chi2.ppf(0.975, 2 * count + 2)) / (2 * hours))
+    conditions: tuple[ConditionRow, ...] = ()
 
 
 _FACTORS: Mapping[str, Callable[[FlightResult], str]] = {
     "all": lambda flight: "all",
+    "condition": lambda flight: flight.conditions.condition,
     "manoeuvre": lambda flight: flight.conditions.manoeuvre,
     "wind m/s": lambda flight: f"{flight.conditions.wind_m_s:g}",
     "payload g": lambda flight: f"{flight.conditions.payload_g:g}",
@@ -189,6 +135,7 @@ def summarise(results: Results) -> Summary:
         detection=tuple(_detection_row(*row) for row in _by_level(_FAULT_FACTORS, faulty)),
         monitors=_monitor_rows(judged, faulty),
         answers=_answer_rows(results.flights),
+        conditions=condition_rows(results.flights),
     )
 
 

@@ -5,7 +5,9 @@ from collections.abc import Iterable, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from sitl_plant.campaign.summary import DetectionRow, Rate, Share, Summary
+from sitl_plant.campaign.condition_rows import ConditionRow
+from sitl_plant.campaign.intervals import Rate, Share
+from sitl_plant.campaign.summary import DetectionRow, Summary
 
 __all__ = ["print_summary"]
 
@@ -18,7 +20,8 @@ def print_summary(summary: Summary) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=PIPED_WIDTH)
-    for table in (_alarms(summary), _detection(summary), _cells(summary), _monitors(summary), _answers(summary)):
+    shown = (_conditions, _judged, _found, _alarms, _detection, _cells, _monitors, _answers)
+    for table in (make(summary) for make in shown):
         if table.row_count:
             console.print(table)
     console.print(
@@ -36,6 +39,57 @@ def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _several(summary: Summary) -> tuple[ConditionRow, ...]:
+    """The rows of the named conditions, if there are several; of one alone the other tables tell."""
+    return summary.conditions if len(summary.conditions) > 1 else ()
+
+
+def _conditions(summary: Summary) -> Table:
+    return _table(
+        "Healthy flight by condition: alarms and decisions for a fault, by the hours judged",
+        ("condition", "flown h", "judged", "alarms", "per hour", "95 %", "faults", "per hour", "95 %", "flagged"),
+        (
+            (
+                row.condition,
+                f"{row.flown_h:.2f}",
+                f"{100 * row.judged_share:.0f} %",
+                str(row.alarms.count),
+                *_rate(row.alarms),
+                str(row.faults.count),
+                *_rate(row.faults),
+                _part(row.flagged),
+            )
+            for row in _several(summary)
+            if row.flown_h
+        ),
+    )
+
+
+def _judged(summary: Summary) -> Table:
+    """Share of healthy flight that each monitor judged, and its alarms."""
+    rows = [row for row in _several(summary) if row.flown_h]
+    names = sorted({one.name for row in rows for one in row.monitors})
+    lines = []
+    for row in rows:
+        cells = {one.name: f"{100 * one.judged_share:.0f} % {one.rate.count}" for one in row.monitors}
+        lines.append((row.condition, *(cells.get(name, "-") for name in names)))
+    return _table("Healthy flight by monitor: share judged, and alarms", ("condition", *names), lines)
+
+
+def _found(summary: Summary) -> Table:
+    """T's nine faults found by condition and scale of the fitted terms: with an alarm, and decided as a fault."""
+    rows = [row for row in _several(summary) if row.detection]
+    scales = sorted({one.phenomenology for row in rows for one in row.detection})
+    lines = []
+    for row in rows:
+        cells = {one.phenomenology: f"{_part(one.detected)}, {_part(one.declared)}" for one in row.detection}
+        lines.append((row.condition, *(cells.get(scale, "-") for scale in scales)))
+    title = (
+        "T's nine faults by condition and fitted terms: flights with an alarm, and decided as a fault, of those judged"
+    )
+    return _table(title, ("condition", *(f"x{scale:g}" for scale in scales)), lines)
 
 
 def _alarms(summary: Summary) -> Table:

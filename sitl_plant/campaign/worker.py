@@ -4,23 +4,27 @@ Everything follows from the campaign's seed and the task, so it does not matter 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.baseline import dump, parse
+from mavdiag.decision.alarm import Change, Stage
 from mavdiag.errors import MavdiagError
 from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.report import event_json
 from mavdiag.telemetry import Log
-from mavdiag.units import S_PER_H
+from mavdiag.units import NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.causes import HEALTHY, injections_of
-from sitl_plant.campaign.plan import MANOEUVRES, Conditions, FlightTask, LearnTask, parse_link, task_sequence
+from sitl_plant.campaign.conditions import CONDITIONS, MANOEUVRES, Conditions, parse_link
+from sitl_plant.campaign.plan import FlightTask, LearnTask, task_sequence
 from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
 from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.loading import PickUp
+from sitl_plant.physics.sessions import Wear, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 
@@ -30,6 +34,11 @@ CREATED = "2026-01-01T00:00:00+00:00"  # fixed, so that equal campaigns learn eq
 ONSET = (0.3, 0.5)  # share of the flight; healthy before
 PAYLOAD_OFFSET_M = 0.01  # how far beside the centre a payload hangs (estimate)
 PAYLOAD_BELOW_M = 0.05
+DROP = (0.7, 0.8)  # share of the flight at which half of the picked-up payloads are dropped
+PICKUP = (0.2, 0.3)  # share of the flight: before the onset of a cause
+WEAR_H = 10.0  # flown between the baseline and a flight with wear, at most (our choice)
+START_NS = 1_767_225_600 * NS_PER_S  # 2026-01-01, the first flight learnt from
+PAUSE_S, DAY_S = 300.0, 86_400.0  # between flights of one session, and between sessions (our choice)
 EPISODE_S = 10.0  # alarms this near to each other count as one (our choice)
 
 
@@ -48,12 +57,16 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s]."""
+    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s].
+
+    judged_s: time of the whole flight that it judged.
+    """
 
     name: str
     before: int
     after: int
     latency_s: float | None
+    judged_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +91,9 @@ class FlightResult:
     onset_s: None if the flight was healthy.
     episodes: groups of alarms before the onset.
     latency_s: from the onset to the first alarm after it.
+    session: as in the task.
+    faults: how often the decision came to "fault" before the onset.
+    declared_s: from the onset to the first "fault" after it.
     """
 
     key: str
@@ -99,6 +115,9 @@ class FlightResult:
     latency_s: float | None
     answer: Answer
     monitors: tuple[MonitorResult, ...]
+    session: int = 0
+    faults: int = 0
+    declared_s: float | None = None
     record: Literal["flight"] = "flight"
 
 
@@ -133,6 +152,41 @@ def _config(
     )
 
 
+def _on_the_day(
+    seed: int, airframe: Airframe, number: int, session: int, condition: str
+) -> tuple[Airframe, Wear | None]:
+    """The airframe in a session and how worn it is: the same for all flights of that session."""
+    row = CONDITIONS[condition]
+    if not session:
+        return airframe, None
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E55, number, session]))
+    if row.session:
+        airframe = in_session(airframe, rng)
+    if row.propellers:
+        airframe = with_propellers(airframe, row.propellers, rng)
+    if not row.wear_per_h:
+        return airframe, None
+    losses = np.random.default_rng(np.random.SeedSequence([seed, 0x3EA2, number])).random(len(airframe.vehicle.rotors))
+    return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
+
+
+def _in_condition(config: PlantConfig, condition: str, duration_s: float, rng: np.random.Generator) -> PlantConfig:
+    """The flight in a named condition. The stream is one of its own."""
+    row, pickup = CONDITIONS[condition], None
+    if row.pickup_g:
+        angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
+        beside = 1e-3 * row.pickup_offset_mm
+        place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
+        end_s = float(duration_s * drop_s) if rng.random() < 0.5 else np.inf
+        pickup = PickUp(Payload(row.pickup_g * 1e-3, place), float(duration_s * at_s), end_s)
+    return replace(config, turbulence_m_s=row.turbulence_m_s, outages_per_min=row.outages_per_min, pickup=pickup)
+
+
+def _started_ns(task: LearnTask, session: int, number: int) -> int:
+    """Wall clock of a flight: those of a session follow each other, every session is on a day of its own."""
+    return START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
+
+
 def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
     """Fly an airframe's healthy flights and learn from them."""
     airframe, link = specimen(seed, task.airframe, task.aged, task.vehicle), parse_link(task.link)
@@ -141,7 +195,8 @@ def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
         config = _config(airframe, task.flights[number], task.duration_s, (), np.random.default_rng(child))
         telemetry, _ = flight_telemetry(config, task.duration_s, link)
         name = f"{airframe.name} healthy {number}"
-        flights.append(Log(name, telemetry_digest(telemetry), link.profile, telemetry))
+        started_ns = _started_ns(task, 0, number)
+        flights.append(Log(name, telemetry_digest(telemetry), link.profile, telemetry, started_ns))
     try:
         baseline = learn(flights, LearnOptions(airframe=airframe_of(airframe.vehicle, airframe.name)), created=CREATED)
     except MavdiagError as error:
@@ -151,14 +206,19 @@ def learn_task(key: str, seed: int, task: LearnTask) -> LearnResult:
 
 def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> FlightResult:
     """Fly once and judge the flight by what was learnt of the airframe."""
-    airframe = specimen(seed, task.learnt.airframe, task.learnt.aged, task.learnt.vehicle)
-    rng = np.random.default_rng(task_sequence(seed, task))
+    drawn, condition = task.learnt, task.conditions.condition
+    airframe = specimen(seed, drawn.airframe, drawn.aged, drawn.vehicle)
+    airframe, wear = _on_the_day(seed, airframe, drawn.airframe, task.session, condition)
+    sequence = task_sequence(seed, task)
+    rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
     config = _config(airframe, task.conditions, task.duration_s, injections, rng)
+    config = replace(_in_condition(config, condition, task.duration_s, own), wear=wear)
     spec = parse_link(task.learnt.link)
     telemetry, flown_s = flight_telemetry(config, task.duration_s, LinkSpec(spec.profile, spec.rate_hz, task.loss))
-    log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, 0)
+    started_ns = _started_ns(drawn, task.session, 0 if task.session else len(drawn.flights))
+    log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, started_ns)
     if learnt.error:
         verdict = LogVerdict(log.name, Verdict.NOT_JUDGEABLE, f"no baseline: {learnt.error}", profile=log.profile)
     else:
@@ -173,6 +233,8 @@ def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None
     border_s = flown_s if onset_s is None else onset_s
     before = [one for one in verdict.events if one.t_s < border_s]
     after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
+    declared = _declared_s(verdict.changes)
+    late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
     return FlightResult(
         key=key,
         index=task.index,
@@ -198,10 +260,24 @@ def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None
                 _episodes([event for event in before if event.event.monitor == one.name]),
                 _episodes(own := [event for event in after if event.event.monitor == one.name]),
                 _latency(own, border_s),
+                round(one.judged_s, 3),
             )
             for one in verdict.monitors
         ),
+        session=task.session,
+        faults=sum(t_s < border_s for t_s in declared),
+        declared_s=round(min(late), 3) if late else None,
     )
+
+
+def _declared_s(changes: Sequence[Change]) -> list[float]:
+    """When the decision came to "fault" from something else [s]."""
+    before = (None, *(change.stage for change in changes))
+    return [
+        change.t_ns / NS_PER_S
+        for change, stage in zip(changes, before, strict=False)
+        if change.stage is Stage.FAULT and stage is not Stage.FAULT
+    ]
 
 
 def _episodes(events: Sequence[JudgedEvent]) -> int:

@@ -41,7 +41,7 @@ class Airframe:
 
     inertia_kg_m2: (3,) about the centre of gravity. centre_of_gravity_m: (3,) from the geometric centre.
     thrust_coefficient_n_s2, motor_lag_s: (n,). unbalance_g_mm: (n, 2) in the rotor's own frame.
-    battery_gain: 1 is nominal. gyro_bias: (3,) rad/s.
+    battery_gain: 1 is nominal. gyro_bias: (3,) rad/s. charge_used_ah: drawn from the battery before the flight.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Airframe:
     thrust_noise_rms: float
     battery_gain: float
     gyro_bias: FloatArray
+    charge_used_ah: float = 0.0
 
 
 def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: str = "drawn") -> Airframe:

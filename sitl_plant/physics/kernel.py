@@ -16,6 +16,7 @@ from sitl_plant.physics.controller import Controller, ControlState, control
 from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step, support
 from sitl_plant.physics.jit import cached, inline, jit, source_digest
 from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, observe
+from sitl_plant.physics.mount import Mount, advance_mount
 from sitl_plant.physics.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, feel
 from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
@@ -34,6 +35,7 @@ class Model(NamedTuple):
     battery: Battery
     air: Air
     imu: Imu
+    mount: Mount
     mocap: Mocap
     estimator: Estimator
     controller: Controller
@@ -41,7 +43,10 @@ class Model(NamedTuple):
 
 
 class State(NamedTuple):
-    """All that changes, updated in place. rigid: (13,), wrench: (3, 8), wind: (3,), battery: (2,), estimate: (9,)."""
+    """All that changes, updated in place.
+
+    rigid: (13,), wrench: (3, 8), wind: (3,), battery: (2,), mount: (6, 2), estimate: (9,).
+    """
 
     rigid: FloatArray
     wrench: FloatArray
@@ -49,6 +54,7 @@ class State(NamedTuple):
     battery: FloatArray
     rotors: RotorState
     imu: ImuState
+    mount: FloatArray
     mocap: MocapState
     estimate: FloatArray
     accel_filtered: FloatArray
@@ -60,7 +66,7 @@ class Noise(NamedTuple):
 
     rotors: FloatArray  # (steps, 2 n)
     imu: FloatArray  # (steps, 6)
-    wind: FloatArray  # (steps, 3)
+    wind: FloatArray  # (steps, 3); gusts in m/s where `Air` passes them on
     markers: FloatArray  # (frames, m, 3)
     occlusion: FloatArray  # (frames, m), uniform
 
@@ -97,6 +103,7 @@ def _sense(
     derivative(state.rigid, state.wrench, STAGES - 1, model.body, state.wind, scratch.work, 0)
     support(state.rigid, model.body, model.ground, scratch.work, 0)
     feel(state.rigid, scratch.work, model.imu.position, scratch.truth)
+    advance_mount(state.mount, model.mount, scratch.truth)
     advance_imu(state.imu, model.imu, condition, scratch.truth, noise.imu, row, model.dt)
     deliver_pose(state.mocap, model.mocap, step)
 

@@ -40,13 +40,15 @@ class Mocap(NamedTuple):
 class MocapState(NamedTuple):
     """queue: (latency + 1, 4) poses under way, nan where there is none. pose: (4,), velocity: (3,) as last received.
 
-    A pose is position_N of the geometric centre and yaw. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or
-    0; fit: (13,) state row fitted to them, rates zero.
+    A pose is position_N of the geometric centre and yaw. received: (1,) the step at which it came; nan before the
+    first. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or 0; fit: (13,) state row fitted to them, rates
+    zero.
     """
 
     queue: FloatArray
     pose: FloatArray
     velocity: FloatArray
+    received: FloatArray
     seen: FloatArray
     visible: IntArray
     fit: FloatArray
@@ -165,12 +167,16 @@ def observe(
 
 @jit
 def deliver_pose(state: MocapState, mocap: Mocap, step: int) -> None:
-    """Receive the pose that is due at this step, if any, and differentiate it."""
+    """Receive the pose that is due at this step, if any, and differentiate it over the time since the last one."""
     slot = state.queue[step % (mocap.latency + 1)]
     if np.isnan(slot[0]):
         return
+    elapsed = mocap.frame_s
+    if not np.isnan(state.received[0]):
+        elapsed *= (step - state.received[0]) / mocap.period
+    state.received[0] = step
     for a in range(3):
-        rate = (slot[a] - state.pose[a]) / mocap.frame_s
+        rate = (slot[a] - state.pose[a]) / elapsed
         state.velocity[a] += mocap.velocity_gain * (rate - state.velocity[a])
         state.pose[a] = slot[a]
     state.pose[3] = slot[3]

@@ -12,6 +12,7 @@ from sitl_plant.physics.controller import Controller, ControlState
 from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground
 from sitl_plant.physics.kernel import Model, State
 from sitl_plant.physics.mocap import Mocap, MocapState
+from sitl_plant.physics.mount import RIGID_MOUNT, Mount, mode
 from sitl_plant.physics.rotors import Rotors, RotorState
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, butterworth
 from sitl_plant.physics.supply import Air, Battery
@@ -24,8 +25,11 @@ STEP_S = 0.001  # T 5.1: 1 kHz
 TAKEOFF_SHARE = 0.7  # of the weight: where the thrust starts when the motors lift (our choice)
 
 
-def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray) -> Model:
-    """The constants of a flight. wind_N: (3,) mean wind, world NED [m/s]. A path from the ground brings the ground."""
+def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray, turbulent: bool = False) -> Model:
+    """The constants of a flight. A path from the ground brings the ground.
+
+    wind_N: (3,) mean wind, world NED [m/s]. turbulent: the gusts are given, and the vehicle file's are left out.
+    """
     vehicle = airframe.vehicle
     body, centre_of_gravity = body_with_payload(airframe, payload)
     return Model(
@@ -36,10 +40,11 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         battery=_battery(airframe),
         air=Air(
             mean=wind_N,
-            gust_rms=float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
-            decay=_decay(vehicle.wind.gust_corner_hz),
+            gust_rms=1.0 if turbulent else float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
+            decay=0.0 if turbulent else _decay(vehicle.wind.gust_corner_hz),
         ),
         imu=_imu(airframe, centre_of_gravity),
+        mount=_mount(vehicle),
         mocap=_mocap(vehicle, centre_of_gravity),
         estimator=Estimator(
             gyro_filter=low_pass_transition(vehicle.control.gyro_filter_hz, STEP_S),
@@ -51,17 +56,20 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
     )
 
 
-def body_with_payload(airframe: Airframe, payload: Payload) -> tuple[Body, FloatArray]:
-    """Rigid body of airframe and payload, and its centre of gravity (3,) from the geometric centre.
+def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, FloatArray]:
+    """Rigid body of airframe and payloads, and its centre of gravity (3,) from the geometric centre.
 
-    I = I_a + mu (|d|^2 E - d d^T), mu = m_a m_p / (m_a + m_p), d from one centre to the other (parallel axes, twice).
+    I = I_a + mu (|d|^2 E - d d^T), mu = m_a m_p / (m_a + m_p), d from one centre to the other (parallel axes, twice),
+    for one payload after the other.
     """
-    own, extra = airframe.vehicle.body, payload.mass_kg
-    mass = own.mass_kg + extra
-    apart = np.asarray(payload.position_m) - airframe.centre_of_gravity_m
+    own = airframe.vehicle.body
+    mass, centre = own.mass_kg, airframe.centre_of_gravity_m
     inertia = np.diag(airframe.inertia_kg_m2)
-    inertia = inertia + own.mass_kg * extra / mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
-    centre = airframe.centre_of_gravity_m + extra / mass * apart
+    for payload in payloads:
+        before, mass = mass, mass + payload.mass_kg
+        apart = np.asarray(payload.position_m) - centre
+        inertia = inertia + before * payload.mass_kg / mass * (apart @ apart * np.eye(3) - np.outer(apart, apart))
+        centre = centre + payload.mass_kg / mass * apart
     hub_moment = own.hub_moment_n_s * len(airframe.vehicle.rotors)
     return Body(mass, inertia, np.asarray(np.linalg.inv(inertia), dtype=np.float64), own.drag_n_s_m, hub_moment), centre
 
@@ -127,6 +135,11 @@ def _imu(airframe: Airframe, centre_of_gravity: FloatArray) -> Imu:
     )
 
 
+def _mount(vehicle: Vehicle) -> Mount:
+    soft = vehicle.imu.mount
+    return RIGID_MOUNT if soft is None else mode(soft.resonance_hz, soft.damping_ratio, STEP_S)
+
+
 def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
     mocap = vehicle.mocap
     period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
@@ -172,10 +185,10 @@ def _controller(vehicle: Vehicle) -> Controller:
     )
 
 
-def initial_state(model: Model, azimuth: FloatArray) -> State:
+def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0) -> State:
     """At the first point of the path, level, nearly in trim: in hover, or on the ground with resting rotors.
 
-    azimuth: (n,) of the rotors at the start [rad].
+    azimuth: (n,) of the rotors at the start [rad]. charge_used_ah: drawn from the battery before.
     """
     n = len(azimuth)
     start = np.zeros(REFERENCE)
@@ -197,13 +210,15 @@ def initial_state(model: Model, azimuth: FloatArray) -> State:
         rigid=rigid,
         wrench=wrench,
         wind=model.air.mean.copy(),
-        battery=np.array([model.battery.open_circuit, 0.0]),
+        battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
         rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, lift / n)),
         imu=ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), reading),
+        mount=np.zeros((CHANNELS, 2)),
         mocap=MocapState(
             queue=np.full((model.mocap.latency + 1, 4), np.nan),
             pose=np.array([*start[:3], start[6]]),
             velocity=np.zeros(3),
+            received=np.full(1, np.nan),
             seen=np.zeros((markers, 3)),
             visible=np.zeros(markers, dtype=np.int64),
             fit=np.zeros(RIGID),

@@ -23,7 +23,10 @@ class Battery(NamedTuple):
 
 
 class Air(NamedTuple):
-    """mean: (3,) wind, world NED [m/s]. gust_rms: each axis. decay: exp(-2 pi f_c dt)."""
+    """mean: (3,) wind, world NED [m/s]. gust_rms: each axis. decay: exp(-2 pi f_c dt).
+
+    With decay 0 and gust_rms 1 the numbers drawn for the wind are the gusts themselves [m/s].
+    """
 
     mean: FloatArray
     gust_rms: float

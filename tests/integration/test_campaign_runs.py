@@ -9,11 +9,18 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
+from mavdiag.judging import LogVerdict, judge
+from mavdiag.learning import learn
+from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
+from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design, make_plan
 from sitl_plant.campaign.runner import (
     Journal,
@@ -25,6 +32,7 @@ from sitl_plant.campaign.runner import (
     source_key,
 )
 from sitl_plant.campaign.summary import summarise
+from sitl_plant.vehicle import qdrone2
 
 TINY = Design(
     seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,
@@ -126,6 +134,51 @@ def test_an_airframe_that_cannot_be_learnt_is_told_not_hidden(tmp_path: Path) ->
     assert results.flights[0].verdict == "not_judgeable"
     assert "no baseline" in results.flights[0].reason
     assert summarise(results).detection[0:1] == ()
+
+
+def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One short flight in each of four conditions, against one baseline; the logs say which day they are of."""
+    started: dict[str, list[int]] = {"learn": [], "judge": []}
+
+    def learn_seen(logs: Sequence[Log], *told: Any, **named: Any) -> Baseline:
+        started["learn"] += [one.started_ns for one in logs]
+        return learn(logs, *told, **named)
+
+    def judge_seen(log: Log, baseline: Baseline) -> LogVerdict:
+        started["judge"].append(log.started_ns)
+        return judge(log, baseline)
+
+    monkeypatch.setattr(worker, "learn", learn_seen)
+    monkeypatch.setattr(worker, "judge", judge_seen)
+    names = ("turbulence-8", "pick-up", "mocap-loss", "propellers-3")
+    design = replace(TINY, flights=0, hours=4 * 12.0 / 3600, condition=names)
+    results = run(tmp_path / "results.jsonl", design)
+    assert [one.conditions.condition for one in results.flights] == list(names)
+    assert [one.session for one in results.flights] == [0, 0, 0, 1]
+    gaps_s = np.diff([*started["learn"], started["judge"][0]]) / 1e9
+    np.testing.assert_allclose(gaps_s, 12.0 + 300.0)
+    same, day = started["judge"][:3], started["judge"][3]
+    assert len(set(same)) == 1
+    assert day - started["learn"][0] == 86_400 * 10**9
+    for row in summarise(results).conditions:
+        assert row.flown_h == pytest.approx(12.0 / 3600)
+        assert 0.3 < row.judged_share < 0.8
+        assert {one.name for one in row.monitors} >= {"fsd", "innovation"}
+        assert all(0.0 <= one.judged_share <= 1.0 for one in row.monitors)
+    again = run(tmp_path / "results.jsonl", design)
+    assert (again.reused, again.flights) == (5, results.flights)
+
+
+def test_flights_of_one_session_share_its_draw() -> None:
+    airframe = worker.specimen(0, 1, True, qdrone2())
+    days = [worker._on_the_day(0, airframe, 1, session, "sessions")[0] for session in (0, 1, 1, 2)]
+    assert days[0] is airframe
+    assert days[1].gyro_bias.tolist() == days[2].gyro_bias.tolist() != days[3].gyro_bias.tolist()
+    worn = [worker._on_the_day(0, airframe, 1, session, "wear")[1] for session in (1, 2)]
+    assert worn[0] is not None
+    assert worn[1] is not None
+    assert worn[0].loss_per_h == worn[1].loss_per_h  # of the airframe
+    assert worn[0].hours != worn[1].hours  # of the day
 
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

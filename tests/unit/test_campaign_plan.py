@@ -1,5 +1,7 @@
 """The plan of a campaign: balanced levels, stable beginnings, seeds of the content, and filters that say no."""
 
+import hashlib
+import math
 from collections import Counter
 from dataclasses import replace
 
@@ -8,17 +10,9 @@ import pytest
 
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group, causes_named, injections_of
-from sitl_plant.campaign.plan import (
-    MANOEUVRES,
-    PRESETS,
-    USUAL,
-    Design,
-    FlightTask,
-    balanced,
-    make_plan,
-    task_sequence,
-    with_conditions,
-)
+from sitl_plant.campaign.conditions import CALM, CONDITIONS, MANOEUVRES, USUAL, Conditions, built, built_link
+from sitl_plant.campaign.levels import with_conditions
+from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, LearnTask, balanced, make_plan, task_sequence
 from sitl_plant.campaign.runner import task_key
 from sitl_plant.campaign.worker import specimen
 from sitl_plant.physics.airframe import drone
@@ -128,6 +122,7 @@ def test_conditions_replace_levels() -> None:
         ("wind=99", "wind must be 0 to 10"),
         ("cause=rust", "no cause 'rust'"),
         ("manoeuvre=loop", "no manoeuvre 'loop'"),
+        ("condition=snow", "no condition 'snow'"),
         ("link=qdrone2@9999", "rate must be"),
         ("link=nobody", "no link profile"),
         ("rotor=5", "rotor must be 1 to 4"),
@@ -158,3 +153,92 @@ def test_rotors_are_those_of_the_vehicle() -> None:
 def test_results_of_one_vehicle_are_not_those_of_another() -> None:
     one, other = (make_plan(Design(vehicle=vehicle_named(name))).flights[0] for name in ("qdrone2", "quad-plus"))
     assert task_key(0, one) != task_key(0, other)
+
+
+@pytest.mark.parametrize(
+    ("preset", "digest"), [("quick", "74063096addbab78c34c2972"), ("full", "58eb7faddcaa8bab91f033e4")]
+)
+def test_campaigns_without_conditions_keep_the_random_streams_they_had_before(preset: str, digest: str) -> None:
+    """The digests were taken before there were conditions."""
+    plan, whole = make_plan(PRESETS[preset]), hashlib.sha256()
+    tasks: list[LearnTask | FlightTask] = [*plan.learning, *plan.flights]
+    for task in tasks:
+        whole.update(task_sequence(0, task).generate_state(4).tobytes())
+    assert whole.hexdigest()[:24] == digest
+
+
+CONDITIONED = replace(PRESETS["conditions"], airframes=2, flights=2 * len(CONDITIONS), hours=0.1 * len(CONDITIONS))
+
+
+def test_every_condition_has_its_share_of_hours_and_causes() -> None:
+    flights = make_plan(CONDITIONED).flights
+    hours: dict[str, float] = {}
+    for flight in flights:
+        if flight.cause == HEALTHY:
+            name = flight.conditions.condition
+            hours[name] = hours.get(name, 0.0) + flight.duration_s / 3600
+    assert hours.keys() == CONDITIONS.keys()
+    assert all(0.1 <= found < 0.1 + 600 / 3600 for found in hours.values())
+    assert min(hours.values()) == pytest.approx(0.1)
+    causes = Counter(flight.conditions.condition for flight in flights if flight.cause != HEALTHY)
+    assert set(causes.values()) == {2}
+    assert {flight.duration_s for flight in flights if flight.conditions.condition == "battery-10min"} == {600.0}
+
+
+def test_only_what_belongs_to_the_build_is_learnt_with() -> None:
+    """The baseline never flew in the condition, but with the same frame, filters and link."""
+    for flight in make_plan(CONDITIONED).flights:
+        name, learnt = flight.conditions.condition, flight.learnt
+        assert set(learnt.flights) == {Conditions()}
+        assert len(learnt.flights) == 5
+        row = CONDITIONS[name]
+        build = (row.filter_hz, row.resonance_hz, row.isolation) != (None, None, None)
+        assert (learnt.vehicle == qdrone2()) == (not build)
+        assert learnt.link == ("qdrone2@1000" if row.rate_hz is None else f"qdrone2@{row.rate_hz:g}")
+        if row.filter_hz is not None:
+            assert learnt.vehicle.imu.filter_hz == row.filter_hz
+
+
+def test_an_isolator_passes_a_tenth_of_the_rotors_line() -> None:
+    """The stationary gain of a base-driven mode, by hand, at 167 Hz."""
+    mount = built(qdrone2(), "isolation-10").imu.mount
+    assert mount is not None
+    warped = math.tan(math.pi * 0.1667) / math.tan(math.pi * mount.resonance_hz * 1e-3)
+    loss = (2 * mount.damping_ratio * warped) ** 2
+    assert math.sqrt((1 + loss) / ((1 - warped**2) ** 2 + loss)) == pytest.approx(0.1, rel=0.01)
+    assert built(qdrone2(), CALM) is built(qdrone2(), "turbulence-5")
+
+
+def test_conditions_set_wind_payload_manoeuvre_and_duration() -> None:
+    design = with_conditions(Design(hours=2.0, flights=0), ["condition=wind-5,yaw-turns,payload-200", "wind=1"])
+    flights = make_plan(design).flights
+    own = {name: [one.conditions for one in flights if one.conditions.condition == name] for name in design.condition}
+    assert {one.wind_m_s for one in own["wind-5"]} == {5.0}
+    assert {one.wind_m_s for one in own["yaw-turns"]} == {1.0}
+    assert {one.manoeuvre for one in own["yaw-turns"]} == set(CONDITIONS["yaw-turns"].manoeuvres)
+    assert {one.payload_g for one in own["payload-200"]} == {200.0}
+    assert with_conditions(Design(), ["condition=all"]).condition == tuple(CONDITIONS)
+    assert all(set(row.manoeuvres) <= MANOEUVRES.keys() for row in CONDITIONS.values())
+
+
+def test_flights_on_another_day_share_their_day_by_fours() -> None:
+    design = with_conditions(Design(hours=0.5, flights=0, airframes=2), ["condition=sessions,propellers-1,pick-up"])
+    flights = make_plan(design).flights
+    days = Counter((one.conditions.condition, one.learnt.airframe, one.session) for one in flights)
+    assert {session for (name, _, session) in days if name == "pick-up"} == {0}
+    for name in ("sessions", "propellers-1"):
+        own = {(airframe, session): n for (condition, airframe, session), n in days.items() if condition == name}
+        assert min(session for _, session in own) == 1
+        assert max(own.values()) == 4
+
+
+def test_the_same_flight_in_two_conditions_has_two_streams() -> None:
+    (one,) = make_plan(with_conditions(Design(flights=1, hours=0.0), ["condition=turbulence-5"])).flights
+    other = replace(one, conditions=replace(one.conditions, condition="turbulence-8"))
+    assert words(0, one) != words(0, other)
+
+
+def test_a_rate_that_the_profile_does_not_grant_is_refused() -> None:
+    assert built_link("px4@100", "link-200hz") == "px4@200"
+    with pytest.raises(UsageError, match="rate must be"):
+        built_link("px4@160", "link-400hz")

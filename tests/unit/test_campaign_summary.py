@@ -1,13 +1,18 @@
 """Intervals against scipy's own, and the tables of a made campaign counted by hand."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest, poisson
 
-from sitl_plant.campaign.plan import Conditions, Design, Plan
+from sitl_plant.campaign.conditions import Conditions
+from sitl_plant.campaign.intervals import poisson as poisson_rate
+from sitl_plant.campaign.intervals import wilson
+from sitl_plant.campaign.plan import Design, Plan
 from sitl_plant.campaign.runner import Results
-from sitl_plant.campaign.summary import poisson as poisson_rate
-from sitl_plant.campaign.summary import summarise, wilson
+from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.tables import print_summary
 from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult
 
@@ -128,6 +133,59 @@ def test_monitors_and_answers() -> None:
     assert answers["F1/SV2"].answers == (("propeller fault", 2),)
     assert answers["F2/SV1"].answers == (("not_judgeable", 1), ("nothing", 1))
     assert answers["gyro-bias"].answers == (("other fault", 1),)
+
+
+def flown(index: int, condition: str, cause: str = "healthy", **other: Any) -> FlightResult:
+    return replace(line(index, cause), conditions=Conditions(condition=condition), **other)
+
+
+def in_conditions() -> Results:
+    late = MonitorResult("energy", 0, 1, 2.0)
+    flights = (
+        *(flown(i, "wind-2", judged_s=45.0, episodes=i // 8, faults=i // 9) for i in range(10)),
+        flown(10, "wind-2", verdict="fault", judged_s=45.0),
+        flown(11, "wind-2", verdict="not_judgeable", judged_s=0.0, monitors=()),
+        flown(12, "wind-2", "F1/SV1", latency_s=1.0, declared_s=1.5, phenomenology=0.5),
+        flown(13, "wind-2", "F1/SV1", latency_s=1.0, monitors=(late,), phenomenology=0.5),
+        flown(14, "wind-2", "F2/SV1", verdict="not_judgeable", phenomenology=0.5),
+        flown(15, "wind-2", "F2/SV1", phenomenology=1.0),
+        flown(16, "wind-2", "gyro-bias", latency_s=1.0),
+        flown(17, "calm"),
+    )
+    return Results(PLAN, (), flights, 0, 0)
+
+
+def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
+    calm, wind = summarise(in_conditions()).conditions
+    assert (calm.condition, wind.condition) == ("calm", "wind-2")
+    assert wind.flown_h == pytest.approx(12 * 60 / 3600)
+    assert wind.judged_h == pytest.approx(11 * 45 / 3600)
+    assert wind.judged_share == pytest.approx(11 * 45 / (12 * 60))
+    assert (wind.alarms.count, wind.faults.count) == (2, 1)
+    assert wind.faults.high == pytest.approx(poisson_rate(1, 11 * 45 / 3600).high)
+    assert (wind.flagged.hits, wind.flagged.of) == (1, 12)
+    found = {one.phenomenology: one for one in wind.detection}
+    assert (found[0.5].flights, found[0.5].detected.hits, found[0.5].detected.of) == (3, 2, 2)
+    assert (found[0.5].declared.hits, found[1.0].detected.hits, found[1.0].detected.of) == (1, 0, 1)
+    assert calm.detection == ()
+
+
+def test_each_monitor_tells_what_it_judged_in_each_condition() -> None:
+    own = (MonitorResult("latency", 1, 0, None, 30.0), MonitorResult("other", 0, 0, None, 0.0))
+    flights = (flown(0, "wind-5", monitors=own), flown(1, "wind-5", monitors=()))
+    (row,) = summarise(Results(PLAN, (), flights, 0, 0)).conditions
+    latency, other = row.monitors
+    assert (latency.name, latency.rate.count) == ("latency", 1)
+    assert latency.judged_share == pytest.approx(30 / 120)
+    assert latency.rate.hours == pytest.approx(30 / 3600)
+    assert (other.judged_share, other.rate.high) == (0.0, None)
+
+
+def test_the_tables_of_conditions_print(capsys: pytest.CaptureFixture[str]) -> None:
+    print_summary(summarise(in_conditions()))
+    shown = capsys.readouterr().out
+    for text in ("wind-2", "Healthy flight by condition", "Healthy flight by monitor", "2/2, 1/2"):
+        assert text in shown
 
 
 def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:

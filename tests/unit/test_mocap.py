@@ -61,6 +61,7 @@ def cameras(latency: int = 8) -> tuple[Mocap, MocapState]:
         queue=np.full((latency + 1, 4), np.nan),
         pose=np.zeros(4),
         velocity=np.zeros(3),
+        received=np.full(1, np.nan),
         seen=np.zeros((n, 3)),
         visible=np.zeros(n, dtype=np.int64),
         fit=np.zeros(RIGID),
@@ -98,6 +99,20 @@ def test_hidden_markers_hold_the_last_pose() -> None:
         observe(state, constants, vehicle_at(1.0 + step, 0.0), step, normals, uniforms, frame)
         deliver_pose(state, constants, step)
     assert state.pose[0] == pytest.approx(1.0)
+
+
+def test_after_a_gap_the_speed_is_the_way_over_the_time_that_passed() -> None:
+    constants, state = cameras(latency=8)
+    normals, clear, dark = np.zeros((1, len(MARKERS), 3)), np.ones((1, len(MARKERS))), np.full((1, len(MARKERS)), -1.0)
+    for step in range(400):
+        if step % 4 == 0:
+            seen = dark if 100 <= step < 300 else clear
+            observe(state, constants, vehicle_at(0.002 * step, 0.0), step, normals, seen, 0)
+        deliver_pose(state, constants, step)
+        assert state.velocity[0] <= 2.0 + 1e-9
+        if 108 <= step < 308:
+            assert state.pose[0] == pytest.approx(0.002 * 96)
+    assert state.velocity[0] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 2.5])
