@@ -2,10 +2,10 @@
 
     python benchmarks/droneprop_table.py FOLDER --baseline d1.json [--speed 1] [--trajectory 2] [--gyro filtered]
 
-FOLDER holds the .mat files as they were unpacked; d1.json was made by `mavdiag identify` from healthy flights of D1, the
-drone that flew the faults. Figures are of roll. Free run and one step are two residuals, and are named apart:
+FOLDER holds the .mat files as they were unpacked; d1.json was made by `mavdiag identify` from healthy flights of D1,
+the drone that flew the faults. Figures are of roll. Free run and one step are two residuals, and are named apart:
 
-    asymmetry    mean of (o2 + o4) - (o1 + o3), front less rear motor commands, less the mean of D1's other healthy flights
+    asymmetry    mean of (o2 + o4) - (o1 + o3), front less rear motor commands, less D1's other healthy flights
     FSD, FML     free run (T 5.5): SRIV model of D2 and D3, margin p90 of all healthy flights, FML their longest run
     one step     90th percentile of |y - prediction|, of a least-squares ARX(2,2,1) of D2 and D3
     verdict      of `mavdiag scan` with the baseline; of a flight that taught it, it says nothing

@@ -4,9 +4,10 @@ The flight is a toy: angles follow low-passed random references through a second
 sensors at 150 Hz. What matters is that rows which belong together do so in the file.
 """
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from scipy.io import savemat
@@ -27,7 +28,7 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
     """The three matrices, (rows, n). rise: of the command of `weak_rotor` (from 1); line: size of the rotors' shake."""
     rng = np.random.default_rng(seed)
     n = round(duration_s / DT_S)
-    t = DT_S * np.arange(n)
+    t = DT_S * np.arange(n, dtype=np.float64)
     state = states(t)
     up = state >= 4
     reference = smooth(rng, n, 0.7, (0.1, 0.1, 0.1)) * up[:, None]
@@ -36,12 +37,13 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
     shake = np.sin(2 * np.pi * LINE_HZ * t[:, None] + rng.uniform(0, 6, 6)) * (state >= 3)[:, None] * line
     gyro = rate + 0.03 * shake[:, :3] + rng.normal(0, 0.004, (n, 3))
     gyro = np.repeat(gyro[::2], 2, axis=0)[:n]  # 500 Hz, held
-    force = [0.0, 0.0, 9.81] + 1.5 * shake[:, 3:] + rng.normal(0, 0.3, (n, 3))
+    force = np.array([0.0, 0.0, 9.81]) + 1.5 * shake[:, 3:] + rng.normal(0, 0.3, (n, 3))
     slow = second_order(gyro, 120.0, 1.0)
     volt = LEVEL_V - 0.005 * t + rng.normal(0, 0.01, n)
     thrust = np.where(up, HOVER_N + smooth(rng, n, 1.0, (0.3,))[:, 0], np.where(state == 3, 3.0, 0.0))
-    torque = [0.1876, 0.1544, 0.079] * ([12.0, 12.0, 2.0] * (reference - angle) - [0.1, 0.1, 0.0] * slow - slow)
-    torque = np.clip(torque * up[:, None], [-1.0915, -0.8984, -0.0984], [1.0915, 0.8984, 0.0984])
+    rate_command = np.array([12.0, 12.0, 2.0]) * (reference - angle) - np.array([0.1, 0.1, 0.0]) * slow
+    torque = np.array([0.1876, 0.1544, 0.079]) * (rate_command - slow) * up[:, None]
+    torque = np.clip(torque, [-1.0915, -0.8984, -0.0984], [1.0915, 0.8984, 0.0984])
     outputs = duty(thrust[:, None] / 4 + torque @ MIXER.T, volt)
     if weak_rotor:
         outputs[:, weak_rotor - 1] *= 1.0 + rise
@@ -63,11 +65,12 @@ def flight(duration_s: float, seed: int, *, weak_rotor: int = 0, rise: float = 0
     return {name: np.asfortranarray(table.T) for name, table in rows.items()}
 
 
-def content(rows: Mapping[str, FloatArray], *, compressed: bool = True) -> bytes:
+def content(rows: Mapping[str, Any], *, compressed: bool = True) -> bytes:
     """The file."""
-    file = io.BytesIO()
-    savemat(file, dict(rows), do_compression=compressed)
-    return file.getvalue()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "made.mat"
+        savemat(path, dict(rows), do_compression=compressed)
+        return path.read_bytes()
 
 
 def written(path: Path, rows: Mapping[str, FloatArray]) -> Path:

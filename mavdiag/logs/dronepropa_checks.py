@@ -10,7 +10,7 @@ import numpy as np
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import InputError
 from mavdiag.logs.dronepropa_rows import Recording
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = ["check", "speeds_are_certain"]
 
@@ -18,7 +18,8 @@ MIN_FLIGHT_S = 2.0  # less cannot be checked
 GRAVITY_M_S2 = (9.0, 10.6)  # of the mean specific force
 WINDOW_S = 0.1  # over which the gyro is integrated
 SLOPE = (0.7, 1.4)  # of the attitude's change on the integrated gyro
-CLEAR = 0.5  # correlation that says something
+CLEAR = 0.5  # correlation that settles a sign
+STRAIGHT = 0.9  # correlation that settles a scale: noise on the gyro alone lowers the slope below it
 SAME = 0.99  # correlation of two records of one signal
 LINES_HZ = ((125.0, 175.0), (250.0, 350.0))  # hover, by the accelerometer of 115 of 130 flights, and its double
 FLOOR_HZ = (60.0, 450.0)
@@ -38,7 +39,7 @@ def check(recording: Recording) -> tuple[str, ...]:
         return (f"less than {MIN_FLIGHT_S:g} s in flight: signs and motor order could not be checked",)
     _gravity(recording.force()[flying])
     notes = [*_turning(recording, flying, dt_s), *_order(recording, flying), *_line(recording.force()[flying], dt_s)]
-    _references(recording, flying)
+    _references(recording, flying, dt_s)
     if not speeds_are_certain(recording):
         notes.append("rows 20 to 23 are not rows 53, 51, 49 and 47: the speeds of the ESCs were left out")
     return tuple(notes)
@@ -67,43 +68,59 @@ def _gravity(force: FloatArray) -> None:
 def _turning(recording: Recording, flying: BoolArray, dt_s: float) -> list[str]:
     """The attitude estimates change by what the gyro integrates to, axis by axis.
 
-        dphi   = p + tan(theta) (q sin(phi) + r cos(phi))
-        dtheta = q cos(phi) - r sin(phi)
-        dpsi   = (q sin(phi) + r cos(phi)) / cos(theta)
+    dphi   = p + tan(theta) (q sin(phi) + r cos(phi))
+    dtheta = q cos(phi) - r sin(phi)
+    dpsi   = (q sin(phi) + r cos(phi)) / cos(theta)
     """
     angle = recording.imu_attitude()
+    changes = _change(angle, flying, dt_s)
     notes: list[str] = []
     for name, rate in (("raw", recording.raw_rate()), ("filtered", recording.filtered_rate())):
         phi, theta = angle[:, 0], angle[:, 1]
         p, q, r = rate.T
         turn = q * np.sin(phi) + r * np.cos(phi)
         euler = np.column_stack((p + np.tan(theta) * turn, q * np.cos(phi) - r * np.sin(phi), turn / np.cos(theta)))
-        for axis, change, integral in zip(_AXES, *_changes(angle, euler, flying, dt_s), strict=True):
+        for axis, change, integral in zip(_AXES, changes, _integral(euler, flying, dt_s), strict=True):
             slope, correlation = _fit(integral, change)
             if abs(correlation) < CLEAR:
                 notes.append(f"too little {axis} motion to check the sign of the {name} {axis} gyro")
-            elif not SLOPE[0] <= slope <= SLOPE[1]:
+            elif correlation < 0 or (correlation > STRAIGHT and not SLOPE[0] <= slope <= SLOPE[1]):
                 raise InputError(f"the {name} {axis} gyro is not the {axis} estimate's slope (x {slope:.3g}): {_RULE}")
+            elif correlation <= STRAIGHT:
+                notes.append(f"too little {axis} motion to check the scale of the {name} {axis} gyro")
     return notes
 
 
-def _changes(angle: FloatArray, rate: FloatArray, flying: BoolArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Change of the angles, and integral of their rates, over each window in flight: (3, k) both."""
+def _windows(flying: BoolArray, dt_s: float) -> tuple[IntArray, int]:
+    """First rows of the windows that begin and end in flight, and their length in rows."""
     width = max(1, round(WINDOW_S / dt_s))
-    total = np.concatenate((np.zeros((1, 3)), np.cumsum(np.nan_to_num(rate), axis=0))) * dt_s
-    first = np.arange(0, len(angle) - width, width)
-    first = first[flying[first] & flying[first + width]]
-    change = (angle[first + width] - angle[first] + np.pi) % (2 * np.pi) - np.pi
-    return change.T, (total[first + width] - total[first]).T
+    first = np.arange(0, len(flying) - width, width)
+    return first[flying[first] & flying[first + width]], width
 
 
-def _references(recording: Recording, flying: BoolArray) -> None:
-    """Roll and pitch follow their references, and the motion capture's yaw turns as the IMU's."""
-    angle, reference, imu = recording.attitude()[flying], recording.attitude_setpoint()[flying], recording.imu_attitude()
+def _change(angle: FloatArray, flying: BoolArray, dt_s: float) -> FloatArray:
+    """What angles (n, k) change by over each window in flight, (k, windows), within half a turn."""
+    first, width = _windows(flying, dt_s)
+    change: FloatArray = (angle[first + width] - angle[first] + np.pi) % (2 * np.pi) - np.pi
+    return change.T
+
+
+def _integral(rate: FloatArray, flying: BoolArray, dt_s: float) -> FloatArray:
+    """What rates (n, k) integrate to over each window in flight, (k, windows)."""
+    first, width = _windows(flying, dt_s)
+    total = np.concatenate((np.zeros((1, rate.shape[1])), np.cumsum(np.nan_to_num(rate), axis=0))) * dt_s
+    integral: FloatArray = total[first + width] - total[first]
+    return integral.T
+
+
+def _references(recording: Recording, flying: BoolArray, dt_s: float) -> None:
+    """Roll and pitch follow their references, and the motion capture's yaw changes as the IMU's, which drifts."""
+    angle, reference = recording.attitude(), recording.attitude_setpoint()
+    captured, estimated = (_change(yaw, flying, dt_s) for yaw in (angle[:, 2:], recording.imu_attitude()[:, 2:]))
     pairs = (
-        ("roll reference (row 9)", reference[:, 0], angle[:, 0]),
-        ("pitch reference (row 10)", reference[:, 1], angle[:, 1]),
-        ("motion capture's yaw (row 25)", np.unwrap(np.nan_to_num(angle[:, 2])), np.unwrap(imu[flying, 2])),
+        ("roll reference (row 9)", reference[flying, 0], angle[flying, 0]),
+        ("pitch reference (row 10)", reference[flying, 1], angle[flying, 1]),
+        ("motion capture's yaw (row 25)", captured[0], estimated[0]),
     )
     for name, one, other in pairs:
         if _fit(one, other)[1] < -CLEAR:

@@ -21,13 +21,15 @@ __all__ = ["FLIGHT_STATE", "ROWS", "Recording", "full_thrust_n"]
 #: The matrices and how many rows each has.
 ROWS = {"QDrone_data": 56, "commander_data": 37, "stabilizer_data": 21}
 
-FRD = np.array([1.0, -1.0, -1.0])  # from x forward, y left, z up
+FRD: FloatArray = np.array([1.0, -1.0, -1.0])  # from x forward, y left, z up
 FLIGHT_STATE = 5  # of the commander's state machine: after arming, throttle up and take-off, before landing
 
-ANGLE_GAIN_PER_S = np.array([12.0, 12.0, 2.0])  # the manufacturer's cascade: rate command on angle error; yaw on its
-RATE_GAIN = np.array([0.1, 0.1, 0.0])  # rate reference, less a share of the measured rate
+ANGLE_GAIN_PER_S: FloatArray = np.array([12.0, 12.0, 2.0])  # rate command on angle error; yaw: on its
+RATE_GAIN: FloatArray = np.array([0.1, 0.1, 0.0])  # rate reference, less a share of the measured rate
 MAX_RATE_RAD_S = 10 * np.pi / 3
-MAX_TORQUE_NM = np.array([1.0915, 0.8984, 0.0984])  # saturation of the stabilizer: full scale of roll, pitch, yaw
+MAX_TORQUE_NM: FloatArray = np.array(
+    [1.0915, 0.8984, 0.0984]
+)  # saturation of the stabilizer: full scale of roll, pitch, yaw
 THRUST_N_PER_V = (0.03616, 0.117, -0.01215)  # F = a V^2 + b V + c of one motor, in the manufacturer's mixer
 NOMINAL_V = 14.8  # a battery of four cells: the voltage at which thrust 1 is full thrust (our choice)
 KV_RPM_PER_V = 1300.0
@@ -108,7 +110,7 @@ class Recording:
     def rate_setpoint(self) -> FloatArray:
         """Commanded body rates, which are not recorded, from what the manufacturer's cascade does [rad/s].
 
-            roll, pitch: 12 (reference - angle) - 0.1 rate,  yaw: 2 reference,  each within 10 pi/3
+        Roll, pitch: 12 (reference - angle) - 0.1 rate; yaw: 2 reference; each within 10 pi/3.
         """
         angle = 0.5 * (self.on_board(2, 3, 4) + self.on_board(11, 12, 13))
         rate = 0.5 * (self.on_board(5, 6, 7) + self.on_board(14, 15, 16))

@@ -25,8 +25,7 @@ def try_to_read(path: Path, data: bytes) -> Log | None:
     path.write_bytes(data)
     try:
         return read_dronepropa(path)
-    except InputError as error:
-        assert "\n" not in str(error)
+    except InputError:
         return None
 
 
