@@ -32,6 +32,7 @@ __all__ = ["FILTERED_PROFILE", "KIND", "PROFILE", "read_dronepropa"]
 PROFILE = "dronepropa"
 FILTERED_PROFILE = "dronepropa-filtered"
 MAX_TIME_S = 1e6  # 11 days: anything later is damage
+MAX_VALUE = 1e9  # no row comes near it: more is damage (our choice)
 MIN_SAMPLES = 20
 SKEW_S = 0.002  # times of the matrices that differ by more are worth a note (our choice)
 
@@ -79,8 +80,8 @@ def _recording(matrices: Mapping[str, Matrix]) -> tuple[Recording, tuple[str, ..
 
 
 def _finite(values: FloatArray) -> FloatArray:
-    """With NaN for what is infinite: the ESCs' rows are divided by zero until their first telemetry."""
-    return np.where(np.isfinite(values), values, np.nan)
+    """With NaN for what is infinite (the ESCs' rows are divided by zero until their first telemetry) or damaged."""
+    return np.where(np.abs(values) < MAX_VALUE, values, np.nan)
 
 
 def _series(recording: Recording, *, filtered: bool) -> tuple[Series, ...]:

@@ -48,7 +48,7 @@ def full_thrust_n(volt: float = NOMINAL_V) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """The three matrices, transposed to one row a sample: (n, 56), (n, 37) and (n, 21). Infinite values are NaN.
+    """The three matrices, transposed to one row a sample: (n, 56), (n, 37) and (n, 21). Values that cannot be are NaN.
 
     All methods give (n, k) arrays in SI units and FRD unless they say otherwise.
     """

@@ -68,6 +68,15 @@ def test_damage_without_a_checksum_is_no_crash(path: Path, bits: list[int], head
     try_to_read(path, bytes(damaged[:kept]))
 
 
+def test_values_of_any_size_are_masked(path: Path) -> None:
+    rows = {name: table.copy() for name, table in ROWS.items()}
+    for table in rows.values():
+        table[1:, 5], table[1:, 6], table[1:, 7] = 1e308, -np.inf, np.nan
+    log = try_to_read(path, content(rows))
+    assert log is not None
+    assert all(np.isnan(series.values[5:8]).all() for series in log.telemetry if series.signal != "armed")
+
+
 @given(body=st.binary(max_size=400))
 def test_any_bytes_behind_the_header_are_no_crash(path: Path, body: bytes) -> None:
     assert try_to_read(path, PLAIN[:128] + body) is None
