@@ -44,7 +44,7 @@ class FlightRates(NamedTuple):
 
 
 def read_log(path: str | Path, *, vehicle: int | None = None, profile: str | None = None) -> Log:
-    """A flight from a .tlog, DataFlash .bin, .ulg or Crazyflie log; its kind is found from its content.
+    """A flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log; its kind is found from its content.
 
     vehicle: MAVLink system id, where a file holds several. profile: link profile of a .tlog that does not show it.
     Raises InputError, in one line, if it cannot be read.

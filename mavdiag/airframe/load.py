@@ -41,7 +41,7 @@ from mavdiag.units import RPM
 __all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe"]
 
 #: Names of the airframes that are shipped.
-BUILTIN = ("crazyflie", "qdrone2")
+BUILTIN = ("crazyflie", "qdrone2", "qdrone2-recorded")
 
 Finite: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive: TypeAlias = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]

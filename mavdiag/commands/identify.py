@@ -25,7 +25,9 @@ THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 
 def identify(
-    logs: Annotated[list[Path], typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie.")],
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
     method: Annotated[MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = MethodChoice.SRIV,
     order: Annotated[str, typer.Option(metavar="NA,NB,NK", help="Model order.")] = "2,2,1",

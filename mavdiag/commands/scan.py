@@ -17,7 +17,7 @@ __all__ = ["scan"]
 
 
 def scan(
-    logs: Annotated[list[Path], typer.Argument(help="Logs to judge: .tlog, .bin, .ulg, Crazyflie.")],
+    logs: Annotated[list[Path], typer.Argument(help="Logs to judge: .tlog, .bin, .ulg, Crazyflie, DronePropA.")],
     baseline: Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")],
     as_json: AsJson = False,
     vehicle: Vehicle = None,

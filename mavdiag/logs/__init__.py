@@ -17,7 +17,7 @@ from mavdiag.telemetry import Log
 __all__ = ["Log", "LogKind", "airframe_name_for", "gate_for", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
-_READERS = ("dataflash", "ulog", "crazyflie", "tlog")  # in this order; tlog has the weakest signature
+_READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog")  # in this order; tlog has the weakest signature
 
 
 @cache
@@ -29,10 +29,11 @@ def kinds() -> tuple[LogKind, ...]:
 def read_log(
     path: Path, vehicle: int | None = None, profile: str | None = None, among: Sequence[LogKind] | None = None
 ) -> Log:
-    """Read a flight from a .tlog, DataFlash .bin, .ulg or Crazyflie log, chosen by its content.
+    """Read a flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log, chosen by its content.
 
     vehicle: MAVLink system id to read where a file can hold several; None takes the only one there is.
-    profile: link profile of a .tlog where its messages do not show it; other kinds know their own.
+    profile: link profile of a .tlog where its messages do not show it, or one of the variants of another kind, which
+        know their own.
     among: the kinds of logs, None for all.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
     """
@@ -50,11 +51,11 @@ def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:
     from mavdiag.link.profiles import PROFILES  # loads the MAVLink dialect, which no reader but that of .tlog needs
 
     known = kinds() if among is None else among
-    found = next((kind.gate for kind in known if kind.profile == profile), None)
+    found = next((kind.gate for kind in known if profile in kind.profiles), None)
     if found is not None:
         return found
     if profile not in PROFILES:
-        names = (*PROFILES, *(kind.profile for kind in known if kind.profile))
+        names = (*PROFILES, *(one for kind in known for one in kind.profiles))
         raise UsageError(f"no profile {profile}; there are {', '.join(names)}")
     return PROFILES[profile].gate
 
@@ -62,4 +63,4 @@ def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:
 def airframe_name_for(profile: str, among: Sequence[LogKind] | None = None) -> str | None:
     """Name of the one airframe whose logs have this profile, None if it may be any or comes over a link."""
     known = kinds() if among is None else among
-    return next((kind.airframe_name for kind in known if kind.profile == profile), None)
+    return next((kind.airframe_name for kind in known if profile in kind.profiles), None)

@@ -28,6 +28,7 @@ class LogKind:
     profile: the profile of every such log; None where the file's messages show it.
     gate: what counts as flying in it; None where the profile's holds.
     airframe_name: name of the one airframe that writes such logs; None if it may be any.
+    variants: other profiles that the reader can be asked for, with the same gate and airframe.
     """
 
     name: str
@@ -36,6 +37,12 @@ class LogKind:
     profile: str | None = None
     gate: GateSpec | None = None
     airframe_name: str | None = None
+    variants: tuple[str, ...] = ()
+
+    @property
+    def profiles(self) -> tuple[str, ...]:
+        """All profiles that its logs can have; none where the file's messages show it."""
+        return self.variants if self.profile is None else (self.profile, *self.variants)
 
 
 def sha256_of(data: bytes) -> str:

@@ -28,7 +28,7 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize("name", BUILTIN)
 def test_shipped_airframes_have_a_layout(name: str) -> None:
     assert airframe_from(name) == airframe_named(name)
-    assert airframe_named(name).layout == layout_named(name)
+    assert airframe_named(name).layout == layout_named(name.removesuffix("-recorded"))
     assert sorted(BUILTIN) == sorted(p.stem for p in (ROOT / "mavdiag" / "airframe").glob("*.toml"))
 
 
@@ -136,7 +136,7 @@ def test_what_is_wrong_is_named_with_its_file(tmp_path: Path, text: str, reason:
 
 def test_what_is_no_airframe_is_told_with_the_choice(tmp_path: Path) -> None:
     for text in ("qdrone3", str(tmp_path), str(tmp_path / "none.toml"), ""):
-        with pytest.raises(UsageError, match=r"give a TOML file or one of crazyflie, qdrone2$"):
+        with pytest.raises(UsageError, match=r"give a TOML file or one of crazyflie, qdrone2, qdrone2-recorded$"):
             airframe_from(text)
     with pytest.raises(UsageError, match="use one of crazyflie, qdrone2"):
         airframe_named("hexa")

@@ -34,7 +34,7 @@ def test_a_kind_of_log_is_added_by_one_row(tmp_path: Path) -> None:
     assert read_log(path, among=among)["body_rate"].values.tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
     assert gate_for("made-log", among) is MADE.gate
     assert airframe_name_for("made-log", among) == "made"
-    with pytest.raises(InputError, match="DataFlash, ULog, Crazyflie, tlog"):
+    with pytest.raises(InputError, match="DataFlash, ULog, Crazyflie, DronePropA, tlog"):
         read_log(path)
 
 

@@ -1,0 +1,138 @@
+"""The three commands of docs/droneprop.md, on made recordings: unpack, `mavdiag identify`, the table; and `scan`."""
+
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from made_dronepropa import flight, written
+
+from mavdiag import cli
+from mavdiag.baseline import Baseline
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from droneprop_table import Line, Name, main, table_of
+
+ROOT = Path(__file__).resolve().parents[2]
+FLIGHT_S = 25.0
+RISE = 0.16  # of the command of the front right rotor
+OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Unpacked as the first command does; D1 shakes most, and one of two damaged propellers lost lift."""
+    base = tmp_path_factory.mktemp("droneprop")
+    made = {name: flight(FLIGHT_S, 40 + i) for i, name in enumerate(OWN)}
+    made |= {"F0_SV0_SP1_t2_D2.mat": flight(FLIGHT_S, 51, line=0.6)}
+    made |= {"F0_SV0_SP1_t2_D3.mat": flight(FLIGHT_S, 52, line=0.5)}
+    made |= {"F1_SV1_SP1_t2.mat": flight(FLIGHT_S, 53)}
+    made |= {"F3_SV3_SP1_t2.mat": flight(FLIGHT_S, 54, weak_rotor=2, rise=RISE)}
+    with zipfile.ZipFile(base / "droneprop.zip", "w") as archive:
+        for name, rows in made.items():
+            archive.write(written(base / name, rows), name)
+            (base / name).unlink()
+    with zipfile.ZipFile(base / "droneprop.zip") as archive:
+        archive.extractall(base)
+    return base
+
+
+def run(*arguments: object) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+    return int(caught.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def baseline(folder: Path) -> Path:
+    path = folder / "d1.json"
+    assert run("identify", *(folder / name for name in OWN), "-o", path) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def lines(folder: Path, baseline: Path) -> dict[str, Line]:
+    found, _, _ = table_of(folder, Baseline.load(baseline))
+    return {one.name.label: one for one in found}
+
+
+def test_the_baseline_knows_the_vehicle_without_being_told(baseline: Path) -> None:
+    learnt = Baseline.load(baseline)
+    layout = learnt.airframe.layout
+    assert (learnt.airframe.name, layout and layout.name) == ("QDrone 2 as recorded", "qdrone2")
+    assert (learnt.airframe.classifier, learnt.link.profile) == (None, "dronepropa")
+    assert learnt.provenance.logs[0].sha256
+    assert "rotor_trim" in {entry.spec.kind for entry in learnt.monitors}
+
+
+def test_scan_finds_the_weak_rotor_and_flags_no_healthy_flight(
+    folder: Path, baseline: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = run("scan", *sorted(folder.glob("F*_SP1_t2*.mat")), "--baseline", baseline)
+    told = dict(line.split(": ", 1) for line in capsys.readouterr().out.splitlines())
+    flagged = {Path(name).name for name, text in told.items() if text.startswith("fault")}
+    assert (code, len(told), flagged) == (1, 7, {"F3_SV3_SP1_t2.mat"})
+    assert "rotor 2" in next(text for text in told.values() if text.startswith("fault"))
+
+
+def test_the_table_has_a_line_for_each_flight(lines: dict[str, Line]) -> None:
+    healthy = ["healthy D1, R1", "healthy D1, R2", "healthy D1, R3", "healthy D2", "healthy D3"]
+    assert list(lines) == [*healthy, "F1/SV1", "F3/SV3"]
+    assert all(lines[f"healthy D1, R{i}"].verdict == "(taught the baseline)" for i in (1, 2, 3))
+    assert lines["healthy D2"].verdict == "healthy: no alarm"
+    assert lines["F3/SV3"].verdict.startswith("fault: rotor_trim")
+
+
+def test_asymmetry_is_what_the_weak_front_rotor_is_commanded_more(lines: dict[str, Line]) -> None:
+    assert lines["F3/SV3"].asymmetry == pytest.approx(RISE * 0.53, rel=0.05)  # hover takes 0.53 of the voltage
+    assert all(abs(one.asymmetry) < 0.005 for label, one in lines.items() if label != "F3/SV3")
+
+
+def test_one_step_follows_the_rotors_shake_and_free_run_does_not(
+    folder: Path, baseline: Path, lines: dict[str, Line]
+) -> None:
+    """As of the recordings: D1, which shakes most, has the largest one-step residual, whatever its propellers are."""
+    own, d2, d3 = (lines[label] for label in ("healthy D1, R1", "healthy D2", "healthy D3"))
+    assert own.one_step_p90 > 1.2 * d2.one_step_p90 > 1.2 * d3.one_step_p90
+    assert lines["F3/SV3"].one_step_p90 == pytest.approx(own.one_step_p90, rel=0.1)
+    assert own.free_run_rms == pytest.approx(d3.free_run_rms, rel=0.3)
+    filtered, _, _ = table_of(folder, Baseline.load(baseline), gyro="filtered")
+    assert filtered[0].one_step_p90 < own.one_step_p90 / 10
+    assert filtered[-1].verdict == lines["F3/SV3"].verdict  # by the raw gyro, as the baseline
+
+
+def test_the_command_prints_it(
+    folder: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["droneprop_table.py", str(folder), "--baseline", str(baseline)])
+    assert main() == 0
+    out = capsys.readouterr().out
+    assert "F3/SV3" in out
+    assert "one step" in out
+    monkeypatch.setattr("sys.argv", ["droneprop_table.py", str(folder), "--baseline", str(baseline), "--speed", "2"])
+    assert main() == 2
+    assert "F0_SV0_SP2_t2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("file", "label"),
+    [
+        ("F0_SV0_SP1_t1_D1_R1.mat", "healthy D1, R1"),
+        ("F0_SV0_SP1_t1_D3.mat", "healthy D3"),
+        ("F2_SV3_SP2_t5.mat", "F2/SV3"),
+    ],
+)
+def test_names_are_read(file: str, label: str) -> None:
+    name = Name.of(file)
+    assert name is not None
+    assert name.label == label
+    assert Name.of(f"copy of {file}") is None
+
+
+def test_the_page_shows_these_commands() -> None:
+    page = (ROOT / "docs" / "droneprop.md").read_text(encoding="utf-8")
+    for command in ("unzip ", "mavdiag identify ", "python benchmarks/droneprop_table.py ", "mavdiag scan "):
+        assert f"\n{command}" in page, command

@@ -1,0 +1,238 @@
+"""The DronePropA reader on made files: units, signs, motor order, flight, and files that contradict the table."""
+
+from collections.abc import Callable
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_dronepropa import LINE_HZ, Rows, content, flight, written
+
+from mavdiag.airframe.load import airframe_named
+from mavdiag.errors import InputError, UsageError
+from mavdiag.learning import airborne, front_for
+from mavdiag.logs import airframe_name_for, gate_for, read_log
+from mavdiag.logs.dronepropa import read_dronepropa
+from mavdiag.telemetry import Signal
+
+MADE = flight(12.0, 3)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("dronepropa") / "any name", MADE)
+
+
+def changed(**rows: Callable[[Rows], None]) -> Rows:
+    copy = {name: table.copy() for name, table in MADE.items()}
+    for change in rows.values():
+        change(copy)
+    return copy
+
+
+def test_it_is_found_by_content_and_has_its_own_gate_and_airframe(path: Path) -> None:
+    log = read_log(path)
+    assert (log.profile, log.notes, log.started_ns) == ("dronepropa", (), 0)
+    assert airframe_name_for("dronepropa") == airframe_name_for("dronepropa-filtered") == "qdrone2-recorded"
+    assert gate_for("dronepropa-filtered") is gate_for("dronepropa")
+    frame = airframe_named("qdrone2-recorded")
+    assert frame.classifier is None
+    assert frame.hover_rad_s == pytest.approx(2 * np.pi * LINE_HZ)
+
+
+def test_vectors_and_angles_turn_about_x(path: Path) -> None:
+    """Forward stays, left becomes right and up becomes down: at rest -9.81 along z."""
+    log, frd = read_log(path), np.array([1.0, -1.0, -1.0])
+    q, c, s = (table.T for table in MADE.values())
+    np.testing.assert_allclose(log["body_rate"].values, q[:, 26:29] * frd)
+    np.testing.assert_allclose(log["specific_force"].values, q[:, 29:32] * frd)
+    np.testing.assert_allclose(log["attitude"].values, np.column_stack((q[:, 1:3], c[:, 24])) * frd)
+    np.testing.assert_allclose(log["attitude_setpoint"].values, np.column_stack((s[:, 8:10], c[:, 28])) * frd)
+    assert log["specific_force"].values[:400, 2].mean() == pytest.approx(-9.81, abs=0.1)
+    assert np.array_equal(log["body_rate"].t_ns, 1_000_000 * np.arange(12_000))
+
+
+def test_outputs_torques_and_thrust_are_of_full_scale(path: Path) -> None:
+    log = read_log(path)
+    s = MADE["stabilizer_data"].T
+    np.testing.assert_allclose(log["torque_command"].values, s[:, 18:21] / [1.0915, -0.8984, -0.0984])
+    hover = log["thrust_setpoint"].values[3000:10000].mean()
+    assert hover == pytest.approx(13.1 / (4 * (0.03616 * 14.8**2 + 0.117 * 14.8 - 0.01215)), rel=0.05)
+    np.testing.assert_array_equal(log["actuator"].values, MADE["QDrone_data"][[52, 50, 48, 46]].T)
+    np.testing.assert_array_equal(log["voltage"].values[:, 0], MADE["QDrone_data"][23])
+    np.testing.assert_array_equal(log["height"].values[:, 0], MADE["commander_data"][23])
+
+
+def test_commanded_rates_are_those_of_the_cascade(path: Path) -> None:
+    """The made controller computed its torque from them: torque / gain + rate."""
+    q, s = MADE["QDrone_data"].T, MADE["stabilizer_data"].T
+    free = np.abs(s[:, 18:20]) < 0.8  # not saturated
+    wanted = s[:, 18:20] / [0.1876, 0.1544] + q[:, 4:6]
+    found = read_log(path)["rate_setpoint"].values[:, :2] * [1.0, -1.0]
+    flying = (MADE["commander_data"][1] >= 4)[:, None] & free
+    np.testing.assert_allclose(found[flying], wanted[flying], atol=1e-9)
+
+
+def test_esc_speeds_are_masked_until_they_are_known(path: Path) -> None:
+    speed = read_log(path)["rotor_speed"].values
+    assert np.isnan(speed[:150]).all()  # 0/0, and infinite in row 54
+    assert speed[3000] == pytest.approx(2 * np.pi * LINE_HZ, rel=1e-3)
+    assert not np.isinf(speed).any()
+
+
+def test_only_state_5_is_flight(path: Path) -> None:
+    log = read_log(path)
+    armed = log["armed"].values[:, 0]
+    assert np.flatnonzero(np.diff(armed)).tolist() == [2499, 10_998]
+    learnt = airborne(front_for([log], 0.1), log)
+    begun_ns, ended_ns = learnt.rows[0].block.t_ns[0], learnt.rows[-1].block.t_ns[-1]
+    judged = np.concatenate([rows.block.t_ns[rows.block.valid] for rows in learnt.rows])
+    assert (begun_ns, judged[0], ended_ns) == (2_500_000_000, 5_500_000_000, pytest.approx(9_998_000_000, abs=2e6))
+
+
+def test_the_filtered_gyro_is_a_profile_of_its_own(path: Path) -> None:
+    log = read_log(path, profile="dronepropa-filtered")
+    np.testing.assert_allclose(log["body_rate"].values[:, 0], MADE["QDrone_data"][4])
+    assert log.profile == "dronepropa-filtered"
+    with pytest.raises(UsageError, match="not ardupilot"):
+        read_log(path, profile="ardupilot")
+
+
+def row(name: str, *numbers: int, factor: float) -> Callable[[Rows], None]:
+    def change(rows: Rows) -> None:
+        rows[name][[number - 1 for number in numbers]] *= factor
+
+    return change
+
+
+def reorder(*order: int) -> Callable[[Rows], None]:
+    """The motor commands of rows 20 to 23 in another order."""
+
+    def change(rows: Rows) -> None:
+        rows["QDrone_data"][19:23] = rows["QDrone_data"][[19 + number - 1 for number in order]]
+
+    return change
+
+
+def stand_still(rows: Rows) -> None:
+    rows["QDrone_data"][0, 50] = rows["QDrone_data"][0, 49]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (row("QDrone_data", 30, 31, 32, factor=1 / 9.80665), r"specific force is 1.00 m/s\^2, not 9.8"),
+        (row("QDrone_data", 32, factor=-1.0), "gravity is not along the vertical axis"),
+        (row("QDrone_data", 27, factor=-1.0), r"raw roll gyro is not the roll estimate's slope \(x -"),
+        (row("QDrone_data", 28, factor=57.3), "raw pitch gyro is not the pitch"),
+        (row("QDrone_data", 29, factor=-1.0), "raw yaw gyro"),
+        (row("QDrone_data", 6, factor=-1.0), "filtered pitch gyro"),
+        (row("QDrone_data", 3, 12, factor=-1.0), "raw pitch gyro"),
+        (row("stabilizer_data", 9, factor=-1.0), "roll reference .* runs against"),
+        (row("stabilizer_data", 10, factor=-1.0), "pitch reference .* runs against"),
+        (row("commander_data", 25, factor=-1.0), "yaw .row 25. runs against"),
+        (reorder(1, 3, 2, 4), "motors are in another order"),  # the published table's
+        (reorder(4, 3, 2, 1), "motors are in another order"),  # one public program's
+        (reorder(2, 1, 4, 3), "motors are in another order"),
+        (stand_still, "time does not increase"),
+        (row("QDrone_data", 1, factor=1e9), "time does not increase"),
+        (row("QDrone_data", 30, 31, 32, factor=np.nan), "specific force is 0.00"),
+    ],
+)
+def test_a_file_that_contradicts_the_table_is_refused(
+    tmp_path: Path, change: Callable[[Rows], None], reason: str
+) -> None:
+    file = written(tmp_path / "F0.mat", changed(one=change))
+    with pytest.raises(InputError, match=reason) as caught:
+        read_log(file)
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_order_of_the_motors_but_one_is_refused(tmp_path: Path) -> None:
+    wrong = [order for order in permutations((1, 2, 3, 4)) if order != (1, 2, 3, 4)]
+    for order in np.random.default_rng(5).permutation(wrong)[:8].tolist():
+        with pytest.raises(InputError, match="another order"):
+            read_log(written(tmp_path / "F0.mat", changed(one=reorder(*order))))
+
+
+def swap_copies(rows: Rows) -> None:
+    rows["QDrone_data"][[48, 50]] = rows["QDrone_data"][[50, 48]]
+
+
+def never_fly(rows: Rows) -> None:
+    rows["commander_data"][1] = 1.0
+
+
+def late_clock(rows: Rows) -> None:
+    rows["commander_data"][0] += 0.25
+
+
+def hold_still(rows: Rows) -> None:
+    rows["QDrone_data"][[3, 6, 28, 12]] = 0.0
+
+
+def shake_roll_gyro(rows: Rows) -> None:
+    """Noise that lowers the slope to a half, as a quiet hover would; the file is sound."""
+    rows["QDrone_data"][26] += np.random.default_rng(8).normal(0, 3.0, rows["QDrone_data"].shape[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "note", "absent"),
+    [
+        (swap_copies, "speeds of the ESCs were left out", Signal.ROTOR_SPEED),
+        (never_fly, "less than 2 s in flight", Signal.ROTOR_SPEED),
+        (late_clock, "commander_data has times that differ from QDrone_data's by up to 0.25 s", None),
+        (hold_still, "too little yaw motion to check the sign of the raw yaw gyro", None),
+        (row("stabilizer_data", 19, factor=0.0), "no roll torque command", None),
+        (shake_roll_gyro, "too little roll motion to check the scale of the raw roll gyro", None),
+    ],
+)
+def test_what_stays_open_is_a_note(
+    tmp_path: Path, change: Callable[[Rows], None], note: str, absent: Signal | None
+) -> None:
+    log = read_log(written(tmp_path / "F0.mat", changed(one=change)))
+    assert any(note in one for one in log.notes), log.notes
+    assert (log.telemetry.get(Signal.ROTOR_SPEED) is None) == (absent is Signal.ROTOR_SPEED)
+
+
+def drift(rows: Rows) -> None:
+    """The IMUs' yaw is a gyro's integral; the motion capture's is held, but for a creep the other way."""
+    ramp = np.linspace(0, 2.0, rows["QDrone_data"].shape[1])
+    rows["QDrone_data"][[3, 12]] += ramp
+    rows["QDrone_data"][28] += 2.0 / 12.0
+    rows["commander_data"][24] -= 0.05 * ramp
+
+
+def test_a_drifting_yaw_estimate_refuses_no_file(tmp_path: Path) -> None:
+    assert read_log(written(tmp_path / "F0.mat", changed(one=drift))).notes == ()
+
+
+def test_a_missing_rotor_line_is_a_note(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path / "F0.mat", flight(12.0, 4, line=0.0)))
+    assert log.notes == ("no rotor line near 150 or 300 Hz in the accelerometer: another speed, or another vehicle",)
+
+
+def test_a_file_that_was_cut_off_is_read_as_far_as_it_reaches(tmp_path: Path) -> None:
+    sound, whole = content(MADE), read_dronepropa(written(tmp_path / "whole", MADE))
+    cut = tmp_path / "cut"
+    cut.write_bytes(sound[: -len(sound) // 60])
+    log = read_dronepropa(cut)
+    count = len(log["body_rate"])
+    assert 6000 < count < 12_000
+    np.testing.assert_array_equal(log["actuator"].values, whole["actuator"].values[:count])
+    assert log.notes[0] == f"stabilizer_data: only {count} of 12000 samples are there: it was cut off"
+
+
+def test_a_file_cut_before_its_last_matrix_cannot_be_used(tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.write_bytes(content(MADE)[:-1_000_000])
+    with pytest.raises(InputError, match="holds no stabilizer_data: it was cut off; download it again"):
+        read_log(cut)
+
+
+def test_another_matlab_file_is_refused_by_its_content(tmp_path: Path) -> None:
+    other = tmp_path / "F0_SV0_SP1_t1_D1_R1.mat"
+    other.write_bytes(content({"x": np.ones((3, 3))}))
+    with pytest.raises(InputError, match="holds no QDrone_data and no commander_data and no stabilizer_data"):
+        read_log(other)

@@ -1,0 +1,130 @@
+"""Matrices out of MATLAB files: the same as scipy reads, and what is left of a file that was cut off."""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_dronepropa import content
+from scipy.io import loadmat
+
+from mavdiag.errors import InputError
+from mavdiag.logs.mat5 import is_mat, read_matrices
+
+RNG = np.random.default_rng(11)
+WANTED = {"one": 3, "two": 2}
+ROWS = {"one": RNG.standard_normal((3, 4000)), "two": RNG.standard_normal((2, 900))}
+
+
+def by_scipy(data: bytes, folder: Path) -> dict[str, Any]:
+    path = folder / "made.mat"
+    path.write_bytes(data)
+    return dict(loadmat(path))
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize("dtype", ["f8", "f4", "i2", "u1"])
+def test_it_reads_what_scipy_reads(tmp_path: Path, compressed: bool, dtype: str) -> None:
+    rows = {name: (20 * values).astype(dtype) for name, values in ROWS.items()}
+    data = content({"other": np.ones((5, 7)), **rows, "text": np.array(["a", "b"])}, compressed=compressed)
+    found = read_matrices(data, WANTED)
+    scipys = by_scipy(data, tmp_path)
+    for name in WANTED:
+        np.testing.assert_array_equal(found[name].values, scipys[name].T)
+        assert found[name].note == ""
+
+
+def last_element(data: bytes) -> int:
+    """Where the last compressed element begins."""
+    position, begin = 128, 128
+    while position < len(data):
+        begin, position = position, position + 8 + struct.unpack_from("<I", data, position + 4)[0]
+    return begin
+
+
+def test_a_file_that_was_cut_off_keeps_its_whole_samples() -> None:
+    data = content(ROWS)
+    begin = last_element(data)
+    half = data[: begin + (len(data) - begin) // 2]
+    found = read_matrices(half, WANTED)
+    kept = len(found["two"].values)
+    assert 300 < kept < 600
+    np.testing.assert_array_equal(found["two"].values, ROWS["two"].T[:kept])
+    assert found["two"].note == f"two: only {kept} of 900 samples are there: it was cut off"
+    np.testing.assert_array_equal(found["one"].values, ROWS["one"].T)
+
+
+@pytest.mark.parametrize("missing", [1, 2, 3, 4])
+def test_an_incomplete_checksum_is_a_note(missing: int) -> None:
+    """As of F0_SV0_SP1_t3_D1_R1.mat, which strict readers refuse: with the length that belongs to it, or cut off."""
+    data = content(ROWS)
+    begin = last_element(data)
+    body = data[begin + 8 : -missing]
+    shortened = data[:begin] + struct.pack("<II", 15, len(body)) + body
+    for cut in (shortened, data[:-missing]):
+        found = read_matrices(cut, WANTED)
+        np.testing.assert_array_equal(found["two"].values, ROWS["two"].T)
+        assert found["two"].note == "two: its checksum is cut off"
+
+
+def compressed(inner: bytes) -> bytes:
+    packed = zlib.compress(inner)
+    return content({})[:128] + struct.pack("<II", 15, len(packed)) + packed
+
+
+def with_wrong_checksum() -> bytes:
+    data = bytearray(content(ROWS))
+    data[-1] ^= 1
+    return bytes(data)
+
+
+def in_the_middle() -> bytes:
+    data = bytearray(content(ROWS))
+    data[200:5000] = bytes(4800)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"MATLAB 7.3 MAT-file" + bytes(200), "save it again with -v7"),
+        (b"\xbc\x02\x00 another kind", "first bytes"),
+        (content(ROWS)[:130], "no one and no two"),
+        (content(ROWS)[:300], "cut off; download it again"),
+        (content({"one": ROWS["one"]}), "no two: it is another recording"),
+        (content({"one": ROWS["one"].T, "two": ROWS["two"]}), "one is 4000 x 3, but a recording has 3 rows"),
+        (content({"one": ROWS["one"] * 1j, "two": ROWS["two"]}), "no one"),
+        (content({"one": {"a": 1.0}, "two": ROWS["two"]}), "no one"),
+        (with_wrong_checksum(), "checksum of two is wrong"),
+        (in_the_middle(), "compressed data are damaged"),
+        (compressed(struct.pack("<II", 14, 2**31) + bytes(40)), "no one"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line(data: bytes, reason: str) -> None:
+    with pytest.raises(InputError, match=reason) as caught:
+        read_matrices(data, WANTED)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bomb_is_refused_before_it_is_inflated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.logs.mat5.MAX_MATRIX_BYTES", 50_000)
+    with pytest.raises(InputError, match="too long to be a flight"):
+        read_matrices(content({"one": np.zeros((3, 100_000)), "two": ROWS["two"]}), WANTED)
+
+
+def test_it_is_recognised_by_its_header() -> None:
+    assert is_mat(content(ROWS)[:4096])
+    assert not is_mat(b"MATLAB 5.0 MAT-file")
+    assert not is_mat(b"ULog\x01\x12\x35" + bytes(200))
+
+
+def test_both_byte_orders_are_read(tmp_path: Path) -> None:
+    """A matrix of the other order, written by hand: MATLAB on big-endian machines wrote such files."""
+    values = np.arange(6.0)
+    parts = struct.pack(">IIII", 6, 8, 6, 0) + struct.pack(">IIii", 5, 8, 2, 3)
+    parts += struct.pack(">HH4s", 3, 1, b"two\0") + struct.pack(">II", 9, 48) + values.astype(">f8").tobytes()
+    data = b"MATLAB 5.0".ljust(124) + b"\x01\x00MI" + struct.pack(">II", 14, len(parts)) + parts
+    np.testing.assert_array_equal(read_matrices(data, {"two": 2})["two"].values, values.reshape(3, 2))
+    np.testing.assert_array_equal(by_scipy(data, tmp_path)["two"].T, values.reshape(3, 2))
