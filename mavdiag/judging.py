@@ -1,7 +1,7 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -105,6 +105,8 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
         reason = f"another link: {error}"
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
     chain = chain_of(baseline)
+    if log.motor_order:  # its outputs are by motor already
+        chain = replace(chain, front=replace(chain.front, outputs=None))
     state, first = chain.step(chain.start(), log.telemetry)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)

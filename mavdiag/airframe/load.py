@@ -6,7 +6,7 @@
     hover_rpm = 5200              # rotor speed that carries it
     imu_corner_hz = 20            # corner of the low-pass filter in its IMU stream, ArduPilot's INS_GYRO_FILTER
     classifier = "..."            # trained fault types that hold for it
-    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's outputs:
+    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's motors:
 
     [[rotors]]                    # either where it is, in FRD from the centre of gravity, seen from above
     x_m = 0.1                     # forward
@@ -17,6 +17,9 @@
     roll = -1.0
     pitch = 0.5
     yaw = -1.0
+
+    outputs = [5, 6, 7, 8, 1, 2]  # which output drives rotor 1, 2, ... (before the tables; default: what the vehicle's
+                                  # parameters or the flights say, else rotor j is on output j)
 
     [gate]                        # what counts as flying; the keys of `mavdiag.rows.gate.GateSpec`
     min_thrust = 0.1
@@ -86,6 +89,7 @@ class _File(_Table):
     scope: Scope = "airframe"
     layout: str | None = None
     rotors: tuple[_Rotor, ...] = ()
+    outputs: tuple[Annotated[int, Field(strict=True, ge=1, le=32)], ...] | None = None
     mass_kg: Positive | None = None
     hover_rpm: Positive | None = None
     imu_corner_hz: Positive | None = None
@@ -142,10 +146,18 @@ def _parse(text: str, file: str) -> Airframe:
         layout = _layout(found)
     except UsageError as error:
         raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
+    try:
+        return _airframe(found, layout)
+    except UsageError as error:
+        raise InputError(f"{file}: outputs: {error}") from error
+
+
+def _airframe(found: _File, layout: RotorLayout | None) -> Airframe:
     return Airframe(
         name=found.name,
         scope=found.scope,
         layout=layout,
+        outputs=found.outputs,
         mass_kg=found.mass_kg,
         hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
         imu_corner_hz=found.imu_corner_hz,

@@ -46,8 +46,7 @@ def with_parameters(known: Mapping[str, float], frames: Iterable[Frame], autopil
 
 def _name(frame: Frame) -> str:
     raw = frame.fields[_NAME]
-    text = raw if isinstance(raw, str) else bytes(raw).partition(b"\0")[0].decode("latin-1")
-    return text.partition("\0")[0]
+    return raw.partition(b"\0")[0].decode("latin-1") if isinstance(raw, bytes) else ""
 
 
 def _value(frame: Frame, *, bytewise: bool) -> float:

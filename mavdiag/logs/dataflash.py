@@ -72,7 +72,8 @@ def read_dataflash(path: Path) -> Log:
 
     Samples are as recorded, not resampled. Several IMUs: the first. ACTUATOR has one column per motor, in the order of
     the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel up to the last one in
-    use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
+    use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
+    known signal.
     """
     data = read_bytes(path)
     tables, notes = read_tables(data, _WANTED)
@@ -95,7 +96,12 @@ def _series(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series,
             continue
         values = table.columns(row.labels, row.integer_unit) * row.unit
         found[row.signal] = recorded(row.signal, t_ns, _wrapped(values) if row.wrapped else values)
-    return (*found.values(), *_rate_loop(tables, found.get(Signal.BODY_RATE)), *_actuator(tables, motors), *_armed(tables))
+    return (
+        *found.values(),
+        *_rate_loop(tables, found.get(Signal.BODY_RATE)),
+        *_actuator(tables, motors),
+        *_armed(tables),
+    )
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

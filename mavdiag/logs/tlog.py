@@ -32,7 +32,9 @@ STAMP_BYTES = 8
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
-_WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(*(SampleDecoder(profile).wanted for profile in PROFILES.values()))
+_WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
+    *(SampleDecoder(profile).wanted for profile in PROFILES.values())
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,9 +58,9 @@ def _norm(values: FloatArray) -> FloatArray:
 
 def _pulses(output: FloatArray) -> FloatArray:
     """The outputs in their order up to the last that carries a pulse: (pulse - 1000 us) / 1000 us, not below 0."""
-    carry = (output >= PWM_LEAST_US).any(axis=0)
-    used = output[:, : int(np.flatnonzero(carry)[-1]) + 1] if carry.any() else output[:, :0]
-    pulses = np.where(carry[: used.shape[1]], used, PWM_ZERO_US)
+    carry = np.flatnonzero((output >= PWM_LEAST_US).any(axis=0))
+    width = int(carry[-1]) + 1 if len(carry) else 0
+    pulses = np.where(np.isin(np.arange(width), carry), output[:, :width], PWM_ZERO_US)
     return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
@@ -140,9 +140,9 @@ _TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
 def read_ulog(path: Path) -> Log:
     """Read a ULog of PX4. Profile "px4-log". Of several instances of a topic, the first.
 
-    ACTUATOR has one column per motor where the log has the topic actuator_motors, and otherwise one per output up to the
-    last that moves. HEIGHT is above the origin of the local position, which PX4 sets where it starts. Raises InputError for a file that
-    is unreadable, of another kind, damaged beyond use, or without a known signal.
+    ACTUATOR has one column per motor where the log has the topic actuator_motors, and otherwise one per output up to
+    the last that moves. HEIGHT is above the origin of the local position, which PX4 sets where it starts. Raises
+    InputError for a file that is unreadable, of another kind, damaged beyond use, or without a known signal.
     """
     data = read_bytes(path)
     try:
