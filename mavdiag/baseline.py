@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.rows.align import Grid
@@ -51,6 +51,11 @@ __all__ = [
 
 SCHEMA = "mavdiag.baseline/2"
 RATE_TOLERANCE = 0.02  # of the sample time; beyond it the model's poles mean another system (our choice)
+LATER_FIELDS = (
+    "outputs",
+    "layout_basis",
+    "layout_warning",
+)  # of the airframe; older files lack them, unset they count not
 REMEDY = "make the baseline anew with `mavdiag identify`"
 
 Positive = Annotated[float, Field(gt=0)]
@@ -176,6 +181,14 @@ class Baseline(_Part):
         """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
         return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
 
+    @property
+    def layout_doubt(self) -> str:
+        """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
+        frame = self.airframe
+        if frame.layout is None:
+            return frame.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
+        return frame.layout_statement if frame.layout_warning else ""
+
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
         return frozenset[Signal]().union(*(monitor_of(entry.spec).signals for entry in self.monitors))
@@ -197,9 +210,9 @@ class Baseline(_Part):
     def __str__(self) -> str:
         """What it says, for a person: whose it is, what judges at which price, and what does not."""
         frame, link = self.airframe, self.link
-        layout = "unknown" if frame.layout is None else frame.layout.name
         lines = [
-            f"airframe   {frame.name} ({frame.scope}), rotor layout {layout}",
+            f"airframe   {frame.name} ({frame.scope})",
+            frame.layout_statement,
             f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid",
             f"window     {self.window.samples} samples, order {self.window.order}",
         ]
@@ -293,5 +306,7 @@ def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
 
 def _digest(baseline: Baseline) -> str:
     content: dict[str, Any] = baseline.model_dump(mode="json", by_alias=True, exclude={"digest"})
+    frame = content["airframe"]
+    content["airframe"] = {name: value for name, value in frame.items() if value or name not in LATER_FIELDS}
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

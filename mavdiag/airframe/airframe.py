@@ -12,11 +12,12 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import UsageError
 from mavdiag.rows.gate import GateSpec
 
-__all__ = ["Airframe", "Scope"]
+__all__ = ["NEED_LAYOUT", "Airframe", "Scope"]
 
 Scope: TypeAlias = Literal["airframe", "type"]
 
-UNJUDGED = "rotor_trim and rotor_signature do not judge, and no rotor is named"  # without a layout
+NEED_LAYOUT = ("rotor_trim", "rotor_signature")  # monitors that need a rotor layout
+UNJUDGED = f"{' and '.join(NEED_LAYOUT)} do not judge, and no rotor is named"
 REMEDY = "name it with --layout or --airframe"
 
 

@@ -103,7 +103,7 @@ def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     likeness = dict(finding.likeness)
     if finding.idle:
         return finding.reason
-    if finding.layout is not None and not _same(finding.layout, layout):
+    if finding.layout is not None and not finding.layout.alike(layout):
         own = f" ({layout.name} {likeness[layout.name]:.2f})" if layout.name in likeness else ""
         return f"the flights look like {finding.layout.name}, not {layout.name}{own}: {finding.reason}"
     if likeness.get(layout.name, 0.0) < 0.0:
@@ -111,10 +111,6 @@ def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     if finding.likeness and layout.name not in likeness:
         return f"{len(finding.outputs)} outputs move as motors do, {layout.name} has {layout.rotors} rotors"
     return ""
-
-
-def _same(one: RotorLayout, other: RotorLayout) -> bool:
-    return one.rotors == other.rotors and bool(np.allclose(one.mixing, other.mixing))
 
 
 def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
@@ -141,7 +137,8 @@ def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
     if best < MIN_LIKENESS or (second is not None and 1 - best > MAX_MISFIT * (1 - second[1])):
         return LayoutFinding(None, f"no known layout fits clearly ({scores})", tuple(ranked))
     layout = next(one for one in candidates if one.name == name)
-    return LayoutFinding(layout, f"found from outputs and {fit.driver} ({scores})", tuple(ranked))
+    unseen = "" if fit.F[2] >= MIN_F else "; the senses of rotation were not seen, for the flights hardly yaw"
+    return LayoutFinding(layout, f"found from outputs and {fit.driver} ({scores}){unseen}", tuple(ranked))
 
 
 def _reordered(fit: Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:

@@ -47,6 +47,10 @@ class RotorLayout:
         """How many there are."""
         return len(self.signs)
 
+    def alike(self, other: "RotorLayout") -> bool:
+        """Whether both have the same rotors in the same order, whatever they are called."""
+        return self.rotors == other.rotors and bool(np.allclose(self.mixing, other.mixing, atol=COLUMN_TOLERANCE))
+
     @property
     def mixing(self) -> FloatArray:
         """B, (rotors, 3): outputs w = B m that make a trim m of roll, pitch and yaw."""

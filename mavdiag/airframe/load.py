@@ -29,6 +29,7 @@ is an error.
 """
 
 import tomllib
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -41,7 +42,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
 
-__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe"]
+__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe", "with_layout"]
 
 #: Names of the airframes that are shipped.
 BUILTIN = ("crazyflie", "qdrone2")
@@ -119,6 +120,16 @@ def airframe_named(name: str) -> Airframe:
         raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
     file = resources.files("mavdiag.airframe") / f"{name}.toml"
     return _parse(file.read_text(encoding="utf-8"), file.name)
+
+
+def with_layout(airframe: Airframe, name: str) -> Airframe:
+    """The airframe with a known rotor layout, told by its name. Raises UsageError, with the names there are."""
+    layout = layout_named(name)
+    if airframe.layout is not None and airframe.layout.signs != layout.signs:
+        raise UsageError(
+            f"airframe {airframe.name} has the layout {airframe.layout.name}, not {name}: give one of them"
+        )
+    return replace(airframe, layout=layout)
 
 
 def load_airframe(path: Path) -> Airframe:

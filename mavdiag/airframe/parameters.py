@@ -27,7 +27,7 @@ _SERVO = re.compile(r"SERVO(\d+)_FUNCTION")
 _PX4_FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|HIL_ACT|UAVCAN_EC)_FUNC(\d+)")
 _AIRFRAME_MULTIROTOR = 0  # CA_AIRFRAME
 _UP = (0.0, 0.0, -1.0)  # CA_ROTORn_AX, _AY, _AZ by default
-_SAME = 1e-3  # of an effect: closer layouts are the same one (our choice)
+_SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the same (our choice)
 
 # FRAME_CLASS: its name and number of motors. FRAME_TYPE by class.
 _CLASSES = {1: ("quad", 4), 2: ("hexa", 6), 3: ("octa", 8)}
@@ -140,7 +140,7 @@ def _px4_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None, st
     except UsageError as error:
         return None, f"the parameters CA_ROTORn make no layout ({error})"
     told = f"the vehicle's parameters CA_ROTOR0 to CA_ROTOR{count - 1}"
-    return next((one for one in LAYOUTS.values() if _same(one, layout)), layout), told
+    return next((one for one in LAYOUTS.values() if one.alike(layout)), layout), told
 
 
 def _odd(parameters: Mapping[str, float], count: int) -> str:
@@ -155,7 +155,3 @@ def _odd(parameters: Mapping[str, float], count: int) -> str:
     if np.nanmax(thrust, initial=0.0) > np.nanmin(thrust, initial=math.inf) * (1 + _SAME):
         return "the rotors differ in thrust (CA_ROTORn_CT)"
     return ""
-
-
-def _same(one: RotorLayout, other: RotorLayout) -> bool:
-    return one.rotors == other.rotors and np.allclose(one.mixing, other.mixing, atol=_SAME)

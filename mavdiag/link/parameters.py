@@ -5,17 +5,15 @@ not PX4, casts the integer to a float (MAVLink parameter protocol, "parameter en
 """
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 
 import numpy as np
 
 from mavdiag.link.codec import Frame, field_index, record_dtype
 from mavdiag.link.messages import Autopilot, Component, MessageId
 
-__all__ = ["MOST_PARAMETERS", "NO_PARAMETERS", "parameters_in", "with_parameters"]
+__all__ = ["MOST_PARAMETERS", "parameters_in", "with_parameters"]
 
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
-NO_PARAMETERS: Mapping[str, float] = MappingProxyType({})
 
 _NAME = field_index(MessageId.PARAM_VALUE, "param_id")
 _VALUE = record_dtype(MessageId.PARAM_VALUE, ("param_value", 1), ("param_type", 1))

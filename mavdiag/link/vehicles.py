@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.link.parameters import NO_PARAMETERS, with_parameters
+from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
@@ -79,7 +79,7 @@ class Received:
     present: bool = False
     acks: tuple[Ack, ...] = ()
     commands: tuple[Command, ...] = ()
-    parameters: Mapping[str, float] = NO_PARAMETERS
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class VehicleStream:
@@ -96,7 +96,7 @@ class VehicleStream:
         self._state = SampleState()
         self._imu: list[Frame] = []
         self._settled = False  # whether the IMU message is chosen for good
-        self.parameters: Mapping[str, float] = NO_PARAMETERS
+        self.parameters: Mapping[str, float] = {}
 
     @property
     def profile(self) -> Profile:
