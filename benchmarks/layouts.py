@@ -70,7 +70,6 @@ def rearranged(log: Log, arrangement: str, rotors: int) -> tuple[Log, tuple[int,
         values = np.hstack([np.tile([0.0, 0.5, 0.0, 0.45], (n, 1)), motors])
     elif arrangement == "between servos":
         places = (1, 2, *range(4, 2 + rotors))
-        places = (*places, 2 + rotors)
         servo = np.clip(np.cumsum(rng.normal(0, 0.01, (n, 2)), axis=0) + 0.5, 0, 1)
         values = np.hstack([motors[:, :2], servo[:, :1], motors[:, 2:], servo[:, 1:]])
     else:

@@ -61,9 +61,9 @@ class Airframe:
         """Raises UsageError unless each rotor has an output of its own."""
         if self.outputs is None:
             return
-        if self.layout is None or len(self.outputs) != self.layout.rotors:
-            raise UsageError("airframe: outputs need a layout with as many rotors")
-        if min(self.outputs) < 1 or len(set(self.outputs)) < len(self.outputs):
+        if self.layout is not None and len(self.outputs) != self.layout.rotors:
+            raise UsageError(f"airframe: {len(self.outputs)} outputs for {self.layout.rotors} rotors")
+        if min(self.outputs, default=0) < 1 or len(set(self.outputs)) < len(self.outputs):
             raise UsageError("airframe: outputs count from 1, and each rotor has its own")
 
     @property

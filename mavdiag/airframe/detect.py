@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mavdiag.airframe.excitation import Fit, fit_outputs, moving_outputs, stretches_of
+from mavdiag.airframe.excitation import Fit, Stretch, fit_outputs, moving_outputs, stretches_of
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
@@ -65,21 +65,18 @@ def detect_layout(
 
     An output is a motor if its mean in flight is above 0.05, it moves, and the drivers move it (F >= 10). All that move
     are tried first; then the one that follows the drivers least is left out, again and again, while it does not follow
-    them. The motors are the rotors in rising order of their outputs. If no layout fits so, and yaw is excited too, that
-    order is sought in which one of `NUMBERED` fits best; its likeness must meet the same limits.
+    them. The motors are the rotors in rising order of their outputs. If no layout reaches 0.85 so, and yaw is excited
+    too, that order is sought in which one of `NUMBERED` fits best; its likeness must meet the same limits.
 
     Any cut of the rows into blocks gives the same answer. Blind spots: servos that follow the drivers as motors do; a
     vehicle that hardly turns.
     """
     stretches = stretches_of(blocks)
     moving = moving_outputs(stretches)
+    if outputs is not None and any(one.outputs.shape[1] for one in stretches):
+        return _on_outputs(stretches, moving, [one - 1 for one in outputs], known)
     if len(moving) < FEWEST:
         return LayoutFinding(None, "the data carry no rotor outputs that move")
-    if outputs is not None:
-        columns = [one - 1 for one in outputs]
-        if idle := tuple(rotor for rotor, one in enumerate(outputs, start=1) if one - 1 not in moving):
-            return LayoutFinding(None, f"the outputs of the rotors {', '.join(map(str, idle))} do not move", idle=idle)
-        return _found(fit_outputs(stretches, columns), columns, known)
     fit = fit_outputs(stretches, moving)
     found = first = _found(fit, moving, known)
     while found.layout is None and fit is not None and fit.followed.min() < MIN_F:
@@ -89,7 +86,7 @@ def detect_layout(
         moving = [one for i, one in enumerate(moving) if i != worst]
         fit = fit_outputs(stretches, moving)
         found = _found(fit, moving, known)
-    if found.layout is None and fit is not None:
+    if found.layout is None and fit is not None and max((one for _, one in found.likeness), default=-1) < MIN_LIKENESS:
         found = _reordered(fit, moving, known) or found
     return found
 
@@ -97,20 +94,31 @@ def detect_layout(
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     """Why flights speak against a layout that was told, in one sentence; empty if they do not.
 
-    finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is negative, if another
-    layout is named, or if not as many outputs as it has rotors move as motors do.
+    finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is negative, if it is
+    below 0.85 and another layout is named, or if not as many outputs as it has rotors move as motors do.
     """
     likeness = dict(finding.likeness)
     if finding.idle:
         return finding.reason
+    if likeness.get(layout.name, 0.0) >= MIN_LIKENESS:
+        return ""
     if finding.layout is not None and not finding.layout.alike(layout):
         own = f" ({layout.name} {likeness[layout.name]:.2f})" if layout.name in likeness else ""
         return f"the flights look like {finding.layout.name}, not {layout.name}{own}: {finding.reason}"
     if likeness.get(layout.name, 0.0) < 0.0:
         return f"the outputs do not move as {layout.name} would (likeness {likeness[layout.name]:.2f})"
-    if finding.likeness and layout.name not in likeness:
+    if finding.likeness and layout.name not in likeness and finding.likeness[0][1] >= MIN_LIKENESS:
         return f"{len(finding.outputs)} outputs move as motors do, {layout.name} has {layout.rotors} rotors"
     return ""
+
+
+def _on_outputs(
+    stretches: Sequence[Stretch], moving: Sequence[int], columns: Sequence[int], known: Sequence[RotorLayout]
+) -> LayoutFinding:
+    """What the outputs say that are known to drive the rotors, if all of them move."""
+    if idle := tuple(rotor for rotor, one in enumerate(columns, start=1) if one not in moving):
+        return LayoutFinding(None, f"the outputs of the rotors {', '.join(map(str, idle))} do not move", idle=idle)
+    return _found(fit_outputs(stretches, columns), columns, known)
 
 
 def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:

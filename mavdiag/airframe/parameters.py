@@ -9,9 +9,8 @@ which turns the nose to the right; <group>_FUNCn 101 to 112 puts motor 1 to 12 o
 Only what can be stated with certainty is: tables on a circle, rotors of one kind that push up.
 """
 
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,7 +150,7 @@ def _odd(parameters: Mapping[str, float], count: int) -> str:
             return f"rotor {n + 1} does not push straight up (CA_ROTOR{n}_AX, _AY, _AZ)"
         if parameters[f"CA_ROTOR{n}_KM"] == 0.0:
             return f"CA_ROTOR{n}_KM is 0: the rotor's sense is not known"
-    thrust: Sequence[float] = [parameters.get(f"CA_ROTOR{n}_CT", math.nan) for n in range(count)]
-    if np.nanmax(thrust, initial=0.0) > np.nanmin(thrust, initial=math.inf) * (1 + _SAME):
+    thrust = [parameters[name] for n in range(count) if (name := f"CA_ROTOR{n}_CT") in parameters]
+    if thrust and max(thrust) > min(thrust) * (1 + _SAME):
         return "the rotors differ in thrust (CA_ROTORn_CT)"
     return ""
