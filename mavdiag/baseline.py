@@ -51,11 +51,8 @@ __all__ = [
 
 SCHEMA = "mavdiag.baseline/2"
 RATE_TOLERANCE = 0.02  # of the sample time; beyond it the model's poles mean another system (our choice)
-LATER_FIELDS = (
-    "outputs",
-    "layout_basis",
-    "layout_warning",
-)  # of the airframe; older files lack them, unset they count not
+# Of the airframe: files of before lack them, so the digest leaves them out while they are unset.
+LATER_FIELDS = ("outputs", "layout_basis", "layout_warning")
 REMEDY = "make the baseline anew with `mavdiag identify`"
 
 Positive = Annotated[float, Field(gt=0)]

@@ -57,7 +57,8 @@ def _from_flights(
     shown = "" if found.outputs == _in_order(len(found.outputs)) else "the motors are not in order"
     if found.layout is None or (shown and _all_in_motor_order(flights)):
         reasons = (said.reason, shown if found.layout is not None else found.reason)
-        return replace(told, layout_basis="; ".join(one for one in reasons if one)), list(flights)
+        basis = "; ".join(one for one in reasons if one)
+        return replace(told, layout_basis=basis), [_ordered(one, told.outputs) for one in flights]
     if outputs is None and shown:
         outputs = found.outputs
     airframe = replace(
@@ -99,11 +100,11 @@ def _blocks(flights: Sequence[LearntFlight]) -> Iterator[Block]:
 
 
 def _moved(found: LayoutFinding, layout: RotorLayout) -> bool:
-    """Whether the flights show the layout, or nothing against it, on other outputs than 1, 2, ..."""
+    """Whether the flights show the layout on other outputs than 1, 2, ..."""
     if len(found.outputs) != layout.rotors or found.outputs == _in_order(layout.rotors):
         return False
     if found.layout is not None:
-        return found.layout.signs == layout.signs
+        return found.layout.alike(layout)
     return dict(found.likeness).get(layout.name, -1.0) >= MIN_LIKENESS
 
 
