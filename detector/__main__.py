@@ -17,7 +17,8 @@ from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
 from mavdiag import commandline
-from mavdiag.airframe.load import airframe_from
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
 from mavdiag.link.ports import open_endpoint
 
@@ -47,6 +48,10 @@ def detect(
     airframe: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE.toml", help="What is learned about: its rotors, mass, hover speed and gate."),
+    ] = None,
+    layout: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"),
     ] = None,
     name: Annotated[
         str | None, typer.Option(metavar="LABEL", help='Label of what is learned.  [default: "vehicle" and its id]')
@@ -90,7 +95,7 @@ def _serve(settings: Settings) -> None:
     with ExitStack() as stack:
         stop = stack.enter_context(commandline.stop_signals())
         baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
-        airframe = None if settings.airframe is None else airframe_from(settings.airframe)
+        airframe = _airframe(settings)
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address)) for address in settings.forward]
         journal = None if settings.journal is None else stack.enter_context(closing(Journal(settings.journal, _say)))
@@ -109,6 +114,12 @@ def _serve(settings: Settings) -> None:
             metrics=metrics,
         )
         daemon.run(stop)
+
+
+def _airframe(settings: Settings) -> Airframe | None:
+    """What the user said of the vehicle that is learned about; None for nothing."""
+    told = None if settings.airframe is None else airframe_from(settings.airframe)
+    return told if settings.layout is None else with_layout(told or Airframe(), settings.layout)
 
 
 def _recorder(path: Path) -> Recorder:

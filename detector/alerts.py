@@ -59,6 +59,8 @@ class Kind(StrEnum):
     REBOOT = "reboot"
     OFF = "off"
     RATES = "rates"
+    NO_LAYOUT = "no rotor layout"
+    OTHER_LAYOUT = "other rotor layout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,8 @@ POLICY: Mapping[Kind, Policy] = {
     Kind.REBOOT: Policy(Severity.INFO, "PROP vehicle rebooted, starting anew"),
     Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", (60.0,)),  # reason
     Kind.RATES: Policy(Severity.INFO, "PROP got {}"),  # message and rate, ...
+    Kind.NO_LAYOUT: Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off"),  # how many
+    Kind.OTHER_LAYOUT: Policy(Severity.WARNING, "PROP flights contradict rotor layout {}"),  # its name
 }
 
 

@@ -47,6 +47,7 @@ class Settings(SessionSettings):
     baseline: Path | None = None  # file to judge by
     save: Path | None = None  # file that keeps what was learned
     airframe: str | None = None  # what is learned about: a built-in name or a TOML file
+    layout: str | None = None  # its rotor layout; default: by its parameters, else by its flight
     name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
     forward: tuple[str, ...] = ()  # further links that get the vehicle's frames and the alerts
     journal: Path | None = None  # file for the events
@@ -62,7 +63,7 @@ class Settings(SessionSettings):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
-        for option in ("save", "airframe", "name"):
+        for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         return self

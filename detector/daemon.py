@@ -217,10 +217,10 @@ class Daemon:
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
-            case Learn(profile, telemetry):
+            case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry))
+                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters))
             case Baseline():
                 self._save(sysid, effect)
             case EventOpened(event):

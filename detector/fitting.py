@@ -4,10 +4,10 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from typing import Protocol, TypeAlias
@@ -34,12 +34,14 @@ class FittingJob:
     airframe: what is known of it; its name is the one that the baseline gets.
     profile: of its link.
     telemetry: the flight.
+    parameters: of its autopilot, by name.
     """
 
     vehicle: int
     airframe: Airframe
     profile: str
     telemetry: Telemetry
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Fitter(Protocol):
@@ -61,7 +63,9 @@ def fit_baseline(job: FittingJob) -> Outcome:
     from mavdiag.learning import LearnOptions, learn
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    log = Log(f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry)
+    log = Log(
+        f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry, parameters=dict(job.parameters)
+    )
     try:
         return learn([log], LearnOptions(airframe=job.airframe), created=created)
     except MavdiagError as error:

@@ -66,7 +66,7 @@ class Vehicle:
 
     def step(self, received: Received, reboots: int, now: Instant) -> tuple[Effect, ...]:
         """Hand the session what came."""
-        inbox = Inbox(received.telemetry, received.present, reboots, received.acks, self.outcome)
+        inbox = Inbox(received.telemetry, received.present, reboots, received.acks, self.outcome, received.parameters)
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)

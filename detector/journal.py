@@ -6,7 +6,7 @@ event      an alarm of one monitor, whole; the fields of the public contract, it
 opened     the same at its beginning, with the figures of that moment and end_s null
 state      from, to, reason          text        severity, text            suppressed   text, count
 stage      the decision: stage, reason, and the evidence that it rests on
-baseline   digest, airframe          note        text                      start, stop  of the daemon
+baseline   digest, airframe, layout  note        text                      start, stop  of the daemon
 """
 
 import json
@@ -64,7 +64,8 @@ def _content(record: Record, when: When) -> tuple[str, dict[str, object]]:
         case TextSuppressed(text, count):
             return "suppressed", {"text": text, "count": count}
         case Baseline():
-            return "baseline", {"digest": record.digest, "airframe": record.airframe.name}
+            frame = record.airframe
+            return "baseline", {"digest": record.digest, "airframe": frame.name, "layout": frame.layout_statement}
         case Note(text):
             return "note", {"text": text}
 

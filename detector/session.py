@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, not_judged, records_of, unknown_suspects
+from detector.judging import Alert, Judge, alert_after, layout_notices, not_judged, notes_on, records_of
 from detector.named_values import NamedValues, named_values
 from detector.negotiate import Negotiation, negotiate, wants_of
 from detector.states import TABLE, State, Trigger, advance
@@ -221,7 +221,8 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(), now))
-            self._effects += unknown_suspects(chain, self._settings.suspect)
+            self._effects += notes_on(state.baseline, chain, self._settings.suspect)
+            self._notices += layout_notices(state.baseline)
         lack = self._hindrance()
         measuring = lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS)
         # What came at a wrong rate is not judged later.
@@ -250,7 +251,7 @@ class Session:
         self._keep(collection=collection)
         if collection.seconds >= goal_s:
             self._move(Trigger.COLLECTED)
-            self._effects.append(Learn(profile.name, collection.telemetry))
+            self._effects.append(Learn(profile.name, collection.telemetry, inbox.parameters))
             return self._say(Kind.FITTING)
         percent = int(100 * collection.seconds / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""

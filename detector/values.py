@@ -1,5 +1,6 @@
 """What goes into a session and what comes out of it: closed, frozen values. The daemon acts on each effect."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -60,6 +61,7 @@ class Inbox:
     reboots: of the vehicle, all so far.
     acks: its autopilot's acknowledgements.
     outcome: what came of the last `Learn`.
+    parameters: of its autopilot that passed by so far, by name.
     """
 
     telemetry: Telemetry = field(default_factory=Telemetry)
@@ -67,6 +69,7 @@ class Inbox:
     reboots: int = 0
     acks: tuple[Ack, ...] = ()
     outcome: Baseline | LearningFailed | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +99,11 @@ class AskInterval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learn:
-    """Make a baseline from this healthy flight; the answer comes back in an inbox."""
+    """Make a baseline from this healthy flight; the answer comes back in an inbox. parameters: of its autopilot."""
 
     profile: str
     telemetry: Telemetry
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.rows.align import Grid
@@ -219,6 +219,14 @@ class Baseline(_Part):
         times = [one.started_ns for one in self.provenance.logs if one.propellers == present and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
+    @property
+    def layout_doubt(self) -> str:
+        """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
+        frame = self.airframe
+        if frame.layout is None:
+            return frame.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
+        return frame.layout_statement if frame.layout_warning else ""
+
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
         return frozenset[Signal]().union(*(monitor_of(entry.spec).signals for entry in self.monitors))
@@ -240,9 +248,9 @@ class Baseline(_Part):
     def __str__(self) -> str:
         """What it says, for a person: whose it is, what judges at which price, and what does not."""
         frame, link = self.airframe, self.link
-        layout = "unknown" if frame.layout is None else frame.layout.name
         lines = [
-            f"airframe   {frame.name} ({frame.scope}), rotor layout {layout}",
+            f"airframe   {frame.name} ({frame.scope})",
+            frame.layout_statement,
             f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid",
             f"window     {self.window.samples} samples, order {self.window.order}",
         ]

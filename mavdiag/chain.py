@@ -266,7 +266,7 @@ def front_of(baseline: Baseline) -> Front:
     """The front that a baseline was made with."""
     link = baseline.link
     rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
-    return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates)
+    return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates, baseline.airframe.outputs)
 
 
 def _threshold(threshold: Threshold, same_session: bool) -> float:

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 from mavdiag import judging, learning
 from mavdiag import logs as log_files
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.load import airframe_from
+from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
@@ -135,11 +135,18 @@ class Watch:
         return f"<Watch: {self.diagnosis.stage}, {self.diagnosis.reason}>"
 
 
-def with_airframe(options: LearnOptions, airframe: Airframe | str | Path | None, name: str | None) -> LearnOptions:
-    """The options with an airframe (a value, a name, a TOML file) and a name for it; None leaves what they say."""
+def with_airframe(
+    options: LearnOptions, airframe: Airframe | str | Path | None, name: str | None, layout: str | None = None
+) -> LearnOptions:
+    """The options with an airframe (a value, a name, a TOML file), a name for it and the name of a rotor layout.
+
+    None leaves what they say. Raises UsageError or InputError if there is no such airframe or layout.
+    """
     if airframe is not None:
         value = airframe if isinstance(airframe, Airframe) else airframe_from(str(airframe))
         options = replace(options, airframe=value)
+    if layout is not None:
+        options = replace(options, airframe=with_layout(options.airframe, layout))
     return options if name is None else replace(options, airframe=replace(options.airframe, name=name))
 
 

@@ -1,10 +1,11 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
@@ -69,6 +70,7 @@ class LogVerdict:
     judged_s: judged time of the deciding monitor that judged for longest.
     rate_hz: of the gyro stream.
     changes: the decision's log.
+    notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
     """
 
     log: str
@@ -80,6 +82,7 @@ class LogVerdict:
     monitors: tuple[MonitorSummary, ...] = ()
     events: tuple[JudgedEvent, ...] = ()
     changes: tuple[Change, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
@@ -107,16 +110,35 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
         reason = f"another link: {error}"
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
     chain = chain_of(baseline, log.started_ns)
+    if log.motor_order:  # its outputs are by motor already
+        chain = replace(chain, front=replace(chain.front, outputs=None))
     state, first = chain.step(chain.start(), log.telemetry)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
     monitors = _summaries(chain, state, events)
     verdict, reason = _verdict(monitors, state, events, changes)
-    reason = "; ".join((reason, *log.notes))
+    notes = (*log.notes, *_layout_notes(log, baseline))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
     return LogVerdict(
-        log.name, verdict, reason, state.judged_s, log.profile, 1 / dt_s, monitors, judged, tuple(changes)
+        log.name,
+        verdict,
+        "; ".join((reason, *notes)),
+        state.judged_s,
+        log.profile,
+        1 / dt_s,
+        monitors,
+        judged,
+        tuple(changes),
+        notes,
     )
+
+
+def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
+    """That the rotor layout is unknown or doubtful, or that the log's own parameters have another one."""
+    own, said = baseline.airframe.layout, layout_from_parameters(log.parameters)
+    other = own is not None and said.layout is not None and not said.layout.alike(own)
+    differ = f"the log is of another rotor layout: {said.layout.name} by {said.reason}" if other and said.layout else ""
+    return tuple(note for note in (baseline.layout_doubt, differ) if note)
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:

@@ -34,6 +34,7 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
         "log": verdict.log,
         "verdict": verdict.verdict,
         "reason": verdict.reason,
+        "notes": list(verdict.notes),
         "judged_s": round(verdict.judged_s, 3),
         "profile": verdict.profile,
         "rate_hz": round(verdict.rate_hz, 3),

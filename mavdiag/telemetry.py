@@ -5,8 +5,8 @@ Everything here is in SI units and in the body frame FRD (x forward, y right, z 
 """
 
 import importlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -205,6 +205,8 @@ class Log:
     telemetry: its signals.
     started_ns: wall-clock time of the first record, unix epoch [ns]; 0 if the file does not say.
     notes: what is wrong with the file though it can be used, one sentence each.
+    parameters: the autopilot's own parameters by name, as far as the log or link carries them; the latest values.
+    motor_order: whether the columns of ACTUATOR are the motors in their order, and not the outputs of the autopilot.
     """
 
     name: str
@@ -213,6 +215,8 @@ class Log:
     telemetry: Telemetry
     started_ns: int = 0
     notes: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    motor_order: bool = False
 
     def __getitem__(self, signal: Signal | str) -> Series:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""

@@ -138,6 +138,7 @@ class Story:
     seconds: int = 120
     seed: int = 1
     chunk_s: float = 0.1
+    parameters: dict[str, float] = field(default_factory=dict)
     session: Session = field(init=False)
     log: list[tuple[float, Effect]] = field(default_factory=list)
     passed: int = 0  # samples' worth of time
@@ -181,7 +182,7 @@ class Story:
                 t_ns = telemetry.series[0].t_ns
                 kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, np.full((len(t_ns), 4), 0.5)))
             self.passed += chunk
-            self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots))
+            self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots, parameters=self.parameters))
         return [effect for _, effect in self.log[before:]]
 
     def silence(self, seconds: float) -> list[Effect]:

@@ -12,9 +12,13 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import UsageError
 from mavdiag.rows.gate import GateSpec
 
-__all__ = ["Airframe", "Scope"]
+__all__ = ["NEED_LAYOUT", "Airframe", "Scope"]
 
 Scope: TypeAlias = Literal["airframe", "type"]
+
+NEED_LAYOUT = ("rotor_trim", "rotor_signature")  # monitors that need a rotor layout
+UNJUDGED = f"{' and '.join(NEED_LAYOUT)} do not judge, and no rotor is named"
+REMEDY = "name it with --layout or --airframe"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +28,9 @@ class Airframe:
     name: what reports call it.
     scope: "airframe" for one vehicle, "type" for several of one make.
     layout: rotor layout; None if it is not known.
+    outputs: the vehicle's output, from 1, that drives rotor 1, 2, ...; None if rotor j is on output j.
+    layout_basis: where the layout comes from; why it is not known, if it is not; empty if nobody has said.
+    layout_warning: what speaks against the layout; empty if nothing does.
     mass_kg: take-off mass; None if it is not known.
     hover_rad_s: rotor speed that carries it [rad/s]; None if it is not known.
     imu_corner_hz: corner of the low-pass filter in its IMU stream; None if the link profile's holds.
@@ -34,6 +41,9 @@ class Airframe:
     name: str = "unnamed"
     scope: Scope = "airframe"
     layout: RotorLayout | None = None
+    outputs: tuple[int, ...] | None = None
+    layout_basis: str = ""
+    layout_warning: str = ""
     mass_kg: float | None = None
     hover_rad_s: float | None = None
     imu_corner_hz: float | None = None
@@ -41,7 +51,28 @@ class Airframe:
     classifier: str | None = None
 
     def __post_init__(self) -> None:
+        self._check_outputs()
         for name in ("mass_kg", "hover_rad_s", "imu_corner_hz"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"airframe: {name} must be a positive number, not {value}")
+
+    def _check_outputs(self) -> None:
+        """Raises UsageError unless each rotor has an output of its own."""
+        if self.outputs is None:
+            return
+        if self.layout is not None and len(self.outputs) != self.layout.rotors:
+            raise UsageError(f"airframe: {len(self.outputs)} outputs for {self.layout.rotors} rotors")
+        if min(self.outputs, default=0) < 1 or len(set(self.outputs)) < len(self.outputs):
+            raise UsageError("airframe: outputs count from 1, and each rotor has its own")
+
+    @property
+    def layout_statement(self) -> str:
+        """The layout, what drives its rotors and where that is known from, or that it is unknown; one line."""
+        if self.layout is None:
+            why = self.layout_basis or "nothing was found out about it"
+            return f"rotor layout unknown: {why}; {UNJUDGED}; {REMEDY}"
+        on = "" if self.outputs is None else f", its rotors on outputs {', '.join(map(str, self.outputs))}"
+        basis = f" ({self.layout_basis})" if self.layout_basis else ""
+        warning = f"; WARNING: {self.layout_warning}" if self.layout_warning else ""
+        return f"rotor layout {self.layout.name}{on}{basis}{warning}"

@@ -16,7 +16,7 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["LAYOUTS", "Place", "RotorLayout", "layout_at", "layout_named", "layout_of_effects"]
+__all__ = ["LAYOUTS", "Place", "RotorLayout", "layout_at", "layout_named", "layout_of_effects", "ring"]
 
 COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file may leave out (our choice)
 
@@ -46,6 +46,10 @@ class RotorLayout:
     def rotors(self) -> int:
         """How many there are."""
         return len(self.signs)
+
+    def alike(self, other: "RotorLayout") -> bool:
+        """Whether both have the same rotors in the same order, whatever they are called."""
+        return self.rotors == other.rotors and bool(np.allclose(self.mixing, other.mixing, atol=COLUMN_TOLERANCE))
 
     @property
     def mixing(self) -> FloatArray:
@@ -102,8 +106,11 @@ def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) 
     return RotorLayout(name, tuple((float(r), float(p), float(y)) for r, p, y in B))
 
 
-def _ring(name: str, *angles_deg: float, cw: tuple[int, ...]) -> RotorLayout:
-    """Rotors on a circle, by angle from the nose to the right; cw: numbers of those that turn clockwise."""
+def ring(name: str, *angles_deg: float, cw: tuple[int, ...]) -> RotorLayout:
+    """Rotors on a circle, by angle from the nose to the right [deg]; cw: numbers of those that turn clockwise.
+
+    Raises UsageError if they cannot command all three axes.
+    """
     places = [
         Place(round(math.cos(math.radians(deg)), 9), round(math.sin(math.radians(deg)), 9), "cw" if i in cw else "ccw")
         for i, deg in enumerate(angles_deg, start=1)
@@ -124,12 +131,12 @@ _KNOWN = (
     ),
     # ArduPilot, AP_MotorsMatrix.cpp, setup_quad_matrix, setup_hexa_matrix, setup_octa_matrix: angle and spin of
     # MOT_1, MOT_2, ... PX4's quad X is the same.
-    _ring("x", 45, -135, -45, 135, cw=(3, 4)),
-    _ring("plus", 90, -90, 0, 180, cw=(3, 4)),
-    _ring("hexa-x", 90, -90, -30, 150, 30, -150, cw=(1, 3, 6)),
-    _ring("hexa-plus", 0, 180, -120, 60, -60, 120, cw=(1, 3, 6)),
-    _ring("octo-x", 22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5, cw=(1, 2, 7, 8)),
-    _ring("octo-plus", 0, 180, 45, 135, -45, -135, -90, 90, cw=(1, 2, 7, 8)),
+    ring("x", 45, -135, -45, 135, cw=(3, 4)),
+    ring("plus", 90, -90, 0, 180, cw=(3, 4)),
+    ring("hexa-x", 90, -90, -30, 150, 30, -150, cw=(1, 3, 6)),
+    ring("hexa-plus", 0, 180, -120, 60, -60, 120, cw=(1, 3, 6)),
+    ring("octo-x", 22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5, cw=(1, 2, 7, 8)),
+    ring("octo-plus", 0, 180, 45, 135, -45, -135, -90, 90, cw=(1, 2, 7, 8)),
 )
 
 #: The layouts known by name.

@@ -6,7 +6,7 @@
     hover_rpm = 5200              # rotor speed that carries it
     imu_corner_hz = 20            # corner of the low-pass filter in its IMU stream, ArduPilot's INS_GYRO_FILTER
     classifier = "..."            # trained fault types that hold for it
-    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's outputs:
+    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's motors:
 
     [[rotors]]                    # either where it is, in FRD from the centre of gravity, seen from above
     x_m = 0.1                     # forward
@@ -18,6 +18,9 @@
     pitch = 0.5
     yaw = -1.0
 
+    outputs = [5, 6, 7, 8, 1, 2]  # which output drives rotor 1, 2, ... (before the tables; default: what the vehicle's
+                                  # parameters or the flights say, else rotor j is on output j)
+
     [gate]                        # what counts as flying; the keys of `mavdiag.rows.gate.GateSpec`
     min_thrust = 0.1
 
@@ -26,6 +29,7 @@ is an error.
 """
 
 import tomllib
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -38,7 +42,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import RPM
 
-__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe"]
+__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe", "with_layout"]
 
 #: Names of the airframes that are shipped.
 BUILTIN = ("crazyflie", "qdrone2", "qdrone2-recorded")
@@ -86,6 +90,7 @@ class _File(_Table):
     scope: Scope = "airframe"
     layout: str | None = None
     rotors: tuple[_Rotor, ...] = ()
+    outputs: tuple[Annotated[int, Field(strict=True, ge=1, le=32)], ...] | None = None
     mass_kg: Positive | None = None
     hover_rpm: Positive | None = None
     imu_corner_hz: Positive | None = None
@@ -117,6 +122,16 @@ def airframe_named(name: str) -> Airframe:
     return _parse(file.read_text(encoding="utf-8"), file.name)
 
 
+def with_layout(airframe: Airframe, name: str) -> Airframe:
+    """The airframe with a known rotor layout, told by its name. Raises UsageError, with the names there are."""
+    layout = layout_named(name)
+    if airframe.layout is not None and airframe.layout.signs != layout.signs:
+        raise UsageError(
+            f"airframe {airframe.name} has the layout {airframe.layout.name}, not {name}: give one of them"
+        )
+    return replace(airframe, layout=layout)
+
+
 def load_airframe(path: Path) -> Airframe:
     """Read an airframe file. Raises InputError, naming the file and the key, if it cannot be used."""
     try:
@@ -142,10 +157,18 @@ def _parse(text: str, file: str) -> Airframe:
         layout = _layout(found)
     except UsageError as error:
         raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
+    try:
+        return _airframe(found, layout)
+    except UsageError as error:
+        raise InputError(f"{file}: outputs: {error}") from error
+
+
+def _airframe(found: _File, layout: RotorLayout | None) -> Airframe:
     return Airframe(
         name=found.name,
         scope=found.scope,
         layout=layout,
+        outputs=found.outputs,
         mass_kg=found.mass_kg,
         hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
         imu_corner_hz=found.imu_corner_hz,

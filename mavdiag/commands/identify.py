@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
 from mavdiag.baseline import Baseline
 from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
@@ -49,6 +50,10 @@ def identify(
             metavar="NAME|FILE.toml", help=f"The vehicle: {', '.join(BUILTIN)}, or a file.  [default: unknown]"
         ),
     ] = None,
+    layout: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help=f"Rotor layout: {', '.join(LAYOUTS)}.  [default: parameters, else flights]"),
+    ] = None,
     name: Annotated[str | None, typer.Option(metavar="LABEL", help="What to call the airframe.")] = None,
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
     sessions: Annotated[
@@ -76,11 +81,13 @@ def identify(
         alarms_per_hour=alarms_per_hour,
         sessions=sessions,
     )
-    options = with_airframe(options, airframe, name)
+    options = with_airframe(options, airframe, name, layout)
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
     baseline.save(output)
+    if baseline.layout_doubt and as_json:
+        typer.echo(baseline.layout_doubt, err=True)
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
     else:

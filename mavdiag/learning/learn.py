@@ -7,7 +7,6 @@ from typing import Any
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.detect import detect_layout
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import (
     Baseline,
@@ -23,6 +22,7 @@ from mavdiag.baseline import (
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import LearntFlight, airborne, front_for, sessions_of
+from mavdiag.learning.rotors import with_rotors
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
@@ -106,9 +106,10 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     airframe = _airframe(options.airframe, flights[0].profile)
     front = front_for(flights, options.window_s, airframe.gate)
     learnt = [airborne(front, flight) for flight in flights]
+    airframe, learnt = with_rotors(airframe, learnt)
     rows = [one.rows for one in learnt]
-    airframe, unknown = _with_layout(airframe, rows)
     sessions = sessions_of(flights, options.sessions)
+    unknown = airframe.layout_basis if airframe.layout is None else ""
     context = _context(options, airframe, front, flights[0].profile)
     fitted, refusals = _fit_all(rows, sessions, options, context, unknown)
     if not fitted:
@@ -141,15 +142,8 @@ def _airframe(told: Airframe, profile: str) -> Airframe:
         return told
     known = airframe_named(name)
     label = known.name if told.name == Airframe().name else told.name
-    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate)
-
-
-def _with_layout(airframe: Airframe, flights: Flights) -> tuple[Airframe, str]:
-    """The airframe with the rotor layout that its flights show, and why none is known if none is."""
-    if airframe.layout is not None:
-        return airframe, ""
-    found = detect_layout(rows.block for flight in flights for rows in flight)
-    return (airframe, found.reason) if found.layout is None else (replace(airframe, layout=found.layout), "")
+    basis = f"of every vehicle that writes such logs, {profile}"
+    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate, layout_basis=basis)
 
 
 def _context(options: LearnOptions, airframe: Airframe, front: Front, profile: str) -> LearnContext:

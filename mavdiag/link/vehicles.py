@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
+from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
@@ -70,6 +71,7 @@ class Received:
     present: whether its autopilot sent any of the frames.
     acks: its autopilot's answers to our commands.
     commands: commands of others to its on-board computer.
+    parameters: of its autopilot that passed by since the vehicle entered, by name.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -77,6 +79,7 @@ class Received:
     present: bool = False
     acks: tuple[Ack, ...] = ()
     commands: tuple[Command, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class VehicleStream:
@@ -84,6 +87,7 @@ class VehicleStream:
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
     signals: those of interest.
+    parameters: of its autopilot that passed by so far, by name.
     """
 
     def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
@@ -92,6 +96,7 @@ class VehicleStream:
         self._state = SampleState()
         self._imu: list[Frame] = []
         self._settled = False  # whether the IMU message is chosen for good
+        self.parameters: Mapping[str, float] = {}
 
     @property
     def profile(self) -> Profile:
@@ -122,6 +127,7 @@ class VehicleStream:
         """Take the vehicle's next frames, in order of arrival."""
         if not self._settled:
             self._choose_imu(frames)
+        self.parameters = with_parameters(self.parameters, frames, self.profile.autopilot)
         self._state, telemetry = self._decoder.step(self._state, frames)
         return telemetry
 
@@ -171,7 +177,8 @@ class LinkDecoder:
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
-        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | {MessageId.COMMAND_ACK} | _COMMANDS.keys())
+        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
+        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys())
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles = profile, only, profiles
         self._pending: dict[int, _Pending] = {}
@@ -210,6 +217,7 @@ class LinkDecoder:
                 any(frame.compid == Component.AUTOPILOT1 for frame in some),
                 _acks(some),
                 tuple(commands.get(sysid, ())),
+                self.vehicles[sysid].parameters,
             )
         return found
 

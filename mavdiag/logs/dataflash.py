@@ -5,8 +5,9 @@ decided from the file itself. What is damaged is skipped (see `mavdiag.logs.data
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -70,19 +71,23 @@ def read_dataflash(path: Path) -> Log:
     """Read a DataFlash log of ArduPilot, of any era that describes itself. Profile "ardupilot-log".
 
     Samples are as recorded, not resampled. Several IMUs: the first. ACTUATOR has one column per motor, in the order of
-    the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel in use. ARMED has a row
-    for each change. Raises InputError for a file that is unreadable, of another kind, or without a known signal.
+    the SERVOn_FUNCTION parameters where the log has them, and otherwise one per output channel up to the last one in
+    use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
+    known signal.
     """
     data = read_bytes(path)
     tables, notes = read_tables(data, _WANTED)
-    series = _series(tables)
+    parameters = _parameters(tables)
+    motors = _motor_channels(parameters)
+    series = _series(tables, motors)
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(tables, series), notes)
+    started_ns = _started_ns(tables, series)
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, bool(motors))
 
 
-def _series(tables: Mapping[str, Table]) -> tuple[Series, ...]:
-    """Every signal that the log carries."""
+def _series(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series, ...]:
+    """Every signal that the log carries. motors: output channels by motor; empty if they are not known."""
     found: dict[Signal, Series] = {}
     for row in _ROWS:
         table = tables.get(row.message)
@@ -91,7 +96,12 @@ def _series(tables: Mapping[str, Table]) -> tuple[Series, ...]:
             continue
         values = table.columns(row.labels, row.integer_unit) * row.unit
         found[row.signal] = recorded(row.signal, t_ns, _wrapped(values) if row.wrapped else values)
-    return (*found.values(), *_rate_loop(tables, found.get(Signal.BODY_RATE)), *_actuator(tables), *_armed(tables))
+    return (
+        *found.values(),
+        *_rate_loop(tables, found.get(Signal.BODY_RATE)),
+        *_actuator(tables, motors),
+        *_armed(tables),
+    )
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
@@ -136,31 +146,42 @@ def _mean_size(values: FloatArray) -> float:
     return float(finite.mean()) if len(finite) else 0.0
 
 
-def _actuator(tables: Mapping[str, Table]) -> tuple[Series, ...]:
+def _actuator(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series, ...]:
     """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us, an idle output (0 us) counting as 0."""
     table = tables.get("RCOU")
     t_ns = table.t_ns() if table is not None else None
     if table is None or t_ns is None:
         return ()
     prefix = "Ch" if table.has(("Ch1",)) else "C"
-    channels = [n for n in _motor_channels(tables) if table.has((f"{prefix}{n}",))]
-    if not channels:  # no parameters in the log: every channel that ever gave a pulse
+    channels = [n for n in motors if table.has((f"{prefix}{n}",))]
+    if not channels:  # no parameters in the log: every channel up to the last that ever gave a pulse
         present = [n for n in range(1, MAX_CHANNELS + 1) if table.has((f"{prefix}{n}",))]
-        channels = [n for n in present if table.column(f"{prefix}{n}").any()]
+        used = [n for n in present if table.column(f"{prefix}{n}").any()]
+        channels = [n for n in present if n <= max(used, default=0)]
     if not channels:
         return ()
     pulse_us = table.columns([f"{prefix}{n}" for n in channels])
     return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
-def _motor_channels(tables: Mapping[str, Table]) -> list[int]:
-    """Output channels by motor number, from the SERVOn_FUNCTION parameters; empty where the log has none."""
+def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
+    """The last value of each parameter; empty where the log has none."""
     table = tables.get("PARM")
     if table is None or not table.has(("Value",)) or not table.has(("Name",), "N"):
-        return []
-    values = dict(zip(table.raw("Name").tolist(), table.column("Value").tolist(), strict=True))
-    functions = [(values.get(f"SERVO{n}_FUNCTION".encode()), n) for n in range(1, MAX_CHANNELS + 1)]
-    return [n for wanted in MOTOR_FUNCTIONS for function, n in functions if function == wanted]
+        return {}
+    names = (name.decode("latin-1") for name in table.raw("Name").tolist())
+    return {name: value for name, value in zip(names, table.column("Value").tolist(), strict=True) if isfinite(value)}
+
+
+def _motor_channels(parameters: Mapping[str, float]) -> list[int]:
+    """Output channels by motor number, from the SERVOn_FUNCTION parameters; empty where the log has none.
+
+    Of several outputs of one motor the first.
+    """
+    functions: dict[float, int] = {}
+    for n in range(1, MAX_CHANNELS + 1):
+        functions.setdefault(parameters.get(f"SERVO{n}_FUNCTION", 0.0), n)
+    return [functions[wanted] for wanted in MOTOR_FUNCTIONS if wanted in functions]
 
 
 def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Decoder, Frame, next_marker
+from mavdiag.link.messages import MessageId
+from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     PROFILES,
@@ -30,14 +32,16 @@ STAMP_BYTES = 8
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
-_WANTED = frozenset(IMU_MESSAGES).union(*(SampleDecoder(profile).wanted for profile in PROFILES.values()))
+_WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
+    *(SampleDecoder(profile).wanted for profile in PROFILES.values())
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TlogContent:
     """What a telemetry log holds.
 
-    frames: those that any profile reads, of all senders; Frame.host_ns is unix time.
+    frames: those that any profile reads, and parameters, of all senders; Frame.host_ns is unix time.
     records: sound frames of any kind.
     damaged_bytes: what is in no sound record.
     senders: figures by (system id, component id).
@@ -107,7 +111,8 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     if chosen is None:
         raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
     _, telemetry = SampleDecoder(with_imu(chosen, frames)).step(SampleState(), frames)
-    return Log(path.name, sha256_of(data), chosen.name, telemetry, frames[0].host_ns, content.notes)
+    parameters = parameters_in(frames, chosen.autopilot)
+    return Log(path.name, sha256_of(data), chosen.name, telemetry, frames[0].host_ns, content.notes, parameters)
 
 
 def _only_vehicle(path: Path, vehicles: Mapping[int, Sequence[Frame]]) -> int:

@@ -57,8 +57,10 @@ def _norm(values: FloatArray) -> FloatArray:
 
 
 def _pulses(output: FloatArray) -> FloatArray:
-    """Outputs that carry a pulse, (pulse - 1000 us) / 1000 us and not below 0; the others are left out."""
-    pulses = output[:, (output >= PWM_LEAST_US).any(axis=0)]
+    """The outputs in their order up to the last that carries a pulse: (pulse - 1000 us) / 1000 us, not below 0."""
+    carry = np.flatnonzero((output >= PWM_LEAST_US).any(axis=0))
+    width = int(carry[-1]) + 1 if len(carry) else 0
+    pulses = np.where(np.isin(np.arange(width), carry), output[:, :width], PWM_ZERO_US)
     return np.maximum(_moving(pulses) - PWM_ZERO_US, 0.0) / PWM_SPAN_US
 
 
@@ -138,16 +140,20 @@ _TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
 def read_ulog(path: Path) -> Log:
     """Read a ULog of PX4. Profile "px4-log". Of several instances of a topic, the first.
 
-    HEIGHT is above the origin of the local position, which PX4 sets where it starts. Raises InputError for a file that
-    is unreadable, of another kind, damaged beyond use, or without a known signal.
+    ACTUATOR has one column per motor where the log has the topic actuator_motors, and otherwise one per output up to
+    the last that moves. HEIGHT is above the origin of the local position, which PX4 sets where it starts. Raises
+    InputError for a file that is unreadable, of another kind, damaged beyond use, or without a known signal.
     """
     data = read_bytes(path)
     try:
-        topics, notes = _topics(data)
-        series = _series(topics)
+        topics, parameters, notes = _content(data)
+        found = _series(topics)
     except InputError as error:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), _started_ns(topics, series), notes)
+    series = tuple(found.values())
+    motors = Signal.ACTUATOR in found and "actuator_motors" in topics
+    started_ns = _started_ns(topics, series)
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors)
 
 
 class _Metered(io.BytesIO):
@@ -172,8 +178,8 @@ class _Metered(io.BytesIO):
         return chunk
 
 
-def _topics(data: bytes) -> tuple[Mapping[str, ULog.Data], tuple[str, ...]]:
-    """The topics of interest by name, and what is wrong with the file, one sentence each.
+def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tuple[str, ...]]:
+    """The topics of interest by name, the last value of each parameter, and what is wrong with the file.
 
     Raises InputError if pyulog cannot make sense of the file.
     """
@@ -189,7 +195,9 @@ def _topics(data: bytes) -> tuple[Mapping[str, ULog.Data], tuple[str, ...]]:
         found.setdefault(item.name, item)
     damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
     cut = "it ends within a message: the recording was cut off" if file.cut_short else ""
-    return found, tuple(note for note in (damaged, cut) if note)
+    changed = {name: value for _, name, value in log.changed_parameters}
+    parameters = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    return found, parameters, tuple(note for note in (damaged, cut) if note)
 
 
 def _check_definitions(log: ULog) -> None:
@@ -215,7 +223,7 @@ def _check_definitions(log: ULog) -> None:
         fields_of(name, 0)
 
 
-def _series(topics: Mapping[str, ULog.Data]) -> tuple[Series, ...]:
+def _series(topics: Mapping[str, ULog.Data]) -> dict[Signal, Series]:
     """Every signal that the log carries. Raises InputError if there is none."""
     found: dict[Signal, Series] = {}
     for row in _ROWS:
@@ -233,7 +241,7 @@ def _series(topics: Mapping[str, ULog.Data]) -> tuple[Series, ...]:
             found[row.signal] = recorded(row.signal, time_us[known] * NS_PER_US, values)
     if not found:
         raise InputError("no record of a known signal; check what the logger was set to record")
-    return tuple(found.values())
+    return found
 
 
 def _sample_time_us(fields: Mapping[str, NDArray[np.number]], delay: str | None) -> IntArray | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec, GateState
+from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
 from mavdiag.telemetry import Telemetry
 
@@ -30,11 +31,15 @@ class FrontState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Front:
-    """The three steps. A `Border` follows the last rows of a flying span that ended; the end of a log gives none."""
+    """The three steps. A `Border` follows the last rows of a flying span that ended; the end of a log gives none.
+
+    outputs: the output, from 1, that drives each rotor; None where the rows have them in order as they come.
+    """
 
     align: AlignSpec
     gate: GateSpec
     rates: RateSpec
+    outputs: tuple[int, ...] | None = None
 
     def start(self) -> FrontState:
         """Nothing taken in yet."""
@@ -62,5 +67,5 @@ class Front:
                 out.append(part)
             else:
                 filtered, rates = self.rates.step(filtered, part)
-                out.append(Rows(part, rates))
+                out.append(Rows(in_rotor_order(part, self.outputs), rates))
         return FrontState(aligned, gated, filtered), tuple(out)

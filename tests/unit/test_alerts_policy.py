@@ -145,6 +145,8 @@ def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
         Kind.SUSPECT,
         Kind.OFF,
         Kind.NOT_LEARNED,
+        Kind.NO_LAYOUT,
+        Kind.OTHER_LAYOUT,
     }
     assert {policy.severity for policy in POLICY.values()} == {Severity.CRITICAL, Severity.WARNING, Severity.INFO}
 

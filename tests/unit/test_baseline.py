@@ -161,7 +161,12 @@ def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | Non
 def test_it_says_what_it_is_in_a_notebook(baseline: Baseline) -> None:
     assert repr(baseline) == ("<Baseline of made: fsd, innovation, rotor_signature, vibration_level, rotor_trim>")
     text = str(baseline)
-    for word in ("made (airframe), rotor layout x", "unbalance       not judgeable: ", "support    3 flights"):
+    for word in (
+        "made (airframe)",
+        "\nrotor layout x (told)\n",
+        "unbalance       not judgeable: ",
+        "support    3 flights",
+    ):
         assert word in text
 
 

@@ -96,9 +96,9 @@ def test_outputs_follow_the_motor_functions(tmp_path: Path) -> None:
     assert first(log, Signal.ACTUATOR) == pytest.approx([0.3, 0.2, 0.5])
 
 
-def test_without_parameters_every_output_in_use_is_taken(tmp_path: Path) -> None:
+def test_without_parameters_a_column_is_an_output(tmp_path: Path) -> None:
     log = read(tmp_path, dataflash([RCOU], [RCOU.record(2, 1100, 0, 1300, 900, 0, 0)]))
-    assert first(log, Signal.ACTUATOR) == pytest.approx([0.1, 0.3, 0.0])
+    assert first(log, Signal.ACTUATOR) == pytest.approx([0.1, 0.0, 0.3, 0.0])
 
 
 def test_arming_comes_from_its_message(tmp_path: Path) -> None:

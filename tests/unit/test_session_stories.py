@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 from made_session import FML_S, Story, baseline_for, outcome_of
+from pydantic import TypeAdapter
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
@@ -21,7 +22,9 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
-from mavdiag.baseline import Baseline
+from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, Refusal
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
@@ -232,6 +235,42 @@ def test_l3_a_ground_station_that_resets_the_rates_again_and_again_never_ends_it
         assert story.session.healthy
     assert State.FAULTED not in story.states
     assert judged > 0.5 * 110
+
+
+def without_layout(**airframe: object) -> Story:
+    """A session whose baseline has these things to say of the airframe, and lost the monitors that need a layout."""
+    lost = tuple(Refusal(monitor=name, reason="the rotor layout is not known") for name in NEED_LAYOUT)
+    frame = TypeAdapter(Airframe).validate_python({"name": "made", **airframe})
+    baseline = baseline_for().model_copy(update={"airframe": frame, "not_judgeable": lost})
+    return Story(SessionSpec(QDRONE2, baseline))
+
+
+def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
+    story = without_layout(layout_basis="5 outputs move")
+    effects = story.fly(20.0)
+    said = [one for one in effects if isinstance(one, SendText) and "layout" in one.text]
+    assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 2 monitors off")]
+    notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
+    assert notes == [
+        "rotor layout unknown: 5 outputs move; rotor_trim and rotor_signature do not judge, and no rotor is named; "
+        "name it with --layout or --airframe"
+    ]
+    assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
+
+
+def test_a_layout_that_its_flights_contradict_is_said() -> None:
+    layout = layout_named("plus")
+    signs = {"name": layout.name, "signs": layout.signs}
+    story = without_layout(layout=signs, layout_basis="told", layout_warning="the flights look like x; check it")
+    effects = story.fly(20.0)
+    assert SendText(Severity.WARNING, "PROP flights contradict rotor layout plus") in effects
+    assert Note("rotor layout plus (told); WARNING: the flights look like x; check it") in effects
+
+
+def test_the_parameters_that_passed_by_go_with_the_flight_to_learn_from() -> None:
+    for parameters in ({}, {"FRAME_CLASS": 1.0}):
+        effects = Story(parameters=parameters).fly(26.0)
+        assert [one.parameters for one in effects if isinstance(one, Learn)] == [parameters]
 
 
 def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:

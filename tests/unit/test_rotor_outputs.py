@@ -1,0 +1,303 @@
+"""Which output drives which rotor: idle outputs, servos, other places, another order; and once, on the rows."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flying_telemetry import flying
+from made_baselines import ALWAYS, NOW
+from test_layout import made_flight
+from typer.testing import CliRunner
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.detect import contradicts, detect_layout
+from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
+from mavdiag.airframe.load import load_airframe, with_layout
+from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.cli import app
+from mavdiag.errors import InputError, UsageError
+from mavdiag.judging import Verdict, judge
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.report import verdict_json
+from mavdiag.rows.block import Block
+from mavdiag.rows.outputs import in_rotor_order
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
+from mavdiag.testing import example_rows
+
+UNKNOWN = Airframe(gate=ALWAYS)
+TRIM = ("rotor_trim", "innovation")
+COPTER_X = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}
+SERVOS_5 = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+
+
+def servo(n: int, seed: int) -> FloatArray:
+    """(n, 1) of a camera servo that goes its own way."""
+    steps = np.random.default_rng(seed).normal(0, 0.01, (n, 1))
+    return np.clip(0.5 + np.cumsum(steps, axis=0), 0, 1)
+
+
+def wide(block: Block, *columns: FloatArray | int) -> Block:
+    """The block with these outputs: a motor by its number from 1, or a column."""
+    parts = [block.actuator[:, [one - 1]] if isinstance(one, int) else one for one in columns]
+    return replace(block, actuator=np.hstack(parts))
+
+
+def unyawed(layout: RotorLayout, seed: int) -> Block:
+    """20 s in which the outputs never answer a yaw command."""
+    rng = np.random.default_rng(seed)
+    torque = rng.normal(0, 0.02, (2000, 3))
+    outputs = 0.5 * (1 + torque * (1, 1, 0) @ layout.mixing.T) + rng.normal(0, 0.001, (2000, layout.rotors))
+    return example_rows(2000, actuator=outputs, torque=torque).block
+
+
+@pytest.mark.parametrize("name", ["x", "plus", "hexa-x", "octo-x"])
+@pytest.mark.parametrize("driver", ["torque", "rate error", "acceleration"])
+def test_motors_are_found_behind_idle_outputs_and_between_servos(name: str, driver: str) -> None:
+    layout = layout_named(name)
+    for seed in range(3):
+        flight = made_flight(layout, 20 + seed, driver=driver)
+        n, first = len(flight), layout.rotors // 2
+        idle, low = np.full((n, 1), 0.45), 0.02 + 0.01 * servo(n, seed)
+        motors = list(range(1, layout.rotors + 1))
+        behind = detect_layout([wide(flight, idle, np.zeros((n, 1)), low, idle, *motors)])
+        assert (behind.layout, behind.outputs) == (layout, tuple(range(5, 5 + layout.rotors)))
+        mixed = wide(flight, *motors[:first], servo(n, seed), *motors[first:], servo(n, seed + 50))
+        between = detect_layout([mixed])
+        assert between.layout is layout
+        assert between.outputs == tuple(one if one <= first else one + 1 for one in motors)
+
+
+@pytest.mark.parametrize("name", ["x", "plus", "hexa-x", "octo-plus"])
+def test_another_order_is_found_where_yaw_is_seen(name: str) -> None:
+    layout, rng = layout_named(name), np.random.default_rng(4)
+    for seed in range(3):
+        order = [int(one) for one in np.roll(rng.permutation(layout.rotors), 1)]  # the motor on each output
+        flight = made_flight(layout, 40 + seed, yaw=1.0)
+        found = detect_layout([wide(flight, *(one + 1 for one in order))])
+        assert found.layout is not None
+        said = dict(zip(found.outputs, found.layout.signs, strict=True))
+        for output, motor in enumerate(order, start=1):
+            np.testing.assert_allclose(said[output], layout.signs[motor], atol=1e-6)
+    still = detect_layout([wide(unyawed(layout, 40), *(one + 1 for one in order))])
+    assert still.layout is None
+
+
+def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
+    flight = made_flight(layout_named("x"), 9)
+    gimbal = 0.5 - 2.0 * flight.torque[:, :1]
+    found = detect_layout([wide(flight, 1, 2, 3, 4, gimbal)])
+    assert found.layout is None
+    assert found.reason == "5 outputs move (1, 2, 3, 4, 5) and no known layout has so many rotors"
+    named = detect_layout([wide(flight, gimbal, 1, 2, 3, 4)], outputs=(2, 3, 4, 5))
+    assert (named.layout, named.outputs) == (layout_named("x"), (2, 3, 4, 5))
+
+
+def test_named_outputs_that_do_not_move_are_said() -> None:
+    flight = made_flight(layout_named("x"), 9)
+    found = detect_layout([flight], outputs=(3, 4, 5, 6))
+    assert found.layout is None
+    assert (found.idle, found.reason) == ((3, 4), "the outputs of the rotors 3, 4 do not move")
+    assert contradicts(found, layout_named("x")) == found.reason
+
+
+def test_without_yaw_the_finding_says_that_the_senses_were_not_seen() -> None:
+    found = detect_layout([unyawed(layout_named("x"), 3)])
+    assert found.layout is layout_named("x")
+    assert found.reason.endswith("the senses of rotation were not seen, for the flights hardly yaw")
+    assert "senses" not in detect_layout([made_flight(layout_named("x"), 3, yaw=1.0)]).reason
+
+
+def test_what_is_told_is_held_against_the_flights() -> None:
+    x, flight = layout_named("x"), made_flight(layout_named("x"), 3, yaw=1.0)
+    fits = RotorLayout("own", tuple((1.05 * r if i % 2 else 0.9474 * r, p, y) for i, (r, p, y) in enumerate(x.signs)))
+    reversed_x = RotorLayout("reversed", tuple((-r, -p, -y) for r, p, y in x.signs))
+    says = {
+        x: "",
+        fits: "",
+        layout_named("plus"): "look like x, not plus (plus 0.",
+        reversed_x: "look like x, not reversed (reversed -1",
+        layout_named("hexa-x"): "look like x, not hexa-x",
+    }
+    for layout, words in says.items():
+        known = (layout, *(one for one in LAYOUTS.values() if one.name != layout.name))
+        found = contradicts(detect_layout([flight], known), layout)
+        assert words in found
+        assert bool(words) == bool(found)
+
+
+def test_rows_come_in_the_order_of_the_rotors_once() -> None:
+    outputs = np.arange(12.0).reshape(3, 4)
+    block = example_rows(3, actuator=outputs).block
+    assert in_rotor_order(block, None) is block
+    assert in_rotor_order(block, (3, 1)).actuator.tolist() == outputs[:, [2, 0]].tolist()
+    short = in_rotor_order(block, (4, 6)).actuator
+    assert short[:, 0].tolist() == outputs[:, 3].tolist()
+    assert np.isnan(short[:, 1]).all()
+    assert in_rotor_order(example_rows(3).block, (4, 6)).actuator.shape == (3, 0)
+
+
+def shifted(telemetry: Telemetry, *, seed: int = 0) -> Telemetry:
+    """The motors on outputs 5 to 8, idle ones before them and a camera's servo behind."""
+    parts = []
+    for one in telemetry:
+        if one.signal is Signal.ACTUATOR:
+            n = len(one)
+            idle = np.tile([0.0, 0.45, 0.0, 0.5], (n, 1))
+            parts.append(replace(one, values=np.hstack((idle, one.values, servo(n, seed)))))
+        else:
+            parts.append(one)
+    return Telemetry(tuple(parts))
+
+
+def flights(count: int, parameters: dict[str, float] | None = None) -> list[Log]:
+    made = [(i, shifted(flying(3000, 100 + i), seed=i)) for i in range(count)]
+    return [Log(f"f{i}", f"{i:064x}", "px4", telemetry, parameters=parameters or {}) for i, telemetry in made]
+
+
+def taught(logs: list[Log], airframe: Airframe = UNKNOWN) -> Baseline:
+    return learn(logs, LearnOptions(airframe=airframe, monitors=TRIM), created=NOW)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "basis"),
+    [
+        ({}, "found from outputs and torque command"),
+        (COPTER_X, "the vehicle's parameters FRAME_CLASS 1, FRAME_TYPE 1"),
+        ({**COPTER_X, **SERVOS_5}, "the vehicle's parameters FRAME_CLASS 1, FRAME_TYPE 1"),
+        ({**SERVOS_5, "FRAME_CLASS": 1.0}, "found from outputs and torque command"),
+    ],
+)
+def test_a_baseline_keeps_the_outputs_and_names_the_weak_rotor(parameters: dict[str, float], basis: str) -> None:
+    baseline = parse(dump(taught(flights(3, parameters=parameters))))
+    assert baseline.airframe.layout is not None
+    assert (baseline.airframe.layout.name, baseline.airframe.outputs) == ("x", (5, 6, 7, 8))
+    assert baseline.airframe.layout_basis.startswith(basis)
+    assert f"rotor layout x, its rotors on outputs 5, 6, 7, 8 ({basis}" in str(baseline)
+    weak = Log("weak", "", "px4", shifted(flying(3000, 7, weak_rotor=3, rise=0.3)))
+    verdict = judge(weak, baseline)
+    assert verdict.verdict is Verdict.FAULT
+    assert "rotor 3" in verdict.reason
+    healthy = judge(Log("healthy", "", "px4", shifted(flying(3000, 8))), baseline)
+    assert (healthy.verdict, healthy.notes) == (Verdict.HEALTHY, ())
+    by_motor = Log("weak", "", "px4", flying(3000, 7, weak_rotor=3, rise=0.3), motor_order=True)
+    assert "rotor 3" in judge(by_motor, baseline).reason
+
+
+def test_logs_by_motor_need_no_outputs() -> None:
+    """A DataFlash log's columns are the motors; SERVOn_FUNCTION must not be applied once more."""
+    logs = [
+        Log(f"f{i}", "", "px4", flying(3000, i), parameters={**COPTER_X, **SERVOS_5}, motor_order=True) for i in (1, 2)
+    ]
+    frame = taught(logs).airframe
+    assert frame.layout is layout_named("x")
+    assert (frame.outputs, frame.layout_warning) == (None, "")
+
+
+def test_told_wins_over_parameters_and_parameters_over_flights_and_a_contradiction_is_loud() -> None:
+    plus = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 0.0}
+    told = taught(flights(2, parameters=plus), with_layout(UNKNOWN, "x"))
+    assert (told.airframe.layout, told.airframe.layout_basis) == (layout_named("x"), "told")
+    assert (told.airframe.outputs, told.layout_doubt) == ((5, 6, 7, 8), "")
+    by_parameters = taught(flights(2, parameters=plus))
+    assert by_parameters.airframe.layout is layout_named("plus")
+    assert "WARNING: the flights look like x, not plus" in by_parameters.layout_doubt
+    assert by_parameters.layout_doubt in str(by_parameters)
+    assert by_parameters.layout_doubt in judge(flights(1)[0], by_parameters).notes
+    other = judge(flights(1, parameters=plus)[0], told)
+    assert "the log is of another rotor layout: plus by the vehicle's parameters" in other.reason
+
+
+def test_parameters_that_name_dead_outputs_lose_their_outputs_not_their_layout() -> None:
+    servos = {f"SERVO{n}_FUNCTION": 32.0 + n for n in (1, 2, 3, 4)}
+    frame = taught(flights(2, parameters={**COPTER_X, **servos})).airframe
+    assert frame.layout is layout_named("x")
+    assert frame.outputs == (5, 6, 7, 8)
+
+
+def test_flights_whose_parameters_differ_count_as_without() -> None:
+    logs = [replace(one, parameters={**COPTER_X, "FRAME_TYPE": float(i)}) for i, one in enumerate(flights(2))]
+    frame = taught(logs).airframe
+    assert frame.layout is layout_named("x")
+    assert frame.layout_basis.startswith("found from outputs")
+
+
+def silent(count: int) -> list[Log]:
+    """Flights without outputs."""
+    return [
+        Log(f"f{i}", "", "px4", Telemetry(tuple(s for s in flying(3000, i) if s.signal is not Signal.ACTUATOR)))
+        for i in range(count)
+    ]
+
+
+def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> None:
+    baseline = taught(silent(2))
+    line = (
+        "rotor layout unknown: the data carry no rotor outputs that move; rotor_trim and rotor_signature do not judge, "
+        "and no rotor is named; name it with --layout or --airframe"
+    )
+    assert line in str(baseline).splitlines()
+    verdict = judge(silent(1)[0], baseline)
+    assert verdict.notes == (line,)
+    assert line in verdict.reason
+    found = json.loads(json.dumps(verdict_json(verdict)))
+    assert found["notes"] == [line]
+    unconcerned = learn(silent(2), LearnOptions(airframe=UNKNOWN, monitors=("innovation",)), created=NOW)
+    assert judge(silent(1)[0], unconcerned).notes == ()
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_identify_says_an_unknown_layout_in_a_line_of_its_own(
+    as_json: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavdiag.commands.identify.read_part", lambda *_: silent(1)[0])
+    arguments = ["identify", "made.tlog", "-o", str(tmp_path / "b.json"), *(["--json"] if as_json else [])]
+    result = CliRunner().invoke(app, [*arguments, "--monitors", "rotor_trim,innovation"])
+    assert result.exit_code == 0, result.output
+    lines = (result.stderr if as_json else result.stdout).splitlines()
+    assert [one for one in lines if one.startswith("rotor layout unknown: the data carry no rotor outputs")]
+    shown = CliRunner().invoke(app, ["baseline", "show", str(tmp_path / "b.json")])
+    assert "\nrotor layout unknown: " in shown.stdout
+
+
+def test_contradictory_parameters_stand_in_the_reason() -> None:
+    logs = [replace(one, parameters={**COPTER_X, **SERVOS_5, "SERVO9_FUNCTION": 33.0}) for one in silent(2)]
+    assert "unknown: the parameters contradict themselves: SERVOn_FUNCTION has the motors 1, 1," in str(taught(logs))
+
+
+def test_a_baseline_of_before_the_outputs_is_still_sound() -> None:
+    baseline = learn([Log("f", "", "px4", flying(3000, 1))], LearnOptions(airframe=UNKNOWN, monitors=TRIM), created=NOW)
+    plain = baseline.model_copy(update={"airframe": replace(baseline.airframe, layout_basis="")})
+    raw = json.loads(dump(plain))
+    for name in ("outputs", "layout_basis", "layout_warning"):
+        del raw["airframe"][name]
+    assert parse(json.dumps(raw)).airframe == plain.airframe
+    raw["airframe"]["outputs"] = [2, 1, 3, 4]
+    with pytest.raises(InputError, match="digest"):
+        parse(json.dumps(raw))
+
+
+def test_outputs_of_an_airframe_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text('name = "a"\nlayout = "x"\noutputs = [5, 6, 8, 7]\n')
+    assert load_airframe(path).outputs == (5, 6, 8, 7)
+    refused = {
+        "[1, 2, 3]": "3 outputs for 4 rotors",
+        "[1, 2, 3, 3]": "each rotor has its own",
+        "[0, 1, 2, 3]": "outputs.1: Input should be greater",
+    }
+    for outputs, says in refused.items():
+        path.write_text(f'name = "a"\nlayout = "x"\noutputs = {outputs}\n')
+        with pytest.raises(InputError, match=says):
+            load_airframe(path)
+    with pytest.raises(UsageError, match="airframe a has the layout x, not plus: give one of them"):
+        with_layout(Airframe(name="a", layout=layout_named("x")), "plus")
+    with pytest.raises(UsageError, match="no layout 'y'"):
+        with_layout(UNKNOWN, "y")
+
+
+def test_identify_takes_a_layout_by_name() -> None:
+    result = CliRunner().invoke(app, ["identify", "absent.bin", "-o", "b.json", "--layout", "hexa"])
+    assert result.exit_code != 0
+    assert "no layout 'hexa': use one of qdrone2" in str(result.exception)
