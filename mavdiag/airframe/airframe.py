@@ -16,8 +16,8 @@ __all__ = ["NEED_LAYOUT", "Airframe", "Scope"]
 
 Scope: TypeAlias = Literal["airframe", "type"]
 
-NEED_LAYOUT = ("rotor_trim", "rotor_signature")  # monitors that need a rotor layout
-UNJUDGED = f"{' and '.join(NEED_LAYOUT)} do not judge, and no rotor is named"
+NEED_LAYOUT = ("rotor_trim", "trim_step", "rotor_signature")  # monitors that need a rotor layout
+UNJUDGED = f"{', '.join(NEED_LAYOUT)} do not judge, and no rotor is named"
 REMEDY = "name it with --layout or --airframe"
 
 

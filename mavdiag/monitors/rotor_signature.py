@@ -108,9 +108,9 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     arm's rms over 3 s before normalising [rad/s], which grades the damage; `signal` the arm's n; `rotors` are the S_j.
 
     Warm-up: half an SG window, 1.5 s to settle, then 3 s unbroken and valid. Latency: 50 ms and the time until the
-    rms is there: about 0.4 s for a thrust that wanders by 6 %, 1 s for 3 %. False alarms: see `thresholds`. Blind
-    spots: a rotor that is weak but steady (the trim shows it), balanced damage, vibration; in wind of 5 m/s a crack
-    of half the fitted strength is near the threshold.
+    rms is there: about 0.4 s for a thrust that wanders by 6 %, 1 s for 3 %. False alarms: see `thresholds`.
+    Blind spots: a rotor that is weak but steady (the trim shows it), balanced damage, vibration; in wind of 5 m/s a
+    crack of half the fitted strength is near the threshold.
 
     >>> from mavdiag.testing import example_context, example_rows
     >>> rng = np.random.default_rng(8)

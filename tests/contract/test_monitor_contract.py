@@ -154,11 +154,11 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any, Any]]) -> N
     monitor = built(kind)
     for signal in sorted(monitor.signals & columns.keys()):
         (rows,) = (one for one in flying_rows(flying(SAMPLES, 6)) if len(one.block) > 100)
-        getattr(rows.block, columns[signal])[2000:2010] = np.nan
+        getattr(rows.block, columns[signal])[2000:2060] = np.nan
         rates = flying_front().rates
         rows = Rows(rows.block, rates.step(rates.start(), rows.block)[1])
         found = run(monitor, [rows])
-        bad_ns = rows.block.t_ns[[2000, 2009]]
+        bad_ns = rows.block.t_ns[[2000, 2059]]
         spoilt = (found.t_ns >= bad_ns[0]) & (found.t_ns <= bad_ns[1])
         assert spoilt.any(), signal
         assert not found.valid[spoilt].any(), signal

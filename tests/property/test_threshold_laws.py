@@ -28,8 +28,8 @@ def level(x: FloatArray, budget: float, guard: Guard = NO_GUARD, rule: Threshold
 
 @given(x=maxima, budget=budgets, scale=st.floats(0.01, 100.0), rule=st.sampled_from(list(ThresholdRule)))
 def test_another_unit_gives_the_same_alarms(x: FloatArray, budget: float, scale: float, rule: ThresholdRule) -> None:
-    guard = Guard(few_flights=0.5, above_mean=0.3, least=0.1)
-    scaled = Guard(few_flights=0.5 * scale, above_mean=0.3 * scale, least=0.1 * scale)
+    guard = Guard(few_sessions=0.5, above_mean=0.3, least=0.1)
+    scaled = Guard(few_sessions=0.5 * scale, above_mean=0.3 * scale, least=0.1 * scale)
     assert level(x * scale, budget, scaled, rule) == pytest.approx(scale * level(x, budget, guard, rule), rel=1e-9)
 
 
@@ -45,7 +45,7 @@ def test_higher_healthy_statistics_give_a_higher_threshold(x: FloatArray, shift:
 
 @given(x=maxima, budget=budgets)
 def test_a_guard_only_ever_raises(x: FloatArray, budget: float) -> None:
-    assert level(x, budget, Guard(few_flights=1.0, above_mean=1.0, least=1.0)) >= level(x, budget)
+    assert level(x, budget, Guard(few_sessions=1.0, above_mean=1.0, least=1.0)) >= level(x, budget)
 
 
 @given(x=maxima, budget=st.floats(1e-4, 0.3))

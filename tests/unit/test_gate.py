@@ -23,6 +23,7 @@ def block(thrust: FloatArray, *, armed: FloatArray | None = None, first: int = 0
         rate_setpoint=none3,
         thrust=thrust,
         height=none,
+        voltage=none,
         armed=none if armed is None else armed,
         vibration=none3,
         actuator=np.empty((n, 0)),

@@ -58,18 +58,18 @@ def test_a_handful_of_like_maxima_does_not_prove_a_thin_tail() -> None:
 
 
 def test_guards() -> None:
-    guard = Guard(few_flights=0.06, enough_flights=5)
+    guard = Guard(few_sessions=0.06, enough_sessions=5)
     assert [round(guard.allowance(n), 3) for n in (1, 2, 3, 4, 5, 60)] == [0.06, 0.045, 0.03, 0.015, 0.0, 0.0]
     scores = whole([0.01, 0.01])
     assert threshold_of(scores, flights=1, guard=Guard(above_mean=0.5)).value == pytest.approx(0.51)
     assert threshold_of(scores, flights=1, guard=Guard(least=2.0)).value == 2.0
     with pytest.raises(UsageError, match="negative"):
-        Guard(few_flights=-1.0)
+        Guard(few_sessions=-1.0)
 
 
 def test_it_says_what_supports_it() -> None:
     found = known([1.0, 1.1, 1.2])
-    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights" in found.statement()
+    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights in 5 sessions" in found.statement()
     assert "exclude more than 359 alarms/h at 95 %" in found.statement()
     maximum = replace(found, rule=ThresholdRule.MAXIMUM)
     assert "probability 0.167" in maximum.statement()
