@@ -5,6 +5,7 @@
     r  <- r - EMA_1s(r)                          slow wind and trim are no fault
     r  <- r - g f - h df/dt                      f: y_sim without its slow part; g, h follow the last 10 s
     n   = r / sqrt(k0 + k1 EMA_0.35s(u^2))       u: what was commanded; a sharp manoeuvre may leave more (METHOD 4)
+    n  <- clip(n, +-4 s)                         s^2 = max(1, EMA_10s(n^2)): a jolt counts little, unrest in full
 
 g is an error of the loop's gain and h one of its speed: a battery that empties, a payload and new propellers change
 them by some percent, slowly and for every manoeuvre alike. They are the least-squares fit to the last 10 s, drawn to
@@ -23,7 +24,7 @@ from mavdiag.errors import InputError
 from mavdiag.identify import freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three
+from mavdiag.monitors.healthy import MEMORY_S, Three
 from mavdiag.rows.front import Rows
 from mavdiag.rows.savgol import coefficients
 from mavdiag.rows.windows import ema, forgetting
@@ -47,6 +48,7 @@ FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
 GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
 SPEED_S = 0.05  # time that h is in units of (our choice)
 CORRELATION_S = 0.1  # residuals this far apart are independent (METHOD section 4: 8 Hz pass)
+JOLT = 4.0  # of the rms of the last 10 s: what is larger is a jolt, such as a payload that is taken up (our choice)
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 
 
@@ -201,6 +203,7 @@ class ResidualState:
     busy: (3,) running mean square of what was commanded.
     thrust: the last one.
     errors: what the correction of gain and speed needs.
+    unrest: (3,) running mean square of n.
     """
 
     waiting: DecimatorState
@@ -211,6 +214,7 @@ class ResidualState:
     busy: FloatArray
     thrust: float
     errors: "_Errors"
+    unrest: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +245,7 @@ class ModelResidual:
 
     def start(self) -> ResidualState:
         """Before the first row."""
-        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0, _no_errors())
+        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0, _no_errors(), np.ones(3))
 
     def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
         """The residuals that the next rows complete."""
@@ -265,8 +269,8 @@ class ModelResidual:
             errors, explained = self._explained(errors, simulated, r)
             r -= explained
         busy, trace = ema(state.busy, np.concatenate((u, slope[:, None]), axis=1) ** 2, self._memory)
-        n = np.clip(r / np.sqrt(self._k0 + self._k1 * trace), -LIMIT, LIMIT)
-        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors)
+        unrest, n = _without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
+        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors, unrest)
         known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
         return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
 
@@ -310,6 +314,21 @@ class ModelResidual:
 
 def _no_errors() -> _Errors:
     return _Errors(np.zeros(3), np.zeros(6), np.zeros(15))
+
+
+def _without_jolts(unrest: FloatArray, n: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+    """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`."""
+    out = np.empty(n.shape)
+    last = unrest.tolist()
+    for column, values in enumerate(n.T.tolist()):
+        square, kept = last[column], []
+        for value in values:
+            most = JOLT * math.sqrt(square) if square > 1.0 else JOLT
+            clipped = most if value > most else -most if value < -most else value
+            square += alpha * (clipped * clipped - square)
+            kept.append(clipped)
+        out[:, column], last[column] = kept, square
+    return np.array(last), out
 
 
 def _finite(x: FloatArray) -> FloatArray:
