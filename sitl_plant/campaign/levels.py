@@ -33,7 +33,8 @@ def with_conditions(design: Design, filters: Sequence[str]) -> Design:
             case "manoeuvre":
                 changed[factor] = _named(factor, wanted, MANOEUVRES)
             case "condition":
-                changed[factor] = tuple(CONDITIONS) if wanted == (EVERY,) else _named(factor, wanted, CONDITIONS)
+                names = tuple(CONDITIONS) if wanted == (EVERY,) else _named(factor, wanted, CONDITIONS)
+                changed[factor] = tuple(dict.fromkeys(names))
             case "link":
                 changed[factor] = wanted
                 for one in wanted:

@@ -15,7 +15,7 @@ from sitl_plant.physics.attitude import Estimator, advance_estimate
 from sitl_plant.physics.controller import Controller, ControlState, control
 from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step, support
 from sitl_plant.physics.jit import cached, inline, jit, source_digest
-from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, observe
+from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, hold_if_lost, observe
 from sitl_plant.physics.mount import Mount, advance_mount
 from sitl_plant.physics.rotors import Condition, Rotors, RotorState, advance_noise, advance_rotors
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, feel
@@ -109,7 +109,7 @@ def _sense(
 
 
 @inline
-def _decide(state: State, model: Model, commands: FloatArray, row: int, t: float, scratch: Scratch) -> None:
+def _decide(state: State, model: Model, commands: FloatArray, row: int, step: int, scratch: Scratch) -> None:
     """Estimate the attitude; then take the given motor commands, or pass the cascade once if there are none."""
     advance_estimate(
         state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
@@ -117,7 +117,8 @@ def _decide(state: State, model: Model, commands: FloatArray, row: int, t: float
     if len(commands) > 0:
         _obey(state.control, commands, row)
         return
-    reference(model.path, t, scratch.path)
+    reference(model.path, step * model.dt, scratch.path)
+    hold_if_lost(state.mocap, model.mocap, step, scratch.path)
     control(
         state.control, model.controller, scratch.path, state.mocap.pose, state.mocap.velocity, state.estimate, model.dt
     )
@@ -199,7 +200,7 @@ def _compiled_for(digest: int) -> Fly:
                 observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
                 frame += 1
             _sense(state, model, sensors, noise, row, step, scratch)
-            _decide(state, model, commands, row, step * model.dt, scratch)
+            _decide(state, model, commands, row, step, scratch)
             _record(state, row, rows)
             _move(state, model, condition, noise, row, scratch)
         return digest

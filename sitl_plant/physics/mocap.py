@@ -14,10 +14,11 @@ from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import rotate_to_world
 from sitl_plant.physics.jit import jit
 
-__all__ = ["Mocap", "MocapState", "deliver_pose", "fit_pose", "observe", "yaw_of"]
+__all__ = ["Mocap", "MocapState", "deliver_pose", "fit_pose", "hold_if_lost", "observe", "yaw_of"]
 
 NEWTON_STEPS = 30
 EPSILON = 1e-12
+LOST_FRAMES = 25  # without a pose for longer, the vehicle holds where it was seen last (our choice; 0.1 s)
 
 
 class Mocap(NamedTuple):
@@ -181,3 +182,17 @@ def deliver_pose(state: MocapState, mocap: Mocap, step: int) -> None:
         state.pose[a] = slot[a]
     state.pose[3] = slot[3]
     slot[0] = np.nan
+
+
+@jit
+def hold_if_lost(state: MocapState, mocap: Mocap, step: int, reference: FloatArray) -> None:
+    """Without a pose for long, ask for the last one: the vehicle coasts level instead of chasing its path blindly.
+
+    reference: (9,) = position_N, velocity_N, yaw, yaw rate, motors; changed in place.
+    """
+    if step - state.received[0] <= LOST_FRAMES * mocap.period or np.isnan(state.received[0]):
+        return
+    for a in range(3):
+        reference[a] = state.pose[a]
+        reference[3 + a] = state.velocity[a]
+    reference[6], reference[7] = state.pose[3], 0.0

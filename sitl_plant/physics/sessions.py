@@ -78,7 +78,8 @@ def in_session(airframe: Airframe, rng: np.random.Generator) -> Airframe:
 def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> Airframe:
     """The airframe in session 0, 1, 2, ...: 0 as it was drawn, the others by their number alone.
 
-    spread: above zero, every session but 0 has a new set of propellers. Raises UsageError for a negative number.
+    spread: above zero, each session has a new set of propellers, see `with_propellers`.
+    Raises UsageError for a negative number.
     """
     if session < 0:
         raise UsageError(f"session must be zero or more, not {session}")

@@ -47,7 +47,7 @@ def dryden(w20_m_s: float, height_m: float, mean_wind_m_s: float = 0.0) -> Dryde
     A hovering vehicle has no airspeed of its own: V is the mean wind and `TRANSPORT_FLOOR_M_S`.
 
     >>> [round(value, 3) for value in dryden(5.0, 1.0).rms_m_s]
-    [0.982, 0.982, 0.5]
+    [0.981, 0.981, 0.5]
     """
     if not 0.0 <= w20_m_s <= STRONGEST_M_S:
         raise UsageError(f"turbulence must be a wind W20 of 0 to {STRONGEST_M_S:g} m/s, not {w20_m_s:g}")

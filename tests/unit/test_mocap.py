@@ -7,7 +7,7 @@ import pytest
 
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import RIGID
-from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, fit_pose, observe, yaw_of
+from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, fit_pose, hold_if_lost, observe, yaw_of
 from sitl_plant.vehicle import qdrone2
 
 MARKERS = np.array(qdrone2().mocap.markers_m)
@@ -113,6 +113,18 @@ def test_after_a_gap_the_speed_is_the_way_over_the_time_that_passed() -> None:
         if 108 <= step < 308:
             assert state.pose[0] == pytest.approx(0.002 * 96)
     assert state.velocity[0] == pytest.approx(2.0)
+
+
+def test_a_vehicle_that_is_not_seen_for_long_asks_for_its_last_pose() -> None:
+    constants, state = cameras()
+    asked = np.arange(9.0)
+    kept = asked.copy()
+    hold_if_lost(state, constants, 50, asked)  # before the first pose
+    state.received[0], state.pose[:], state.velocity[:] = 1000.0, (1.0, 2.0, -3.0, 0.7), (0.4, 0.5, 0.6)
+    hold_if_lost(state, constants, 1100, asked)  # 25 frames of 4 steps
+    np.testing.assert_array_equal(asked, kept)
+    hold_if_lost(state, constants, 1101, asked)
+    np.testing.assert_array_equal(asked, [1.0, 2.0, -3.0, 0.4, 0.5, 0.6, 0.7, 0.0, 8.0])
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 2.5])
