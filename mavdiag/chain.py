@@ -265,6 +265,7 @@ def chain_of(baseline: Baseline) -> Chain:
             slot.monitor.delay_s,
             slot.monitor.evidence,
             slot.monitor.feature,
+            slot.monitor.kind,
         )
         for slot in slots
     )

@@ -5,6 +5,9 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
 
     calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
 
+A fault has a kind: what the alarms that declared it mean (`mavdiag.decision.kinds`), which also says when a rotor is
+named.
+
 A fault lasts until all ratios have been calm for 2 s, or until the flight ends. While no deciding slot has judged for a
 second, the stage is "not judged". A slot that does not decide raises a suspicion at most, and only when it is over.
 
@@ -20,9 +23,9 @@ from typing import TypeAlias
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.decision.events import Event, EventSpec, EventState
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
-from mavdiag.decision.isolation import RotorReading, isolate
+from mavdiag.decision.kinds import KindReading, grown, named
 from mavdiag.decision.looks import Looks, Reading, cut, known_from
-from mavdiag.monitors.base import RotorEvidence
+from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
 from mavdiag.units import NS_PER_S
 
@@ -75,6 +78,7 @@ class SlotSpec:
     delay_s: float
     evidence: RotorEvidence | None
     feature: str | None
+    kind: FaultKind = FaultKind.PROPELLER
 
     @property
     def threshold(self) -> float:
@@ -213,17 +217,21 @@ class DecisionSpec:
             now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
         state = replace(state, calm_ns=calm_ns)
         if stage is not Stage.FAULT:
-            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, kind=None)
             return replace(state, diagnosis=now, gathered=None, graded=0), changed
         if changed:
             state = replace(state, gathered=Gathered(t_ns), graded=0)
-        place = isolate(
-            [
-                RotorReading(slot.evidence, reading.ratio, slot.threshold, reading.rotors)
-                for reading, slot in fresh
-                if slot.evidence is not None
-            ]
-        )
+        readings = [
+            KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
+            for reading, slot in fresh
+        ]
+        kind = grown(now.kind, readings, t_ns - now.since_ns)
+        if kind is not now.kind:
+            now = replace(now, kind=kind, reason=now.reason if changed else f"it is a {kind}")
+            changed = True
+        if kind is FaultKind.SENSOR:
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
+        place = named(kind, readings, now.rotor is not None)
         lead = 0.0 if now.rotor is None else state.lead
         if place.rotor is not None and (now.rotor is None or place.lead > lead):  # the most certain name holds
             lead = place.lead
@@ -238,7 +246,7 @@ class DecisionSpec:
     ) -> tuple[DecisionState, bool]:
         """Gather the features, and name type and severity at each of the fixed times after the declaration."""
         gathered, now = state.gathered, state.diagnosis
-        if gathered is None or state.graded >= len(self.known):
+        if gathered is None or state.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
         for slot, one in zip(self.slots, parts, strict=True):
             part = None if slot.feature is None else one.part(number)
@@ -265,6 +273,7 @@ class DecisionSpec:
                 confidence=fault.confidence,
                 fault_type=fault.fault_type,
                 severity=fault.severity,
+                kind=fault.kind,
             )
             if event.end_ns is None or event.end_ns >= fault.since_ns
             else event

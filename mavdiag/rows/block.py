@@ -25,6 +25,7 @@ class Block:
     torque: (n, 3) torque command, -1..1.
     rate_setpoint: (n, 3) commanded body rates [rad/s].
     thrust: (n,) collective set-point, 0..1.
+    attitude: (n, 3) estimated roll, pitch, yaw [rad], without jumps of 2 pi.
     height: (n,) above take-off [m].
     armed: (n,) 0 or 1.
     vibration: (n, 3) VIBRATION message [m/s^2].
@@ -42,6 +43,7 @@ class Block:
     torque: FloatArray
     rate_setpoint: FloatArray
     thrust: FloatArray
+    attitude: FloatArray
     height: FloatArray
     armed: FloatArray
     vibration: FloatArray
@@ -85,6 +87,7 @@ _SIGNALS = {
     Signal.TORQUE_COMMAND: "torque",
     Signal.RATE_SETPOINT: "rate_setpoint",
     Signal.THRUST_SETPOINT: "thrust",
+    Signal.ATTITUDE: "attitude",
     Signal.HEIGHT: "height",
     Signal.ARMED: "armed",
     Signal.VIBRATION: "vibration",
