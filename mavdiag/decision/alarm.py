@@ -34,6 +34,8 @@ __all__ = ["NEXT", "Change", "DecisionSpec", "DecisionState", "Diagnosis", "Even
 CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a fault (our choice)
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
+# A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
+DOUBT_NS = 2 * LOOK_NS
 NAN = float("nan")
 NOTHING_SEEN = Diagnosis()
 STALE_NS = NS_PER_S  # a slot whose last valid value is older does not count (our choice)
@@ -96,6 +98,7 @@ class DecisionState:
     diagnosis: what is held now.
     looked_ns: everything up to here was looked at; None before the first value.
     calm_ns: since when all ratios are calm; None if they are not.
+    over_ns: since when one is over; None if none is.
     fault: the diagnosis of the latest fault, for events that close after it.
     lead: by how much the named rotor led the next when it was most certain [logits].
     gathered, graded: what was gathered since the fault was declared, and how many of the fixed times have passed.
@@ -107,6 +110,7 @@ class DecisionState:
     diagnosis: Diagnosis = NOTHING_SEEN
     looked_ns: int | None = None
     calm_ns: int | None = None
+    over_ns: int | None = None
     fault: Diagnosis | None = None
     lead: float = 0.0
     gathered: Gathered | None = None
@@ -204,31 +208,26 @@ class DecisionSpec:
             for reading, slot in zip(state.latest, self.slots, strict=True)
             if reading is not None and t_ns - reading.t_ns <= STALE_NS
         ]
-        height = max((_height(reading.ratio, slot.decides) for reading, slot in fresh), default=Height.UNKNOWN)
-        if not any(slot.decides for _, slot in fresh):
-            height = Height.UNKNOWN
-        calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-        if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
-            height = Height.SETTLED
+        readings = [
+            KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
+            for reading, slot in fresh
+        ]
+        state, height = _height_now(state, readings, t_ns)
         now = _leading(state.diagnosis, fresh)
         stage, reason = NEXT.get((now.stage, height), (now.stage, now.reason))
         changed = stage is not now.stage
         if changed:
             now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
-        state = replace(state, calm_ns=calm_ns)
         if stage is not Stage.FAULT:
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, kind=None)
             return replace(state, diagnosis=now, gathered=None, graded=0), changed
         if changed:
             state = replace(state, gathered=Gathered(t_ns), graded=0)
-        readings = [
-            KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
-            for reading, slot in fresh
-        ]
         kind = grown(now.kind, readings, t_ns - now.since_ns)
         if kind is not now.kind:
             now = replace(now, kind=kind, reason=now.reason if changed else f"it is a {kind}")
             changed = True
+        now = _leading(now, fresh)
         if kind is FaultKind.SENSOR:
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
         place = named(kind, readings, now.rotor is not None)
@@ -281,11 +280,31 @@ class DecisionSpec:
         ]
 
 
+def _height_now(state: DecisionState, readings: Sequence[KindReading], t_ns: int) -> tuple[DecisionState, Height]:
+    """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
+    height = max((_height(one.ratio, one.decides) for one in readings), default=Height.UNKNOWN)
+    if not any(one.decides for one in readings):
+        height = Height.UNKNOWN
+    calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+    over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
+    state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
+    if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
+        return state, Height.SETTLED
+    if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.stage is Stage.FAULT:
+        return state, height
+    kind = grown(None, readings, 0)
+    doubtful = kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
+    return state, Height.RAISED if doubtful else height
+
+
 def _leading(diagnosis: Diagnosis, fresh: Sequence[tuple[Reading, SlotSpec]]) -> Diagnosis:
-    """The diagnosis with the present evidence of the highest ratio."""
+    """The diagnosis with the present evidence of the highest ratio, first of those that are over and of its kind."""
     if not fresh:
         return replace(diagnosis, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    reading, slot = max(fresh, key=lambda pair: (pair[1].decides, pair[0].ratio))
+    kind = diagnosis.kind
+    reading, slot = max(
+        fresh, key=lambda pair: (pair[1].decides, pair[0].ratio > 1.0 and pair[1].kind is kind, pair[0].ratio)
+    )
     named = slot.events
     return replace(
         diagnosis,
