@@ -17,6 +17,7 @@ from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import MONITORS
+from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Instant
 
 __all__ = [
@@ -45,6 +46,9 @@ class Kind(StrEnum):
     """What a text is about."""
 
     FAULT = "fault"
+    SENSOR = "sensor fault"
+    CONTROL = "loss of control"
+    THRUST = "loss of thrust"
     SUSPECT = "suspect"
     CLEARED = "cleared"
     UNSETTLED = "unsettled"
@@ -95,6 +99,9 @@ _ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
 # Times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
 POLICY: Mapping[Kind, Policy] = {
     Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # cause and evidence
+    Kind.SENSOR: Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S),  # evidence
+    Kind.CONTROL: Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S),  # cause and evidence
+    Kind.THRUST: Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S),  # cause and evidence
     Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # cause and evidence
     Kind.CLEARED: Policy(Severity.INFO, "PROP clear after {}s"),  # how long
     Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert over: {}"),  # why it is not judged any longer
@@ -138,6 +145,11 @@ class Notice:
         return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
 
 
+_DECLARED: Mapping[FaultKind | None, Kind] = {
+    FaultKind.SENSOR: Kind.SENSOR,
+    FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
+    FaultKind.GROSS_LOSS: Kind.THRUST,
+}
 _LABELS = {monitor.name: (monitor.label, monitor.statistic_label, monitor.threshold_label) for monitor in MONITORS}
 
 
@@ -182,7 +194,8 @@ def evidence_of(finding: Change | Diagnosis) -> str:
 def alert_notice(finding: Change | Diagnosis, *, fault: bool, key: str, silent: bool = False) -> Notice:
     """An alert as it is said while it lasts. fault: declared, not suspected."""
     words = " ".join(part for part in (cause_of(finding), evidence_of(finding)) if part)
-    return Notice(Kind.FAULT if fault else Kind.SUSPECT, (words,), key, silent)
+    declared = _DECLARED.get(finding.kind, Kind.FAULT)
+    return Notice(declared if fault else Kind.SUSPECT, (words,), key, silent)
 
 
 def figure(value: float, decimals: int = 2) -> str:

@@ -82,7 +82,7 @@ def _event(event: Event, when: When) -> dict[str, object]:
 def _stage(change: Change) -> dict[str, object]:
     """Numbers that are not finite become null, as in an event."""
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
-    fields = {name: getattr(change, name) for name in names}
+    fields = {name: getattr(change, name) for name in names} | {"fault_kind": change.kind}
     sound = {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in fields.items()}
     return {"t_s": round(change.t_ns / NS_PER_S, 6)} | sound
 

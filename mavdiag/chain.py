@@ -162,7 +162,7 @@ class Chain:
     front: Front
     slots: tuple[Slot, ...]
     decision: DecisionSpec
-    envelope: Envelope = Envelope()
+    envelope: Envelope = field(default_factory=Envelope)
 
     def start(self) -> ChainState:
         """Nothing seen yet."""
@@ -299,6 +299,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
             slot.monitor.delay_s,
             slot.monitor.evidence,
             slot.monitor.feature,
+            slot.monitor.kind,
         )
         for slot in slots
     )

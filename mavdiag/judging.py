@@ -10,6 +10,7 @@ from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
+from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
 from mavdiag.telemetry import Axis, Log, pandas_module
 from mavdiag.units import NS_PER_S
@@ -71,6 +72,7 @@ class LogVerdict:
     rate_hz: of the gyro stream.
     changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
+    kind: the gravest kind of fault that was declared; None if none was.
     """
 
     log: str
@@ -83,6 +85,7 @@ class LogVerdict:
     events: tuple[JudgedEvent, ...] = ()
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
+    kind: FaultKind | None = None
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
@@ -90,7 +93,7 @@ class LogVerdict:
     def to_frame(self) -> Any:
         """The events as a pandas DataFrame, one row each. Raises UsageError if pandas is not installed."""
         pandas = pandas_module()
-        names = ("monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity", "confidence")
+        names = ("monitor", "axis", "statistic", "threshold", "rotor", "fault_type", "severity", "confidence", "kind")
         rows = [
             {"t_s": one.t_s, "end_s": one.end_s, **{name: getattr(one.event, name) for name in names}}
             for one in self.events
@@ -130,6 +133,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
         judged,
         tuple(changes),
         notes,
+        _kind(changes),
     )
 
 
@@ -168,8 +172,16 @@ def _verdict(
     return Verdict.HEALTHY, f"{kind}; judged by {basis}" + (f"; not judged by {others}" if others else "")
 
 
+def _kind(changes: Sequence[Change]) -> FaultKind | None:
+    """The gravest kind of them."""
+    kinds = [one.kind for one in changes if one.kind is not None]
+    return max(kinds, key=lambda one: one.rank, default=None)
+
+
 def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
-    """The highest evidence, and the rotor and type that were named last."""
+    """The kind, the highest evidence, and the rotor and type that were named last and not withdrawn."""
+    kind = _kind(faults)
+    faults = [one for one in faults if one.kind is kind]
     worst = max(faults, key=lambda one: one.statistic / one.threshold if one.threshold else 0.0)
     highest = max(
         (event for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis)),
@@ -181,11 +193,12 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
         places += 1
     rotor = next((f"; rotor {one.rotor}" for one in reversed(faults) if one.rotor is not None), "")
-    kind = next((f"; {one.fault_type}" for one in reversed(faults) if one.fault_type is not None), "")
+    graded = next((f"; {one.fault_type}" for one in reversed(faults) if one.fault_type is not None), "")
     axis = f" on {worst.axis}" if worst.axis is not None else ""
     count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
     evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
-    return f"{evidence}{rotor}{kind}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
+    what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
+    return f"{what}{evidence}{rotor}{graded}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:

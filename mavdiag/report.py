@@ -25,6 +25,7 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
         "fault_type": event.fault_type,
         "severity": event.severity,
         "confidence": None if event.confidence is None else round(event.confidence, 3),
+        "fault_kind": event.kind,
     }
 
 
@@ -33,6 +34,7 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
     return {
         "log": verdict.log,
         "verdict": verdict.verdict,
+        "fault_kind": verdict.kind,
         "reason": verdict.reason,
         "notes": list(verdict.notes),
         "judged_s": round(verdict.judged_s, 3),

@@ -38,6 +38,7 @@ def flying(n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: 
     setpoint = setpoints(n, seed)
     wanted = body_rates(setpoint)
     rate = np.asarray(lfilter([0.3], [1, -0.7], wanted, axis=0)) + 0.02 * rng.standard_normal((n, 3))
+    attitude = np.asarray(lfilter([0.3], [1, -0.7], setpoint, axis=0))
     torque = 0.05 * (wanted - rate) + 0.002 * rng.standard_normal((n, 3))
     outputs = 0.5 * (1.0 + torque @ layout_named("x").mixing.T)
     if weak_rotor:
@@ -53,6 +54,7 @@ def flying(n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: 
             series(Signal.TORQUE_COMMAND, t_ns, torque),
             series(Signal.THRUST_SETPOINT, t_ns, 0.5 * ones),
             series(Signal.ACTUATOR, t_ns[::2], outputs[::2]),
+            series(Signal.ATTITUDE, t_ns[::2], attitude[::2]),
             series(Signal.VIBRATION, t_ns[::20], vibration[::20]),
             series(Signal.ARMED, t_ns[::100], ones[::100]),
         )

@@ -5,6 +5,9 @@ of the alarm budget. So any one that decides may declare a fault, and the shares
 
     calm  < 0.7 <=  held  < 0.8 <=  raised  <= 1 <  over        the highest ratio of all slots
 
+A fault has a kind: what the alarms that declared it mean (`mavdiag.decision.kinds`), which also says when a rotor is
+named.
+
 A fault lasts until all ratios have been calm for 2 s, or until the flight ends. While no deciding slot has judged for a
 second, the stage is "not judged". A slot that does not decide raises a suspicion at most, and only when it is over.
 
@@ -20,9 +23,9 @@ from typing import TypeAlias
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.decision.events import Event, EventSpec, EventState
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
-from mavdiag.decision.isolation import RotorReading, isolate
+from mavdiag.decision.kinds import KindReading, grown, named
 from mavdiag.decision.looks import Looks, Reading, cut, known_from
-from mavdiag.monitors.base import RotorEvidence
+from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
 from mavdiag.units import NS_PER_S
 
@@ -31,6 +34,8 @@ __all__ = ["NEXT", "Change", "DecisionSpec", "DecisionState", "Diagnosis", "Even
 CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a fault (our choice)
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
+# A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
+DOUBT_NS = 2 * LOOK_NS
 NAN = float("nan")
 NOTHING_SEEN = Diagnosis()
 STALE_NS = NS_PER_S  # a slot whose last valid value is older does not count (our choice)
@@ -75,6 +80,7 @@ class SlotSpec:
     delay_s: float
     evidence: RotorEvidence | None
     feature: str | None
+    kind: FaultKind = FaultKind.PROPELLER
 
     @property
     def threshold(self) -> float:
@@ -92,6 +98,7 @@ class DecisionState:
     diagnosis: what is held now.
     looked_ns: everything up to here was looked at; None before the first value.
     calm_ns: since when all ratios are calm; None if they are not.
+    over_ns: since when one is over; None if none is.
     fault: the diagnosis of the latest fault, for events that close after it.
     lead: by how much the named rotor led the next when it was most certain [logits].
     gathered, graded: what was gathered since the fault was declared, and how many of the fixed times have passed.
@@ -103,6 +110,7 @@ class DecisionState:
     diagnosis: Diagnosis = NOTHING_SEEN
     looked_ns: int | None = None
     calm_ns: int | None = None
+    over_ns: int | None = None
     fault: Diagnosis | None = None
     lead: float = 0.0
     gathered: Gathered | None = None
@@ -200,30 +208,29 @@ class DecisionSpec:
             for reading, slot in zip(state.latest, self.slots, strict=True)
             if reading is not None and t_ns - reading.t_ns <= STALE_NS
         ]
-        height = max((_height(reading.ratio, slot.decides) for reading, slot in fresh), default=Height.UNKNOWN)
-        if not any(slot.decides for _, slot in fresh):
-            height = Height.UNKNOWN
-        calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
-        if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
-            height = Height.SETTLED
+        readings = [
+            KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
+            for reading, slot in fresh
+        ]
+        state, height = _height_now(state, readings, t_ns)
         now = _leading(state.diagnosis, fresh)
         stage, reason = NEXT.get((now.stage, height), (now.stage, now.reason))
         changed = stage is not now.stage
         if changed:
             now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
-        state = replace(state, calm_ns=calm_ns)
         if stage is not Stage.FAULT:
-            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, kind=None)
             return replace(state, diagnosis=now, gathered=None, graded=0), changed
         if changed:
             state = replace(state, gathered=Gathered(t_ns), graded=0)
-        place = isolate(
-            [
-                RotorReading(slot.evidence, reading.ratio, slot.threshold, reading.rotors)
-                for reading, slot in fresh
-                if slot.evidence is not None
-            ]
-        )
+        kind = grown(now.kind, readings, t_ns - now.since_ns)
+        if kind is not now.kind:
+            now = replace(now, kind=kind, reason=now.reason if changed else f"it is a {kind}")
+            changed = True
+        now = _leading(now, fresh)
+        if kind is FaultKind.SENSOR:
+            now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None)
+        place = named(kind, readings, now.rotor is not None)
         lead = 0.0 if now.rotor is None else state.lead
         if place.rotor is not None and (now.rotor is None or place.lead > lead):  # the most certain name holds
             lead = place.lead
@@ -238,7 +245,7 @@ class DecisionSpec:
     ) -> tuple[DecisionState, bool]:
         """Gather the features, and name type and severity at each of the fixed times after the declaration."""
         gathered, now = state.gathered, state.diagnosis
-        if gathered is None or state.graded >= len(self.known):
+        if gathered is None or state.graded >= len(self.known) or now.kind is not FaultKind.PROPELLER:
             return state, False
         for slot, one in zip(self.slots, parts, strict=True):
             part = None if slot.feature is None else one.part(number)
@@ -265,6 +272,7 @@ class DecisionSpec:
                 confidence=fault.confidence,
                 fault_type=fault.fault_type,
                 severity=fault.severity,
+                kind=fault.kind,
             )
             if event.end_ns is None or event.end_ns >= fault.since_ns
             else event
@@ -272,11 +280,31 @@ class DecisionSpec:
         ]
 
 
+def _height_now(state: DecisionState, readings: Sequence[KindReading], t_ns: int) -> tuple[DecisionState, Height]:
+    """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
+    height = max((_height(one.ratio, one.decides) for one in readings), default=Height.UNKNOWN)
+    if not any(one.decides for one in readings):
+        height = Height.UNKNOWN
+    calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
+    over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
+    state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
+    if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
+        return state, Height.SETTLED
+    if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.stage is Stage.FAULT:
+        return state, height
+    kind = grown(None, readings, 0)
+    doubtful = kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
+    return state, Height.RAISED if doubtful else height
+
+
 def _leading(diagnosis: Diagnosis, fresh: Sequence[tuple[Reading, SlotSpec]]) -> Diagnosis:
-    """The diagnosis with the present evidence of the highest ratio."""
+    """The diagnosis with the present evidence of the highest ratio, first of those that are over and of its kind."""
     if not fresh:
         return replace(diagnosis, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    reading, slot = max(fresh, key=lambda pair: (pair[1].decides, pair[0].ratio))
+    kind = diagnosis.kind
+    reading, slot = max(
+        fresh, key=lambda pair: (pair[1].decides, pair[0].ratio > 1.0 and pair[1].kind is kind, pair[0].ratio)
+    )
     named = slot.events
     return replace(
         diagnosis,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
+from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
 
@@ -25,7 +26,7 @@ class Diagnosis:
     stage, reason: where it stands, and why, as a sentence.
     since_ns: vehicle time since when; 0 before the first look.
     monitor, axis, unit, statistic, threshold: the evidence with the highest ratio at present; None and nan without one.
-    rotor, fault_type, severity, confidence: as in `Event`.
+    rotor, fault_type, severity, confidence, kind: as in `Event`.
     """
 
     stage: Stage = Stage.NOT_JUDGED
@@ -40,12 +41,14 @@ class Diagnosis:
     confidence: float | None = None
     fault_type: str | None = None
     severity: int | None = None
+    kind: FaultKind | None = None
 
     def __str__(self) -> str:
         """One line for a person."""
         named = f", rotor {self.rotor}" if self.rotor is not None else ""
-        kind = f", {self.fault_type}" if self.fault_type is not None else ""
-        return f"{self.stage}: {self.reason}{named}{kind}"
+        fault = f", {self.fault_type}" if self.fault_type is not None else ""
+        stage = self.stage if self.kind is None else self.kind
+        return f"{stage}: {self.reason}{named}{fault}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,7 @@ class Change:
     confidence: float | None
     fault_type: str | None
     severity: int | None
+    kind: FaultKind | None = None
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, t_ns: int) -> "Change":
@@ -75,4 +79,5 @@ class Change:
         """One line for a person."""
         where = "" if self.rotor is None else f", rotor {self.rotor}"
         evidence = "" if self.monitor is None else f" ({self.monitor} {self.statistic:.3g} of {self.threshold:.3g})"
-        return f"{self.t_ns / NS_PER_S:.2f} s {self.stage}: {self.reason}{evidence}{where}"
+        stage = self.stage if self.kind is None else self.kind
+        return f"{self.t_ns / NS_PER_S:.2f} s {stage}: {self.reason}{evidence}{where}"

@@ -7,6 +7,7 @@ it too.
 
 from dataclasses import dataclass, replace
 
+from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis
@@ -27,6 +28,7 @@ class Event:
     rotor: from 1; None while unknown.
     fault_type, severity: "F1" to "F3" and 1 to 3 (T Tables 3.1, 3.2); None while unknown.
     confidence: of the rotor, 0..1.
+    kind: of the fault that the alarm belongs to, None while it belongs to none.
     """
 
     monitor: str
@@ -40,6 +42,7 @@ class Event:
     fault_type: str | None = None
     severity: int | None = None
     confidence: float | None = None
+    kind: FaultKind | None = None
 
     def __str__(self) -> str:
         """One line for a person.

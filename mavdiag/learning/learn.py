@@ -1,5 +1,6 @@
 """From healthy flights to a baseline: measure the link, fit the monitors, set their thresholds."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -26,7 +27,7 @@ from mavdiag.learning.rotors import with_rotors
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Front
 from mavdiag.telemetry import Axis, Log
@@ -198,9 +199,12 @@ def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Fli
 
 
 def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> list[MonitorEntry]:
-    """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes."""
+    """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
+
+    The monitors of sensors have one share together, and those of a loss one: what finds propellers stays sharp.
+    """
     names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
-    share = options.alarms_per_hour / len(names)
+    shares = Counter(_sharing(name) for name in names)
     entries = []
     for one in fitted:
         same = sum(other.spec.kind == one.spec.kind for other in fitted)
@@ -208,12 +212,18 @@ def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequenc
             one.scores,
             flights=len(sessions),
             sessions=len(set(sessions)),
-            budget_per_hour=share / same,
+            budget_per_hour=options.alarms_per_hour / len(shares) / max(1, shares[_sharing(one.spec.kind)]) / same,
             guard=by_name(one.spec.kind).guard,
             rule=options.rule,
         )
         entries.append(MonitorEntry(spec=one.spec, threshold=threshold, scores=plain_scores(one.scores)))
     return entries
+
+
+def _sharing(name: str) -> str:
+    """With whom a monitor shares the budget: alone, or with those of its kind."""
+    kind = by_name(name).kind
+    return name if kind is FaultKind.PROPELLER else "sensor" if kind is FaultKind.SENSOR else "loss"
 
 
 def plain_scores(scores: Scores) -> HealthyScores:

@@ -6,10 +6,14 @@ from typing import Any
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.control_loss import ControlLoss
 from mavdiag.monitors.innovation import Innovation
 from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import RunLength
+from mavdiag.monitors.sensor_drift import SensorDrift
+from mavdiag.monitors.sensor_noise import SensorNoise
+from mavdiag.monitors.thrust_loss import ThrustLoss
 from mavdiag.monitors.trim_step import TrimStep
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.monitors.vibration_level import VibrationLevel
@@ -24,6 +28,10 @@ MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
     VibrationLevel,
     RotorTrim,
     TrimStep,
+    SensorNoise,
+    SensorDrift,
+    ControlLoss,
+    ThrustLoss,
 )
 
 BY_NAME: Mapping[str, type[Monitor[Any, Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})

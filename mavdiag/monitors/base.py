@@ -10,6 +10,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
@@ -21,7 +22,7 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, Signal
 from mavdiag.thresholds.guard import Guard
 
-__all__ = ["Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
+__all__ = ["FaultKind", "Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
@@ -75,6 +76,20 @@ class RotorEvidence:
     direct: bool = True
 
 
+class FaultKind(StrEnum):
+    """What is wrong with a vehicle, from the least to the gravest: of several the last one holds."""
+
+    PROPELLER = "propeller fault"
+    SENSOR = "sensor fault"
+    LOSS_OF_CONTROL = "loss of control"
+    GROSS_LOSS = "gross loss of thrust"
+
+    @property
+    def rank(self) -> int:
+        """Place in that order."""
+        return tuple(FaultKind).index(self)
+
+
 class Feature:
     """Names of the figures that grading a fault needs; a monitor's `feature` names which its `level` gives."""
 
@@ -93,6 +108,7 @@ class Monitor(ABC, Generic[Spec, State]):
     depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
         them it does not judge (`thresholds.envelope`).
     decides: its alarm is a fault by itself; else it is a suspicion that another monitor must confirm.
+    kind: what its alarm means.
     clear_s: how long its statistic must have been back before its event closes.
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
@@ -107,6 +123,7 @@ class Monitor(ABC, Generic[Spec, State]):
     needs: ClassVar[frozenset[Signal]]
     depends: ClassVar[frozenset[Condition]] = frozenset()
     decides: ClassVar[bool] = True
+    kind: ClassVar[FaultKind] = FaultKind.PROPELLER
     clear_s: ClassVar[float] = 2.0  # our choice
     guard: ClassVar[Guard] = Guard()
     evidence: ClassVar[RotorEvidence | None] = None

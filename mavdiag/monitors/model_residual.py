@@ -245,7 +245,17 @@ class ModelResidual:
 
     def start(self) -> ResidualState:
         """Before the first row."""
-        return ResidualState(self._decimator.start(), 0, (), np.zeros(2), np.zeros(3), np.zeros(3), 0.0, _no_errors(), np.ones(3))
+        return ResidualState(
+            waiting=self._decimator.start(),
+            seen=0,
+            runs=(),
+            level=np.zeros(2),
+            drift=np.zeros(3),
+            busy=np.zeros(3),
+            thrust=0.0,
+            errors=_no_errors(),
+            unrest=np.ones(3),
+        )
 
     def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
         """The residuals that the next rows complete."""
@@ -286,7 +296,7 @@ class ModelResidual:
     def _simulate(
         self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
     ) -> tuple[tuple[FreeRunState, ...], FloatArray, FloatArray]:
-        """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: (k, 2) a_z, thrust."""
+        """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: a_z and thrust."""
         runs, r, y_sim = [], np.empty((len(u), 3)), np.empty((len(u), 3))
         pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
         for i, (command, measured) in enumerate(pairs):

@@ -72,7 +72,7 @@ def tilt_of(block: Block) -> FloatArray:
 
 
 def spread_of(shifts: FloatArray) -> Three:
-    """Standard deviations of healthy shifts, (n, 3), from zero, yaw's widened and the others' at least three times it."""
+    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
     roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw

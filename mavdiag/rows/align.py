@@ -38,7 +38,12 @@ NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our 
 PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (our choice)
 
 # Interpolated to the row where two samples this near surround it [s]; a slow command stream may have 4 Hz (our choice).
-LINEAR = {Signal.SPECIFIC_FORCE: 0.0, Signal.TORQUE_COMMAND: 0.25, Signal.RATE_SETPOINT: 0.25}  # or max_gap_s if longer
+LINEAR = {  # or max_gap_s if longer
+    Signal.SPECIFIC_FORCE: 0.0,
+    Signal.TORQUE_COMMAND: 0.25,
+    Signal.RATE_SETPOINT: 0.25,
+    Signal.ATTITUDE: 0.25,
+}
 # How long the last value holds [s]: ACTUATOR comes at 10-50 Hz, VIBRATION at 2-10 Hz, a battery changes slowly (our
 # choices). Logs write ARMED
 # only when it changes.
@@ -52,6 +57,8 @@ HELD = {
 }
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1
 MAIN = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT)
+ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 pi
+FINITE = (*MAIN, Signal.ATTITUDE)
 
 Streams: TypeAlias = dict[Signal, Stream]
 
@@ -149,12 +156,12 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
             continue
-        if signal in MAIN and not math.isfinite(float(v.sum())):  # a sample that is no number is a lost sample
+        if signal in FINITE and not math.isfinite(float(v.sum())):  # a sample that is no number is a lost sample
             finite = np.isfinite(v).all(axis=1)
             t, v = t[finite], v[finite]
         old = streams.get(signal)
         if len(t):
-            old = old or Stream(t[:0], v[:0], angle=signal is Signal.ATTITUDE_SETPOINT)
+            old = old or Stream(t[:0], v[:0], angle=signal in ANGLES)
             streams[signal] = old.merged(t, v, _ns(spec.reorder_s))
     return streams
 
@@ -247,7 +254,7 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
     valid, blank_ns = _usable(spec, rows, gap, state.blank_until_ns)
     setpoint, gap = _setpoint(spec, state, rows)
     setpoint_valid, setpoint_blank_ns = _usable(spec, rows, gap, state.setpoint_blank_ns)
-    force, torque, rate_setpoint = (_linear(spec, state, signal, rows) for signal in LINEAR)
+    force, torque, rate_setpoint, attitude = (_linear(spec, state, signal, rows) for signal in LINEAR)
     thrust, height, voltage, armed, vibration, actuator = (_held(state, signal, rows) for signal in HELD)
     block = Block(
         segment=state.segment,
@@ -259,6 +266,7 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
         torque=torque,
         rate_setpoint=rate_setpoint,
         thrust=thrust[:, 0],
+        attitude=attitude,
         height=height[:, 0],
         voltage=voltage[:, 0],
         armed=armed[:, 0],

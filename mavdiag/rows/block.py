@@ -25,6 +25,7 @@ class Block:
     torque: (n, 3) torque command, -1..1.
     rate_setpoint: (n, 3) commanded body rates [rad/s].
     thrust: (n,) collective set-point, 0..1.
+    attitude: (n, 3) estimated roll, pitch, yaw [rad], without jumps of 2 pi.
     height: (n,) above take-off [m].
     voltage: (n,) of the battery [V].
     armed: (n,) 0 or 1.
@@ -43,6 +44,7 @@ class Block:
     torque: FloatArray
     rate_setpoint: FloatArray
     thrust: FloatArray
+    attitude: FloatArray
     height: FloatArray
     voltage: FloatArray
     armed: FloatArray
@@ -87,6 +89,7 @@ _SIGNALS = {
     Signal.TORQUE_COMMAND: "torque",
     Signal.RATE_SETPOINT: "rate_setpoint",
     Signal.THRUST_SETPOINT: "thrust",
+    Signal.ATTITUDE: "attitude",
     Signal.HEIGHT: "height",
     Signal.VOLTAGE: "voltage",
     Signal.ARMED: "armed",

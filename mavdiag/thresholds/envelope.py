@@ -7,8 +7,8 @@ what counts as nothing, if that is more), and e = (c - C)/(R C):
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
-R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A condition that no healthy flight told of, or that
-the link does not carry now, restricts nothing.
+R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A condition that no
+healthy flight told of, or that the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Iterable, Sequence

@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.monitors.base import FaultKind
 from sitl_plant.physics.faults import FAULTS, Fault
 from sitl_plant.physics.injections import (
     Injection,
@@ -23,7 +24,7 @@ from sitl_plant.physics.injections import (
     texture,
 )
 
-__all__ = ["CAUSES", "HEALTHY", "Cause", "Group", "causes_named", "injections_of"]
+__all__ = ["CAUSES", "HEALTHY", "RIGHT", "Cause", "Group", "causes_named", "injections_of"]
 
 HEALTHY = "healthy"
 
@@ -36,6 +37,16 @@ class Group(StrEnum):
     MOTOR = "motor"  # a motor at another speed than commanded: another fault, though it feels like a propeller's
     LOSS = "loss"  # a propeller gone: a gross loss of thrust
     SENSOR = "sensor"  # a gyro or accelerometer: another fault, or nothing; never a propeller fault
+
+
+RIGHT: Mapping[Group, FaultKind] = {
+    Group.FAULT: FaultKind.PROPELLER,
+    Group.BLADE: FaultKind.PROPELLER,
+    Group.MOTOR: FaultKind.PROPELLER,  # the diagnosis does not tell a motor from its propeller
+    Group.LOSS: FaultKind.GROSS_LOSS,
+    Group.SENSOR: FaultKind.SENSOR,
+}
+"""The kind of fault that is the right answer to a group."""
 
 
 @dataclass(frozen=True, slots=True)

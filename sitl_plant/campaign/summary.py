@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.units import S_PER_H
-from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group
+from sitl_plant.campaign.causes import CAUSES, HEALTHY, RIGHT, Group
 from sitl_plant.campaign.condition_rows import UNJUDGED, ConditionRow, condition_rows
 from sitl_plant.campaign.intervals import Rate, Share, poisson, wilson
 from sitl_plant.campaign.runner import Results
@@ -65,13 +65,20 @@ class MonitorRow:
 
 @dataclass(frozen=True, slots=True)
 class AnswerRow:
-    """How one cause was answered: counts by kind of answer. early: flights with an alarm before the onset."""
+    """How one cause was answered: counts by kind of answer.
+
+    early: flights with an alarm before the onset.
+    right: flights answered by the kind that is right for the group, of those judged.
+    named: flights in which a rotor was named; of a sensor's cause there should be none.
+    """
 
     group: str
     cause: str
     flights: int
     answers: tuple[tuple[str, int], ...]
     early: int
+    right: Share
+    named: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,5 +232,9 @@ def _answer_rows(flights: Sequence[FlightResult]) -> tuple[AnswerRow, ...]:
         if own:
             answers = _counts(flight.answer.kind for flight in own)
             early = sum(flight.episodes > 0 for flight in own)
-            rows.append(AnswerRow(CAUSES[name].group.value, name, len(own), answers, early))
+            group = CAUSES[name].group
+            judged = [flight.answer for flight in own if flight.verdict not in UNJUDGED]
+            right = wilson(sum(answer.kind == RIGHT[group] for answer in judged), len(judged))
+            named = sum(flight.answer.rotor is not None for flight in own)
+            rows.append(AnswerRow(group.value, name, len(own), answers, early, right, named))
     return tuple(rows)

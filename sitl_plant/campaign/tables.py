@@ -165,7 +165,7 @@ def _monitors(summary: Summary) -> Table:
 def _answers(summary: Summary) -> Table:
     return _table(
         "Answers after the onset",
-        ("group", "cause", "flights", "answers", "early"),
+        ("group", "cause", "flights", "answers", "early", "right", "95 %", "rotor named"),
         (
             (
                 row.group,
@@ -173,6 +173,9 @@ def _answers(summary: Summary) -> Table:
                 str(row.flights),
                 ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row.answers),
                 str(row.early),
+                _part(row.right),
+                _interval(row.right),
+                str(row.named),
             )
             for row in summary.answers
         ),

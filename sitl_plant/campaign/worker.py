@@ -73,7 +73,8 @@ class MonitorResult:
 class Answer:
     """What the diagnosis answered to the cause.
 
-    kind: the verdict if it is no judgement, else "propeller fault" or "nothing".
+    kind: the verdict if it is no judgement; else the gravest kind of fault of the alarms after the onset (a value of
+        `mavdiag.monitors.base.FaultKind`), "suspicion" if they declared none, "nothing" without an alarm.
     rotor, fault_type, severity: of the most certain alarm after the onset that names one.
     """
 
@@ -308,8 +309,10 @@ def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
         next((row[name] for row in rows if row.get(name) is not None), None)
         for name in ("rotor", "severity", "fault_type")
     )
+    kinds = [one.event.kind for one in after if one.event.kind is not None]
+    kind = max(kinds, key=lambda one: one.rank, default=None)
     return Answer(
-        kind="propeller fault",
+        kind="suspicion" if kind is None else kind.value,
         rotor=int(str(rotor)) if rotor is not None else None,
         fault_type=str(fault_type) if fault_type is not None else None,
         severity=int(str(severity)) if severity is not None else None,

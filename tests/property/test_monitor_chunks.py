@@ -34,7 +34,7 @@ def block(seed: int, segment: int) -> Block:
     force = rng.normal((0, 0, -9.81), 0.3, (N, 3))
     thrust = 0.3 + 0.01 * rng.normal(size=N)
     always = np.ones(N, dtype=np.bool_)
-    others = (absent, absent, thrust, thrust, thrust, np.ones(N), absent, absent)
+    others = (absent, absent, thrust, walk, thrust, thrust, np.ones(N), absent, absent)
     return Block(segment, DT_S, t_ns, walk, rate, force, *others, valid, always)
 
 

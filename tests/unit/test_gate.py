@@ -22,6 +22,7 @@ def block(thrust: FloatArray, *, armed: FloatArray | None = None, first: int = 0
         torque=none3,
         rate_setpoint=none3,
         thrust=thrust,
+        attitude=none3,
         height=none,
         voltage=none,
         armed=none if armed is None else armed,

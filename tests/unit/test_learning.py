@@ -19,7 +19,7 @@ from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, front_for, learn, thesis_options
 from mavdiag.monitors import by_name, monitor_of
-from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.base import FaultKind, Monitor
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from mavdiag.thresholds.rule import poisson_upper
 
@@ -136,7 +136,11 @@ def test_b27_the_budget_is_shared_by_those_that_decide_and_could_be_fitted() -> 
     found = whole()
     assert {one.monitor for one in found.not_judgeable} == {"unbalance"}
     deciding = {e.spec.kind: e.threshold.budget_per_hour for e in found.monitors if by_name(e.spec.kind).decides}
-    assert deciding == pytest.approx(dict.fromkeys(deciding, LearnOptions().alarms_per_hour / len(deciding)))
+    alone = {name for name in deciding if by_name(name).kind is FaultKind.PROPELLER}
+    share = LearnOptions().alarms_per_hour / (len(alone) + 2)  # the sensors' have one together, those of a loss another
+    expected = {name: share if name in alone else share / 2 for name in deciding}
+    assert deciding == pytest.approx(expected)
+    assert sum(deciding.values()) == pytest.approx(LearnOptions().alarms_per_hour)
     assert {*deciding} == {*ALL_MONITORS} - {"fsd", "unbalance"}
     alone = learn(plain(2), LearnOptions(airframe=UNKNOWN, monitors=("fsd",)), created=NOW)
     assert sum(e.threshold.budget_per_hour for e in alone.monitors) == pytest.approx(LearnOptions().alarms_per_hour)

@@ -69,7 +69,7 @@ def test_guards() -> None:
 
 def test_it_says_what_supports_it() -> None:
     found = known([1.0, 1.1, 1.2])
-    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights in 5 sessions" in found.statement()
+    assert "extrapolated to 0.36 alarms/h from 3 healthy blocks of 10 s from 5 flights in 5" in found.statement()
     assert "exclude more than 359 alarms/h at 95 %" in found.statement()
     maximum = replace(found, rule=ThresholdRule.MAXIMUM)
     assert "probability 0.167" in maximum.statement()

@@ -1,0 +1,92 @@
+"""The control-loss monitor: the vehicle turns fast, and nobody commanded it.
+
+Beyond some rate an attitude controller has lost the vehicle, whatever the reason: a rotor without thrust, a collision,
+a sensor that lies. What the other monitors say from then on is about the upset and no longer about its cause.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Signal
+from mavdiag.thresholds.guard import Guard
+
+__all__ = ["ControlLoss", "ControlLossSpec"]
+
+LEAST_RAD_S = 5.0  # 290 deg/s: what no flight to a set-point reaches without a command (our choice)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlLossSpec:
+    """delay_s: half the window of the rate filters [s]. Raises InputError if it is negative."""
+
+    kind: Literal["control_loss"] = "control_loss"
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.delay_s) and self.delay_s >= 0):
+            raise InputError("control_loss: the delay must not be negative")
+
+
+class ControlLoss(Monitor[ControlLossSpec, None]):
+    """Statistic: how fast the body turns without a command [rad/s].
+
+        s = min(|y|, |y - u|)          y: smoothed gyro, u: commanded body rate, as the model relates them
+
+    A set-point that jumps makes |y - u| large while the body turns slowly, and a commanded flip makes |y| large while
+    |y - u| stays small; only an upset makes both large. `level` equals the statistic, `signal` is |y|. Above half its
+    threshold no rotor is named any longer (`mavdiag.decision.alarm`).
+
+    Warm-up: one SG window, and the blanked first second of a segment. Latency: half an SG window (50 ms), plus the
+    time to reach the rate: 0.2 s after a quadrotor lost a propeller. False alarms: see `thresholds`; the threshold is
+    never less than 5 rad/s. Hard landings and catches that the gate does not keep out raise it. Blind spots: a loss
+    of control that is slow, such as a fall without turning or a yaw spin below that rate.
+
+    >>> from mavdiag.testing import example_rows
+    >>> rate = np.zeros((300, 3))
+    >>> rate[200:, 0] = np.linspace(0.0, 12.0, 100)
+    >>> monitor = ControlLoss(ControlLossSpec())
+    >>> _, found = monitor.step(monitor.start(), example_rows(300, rate=rate))
+    >>> float(found.value[100]), float(found.value[-1].round(0))
+    (0.0, 12.0)
+    """
+
+    name = "control_loss"
+    label = "control"
+    needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
+    kind = FaultKind.LOSS_OF_CONTROL
+    clear_s = 1.0
+    guard = Guard(least=LEAST_RAD_S)
+    spec_type = ControlLossSpec
+    unit = "rad/s"
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
+        """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
+        if not any(rows.rates.commanded.any() for flight in flights for rows in flight):
+            raise InputError("no flight with a gyro and an attitude set-point")
+        return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)
+
+    @property
+    def delay_s(self) -> float:
+        """Half the window of the rate filters [s]."""
+        return self.spec.delay_s
+
+    def start(self) -> None:
+        """Nothing is remembered."""
+
+    def step(self, state: None, rows: Rows) -> tuple[None, Statistic]:
+        """The rate without a command at each row whose rates became known."""
+        rates = rows.rates
+        fast = np.linalg.norm(rates.y, axis=1)
+        apart = np.linalg.norm(rates.y - rates.u, axis=1)
+        value = np.minimum(fast, apart)
+        valid = rates.commanded & np.isfinite(value)
+        value = np.where(valid, value, 0.0)
+        return None, Statistic(rates.t_ns, rates.dt_s, value, valid, value, np.where(valid, fast, 0.0))

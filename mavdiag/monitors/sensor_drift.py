@@ -1,0 +1,299 @@
+"""The sensor-drift monitor: gyro, accelerometer and estimated attitude contradict each other.
+
+Three facts of kinematics hold whatever the propellers, the wind and the payload do. The integral of the gyro is the
+change of the attitude. A vehicle that goes on flying is not accelerated for long, so along the vertical the
+accelerometer reads g on average. And an estimator that must correct the attitude against its gyro, by accelerometer or
+cameras, again and again to the same side, has two sensors that disagree.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.healthy import Three, three
+from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import window_mean
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.thresholds.guard import Guard
+
+__all__ = ["SensorDrift", "SensorDriftSpec", "SensorDriftState"]
+
+TICK_S = 0.1  # our choice
+MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
+LAG_S = 15.0  # between the two; less while the flight is young (our choice: twice a usual time constant of estimators)
+VERTICAL_S = 4.0  # of each of two means of the vertical acceleration (our choice)
+TURN_SHARE = 0.01  # of a turn that a healthy gyro may be wrong by, scale and cross-axis (IIM-42652 data sheet: 1 %)
+LEAST_ANGLE = 0.01  # rad: smallest healthy disagreement that is believed (our choice)
+LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
+STEEP_RAD, FAST_RAD_S = 0.7, 3.0  # beyond it small angles do not hold, and an upset begins (our choice)
+LIMIT = 1e6  # a value is cut here
+GRAVITY = 9.80665
+COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorDriftSpec:
+    """Healthy agreement.
+
+    dt_s: row period [s].
+    bias: healthy mean of gyro less attitude rate [rad/s].
+    vertical: healthy mean of the vertical specific force beyond -g [m/s^2].
+    tilt, heading: healthy rms of the disagreement over 15 s [rad].
+    lift: healthy rms of the 4 s means of the vertical specific force [m/s^2].
+    Raises InputError if they are not finite and positive.
+    """
+
+    kind: Literal["sensor_drift"] = "sensor_drift"
+    dt_s: float
+    bias: Three
+    vertical: float
+    tilt: float
+    heading: float
+    lift: float
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(x) for x in (*self.bias, self.vertical, self.tilt, self.heading, self.lift)):
+            raise InputError("sensor_drift: the healthy figures must be finite numbers")
+        if min(self.dt_s, self.tilt, self.heading, self.lift) <= 0:
+            raise InputError("sensor_drift: the period and the healthy spreads must be positive")
+
+    @property
+    def tick(self) -> int:
+        """Rows per value."""
+        return max(1, round(TICK_S / self.dt_s))
+
+    def ticks(self, span_s: float) -> int:
+        """Values in a span."""
+        return max(1, round(span_s / (self.tick * self.dt_s)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorDriftState:
+    """What the next rows need.
+
+    rows: (r, 9) gyro, accelerometer and attitude of rows that wait for their tick; t_ns, valid: (r,) of them.
+    angle: (4,) integrals since the last gap: of the gyro about north and east, of its turning, and of |its turning|.
+    history: (h, COLUMNS) of the last ticks without a gap.
+    """
+
+    rows: FloatArray
+    t_ns: IntArray
+    valid: BoolArray
+    angle: FloatArray
+    history: FloatArray
+
+
+class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
+    """Statistic: the greatest of three disagreements of the inertial sensors [times healthy rms].
+
+        E = (phi + i theta) e^(i psi) - integral (p + i q) e^(i psi) dt           tilt that the gyro does not explain
+        Y = psi - integral (q sin phi + r cos phi)/cos theta dt                   the same of the heading
+        V = g + specific force along the vertical of the attitude phi, theta, psi
+        s = max( |dE|/(tilt + 0.01 R), |dY|/(heading + 0.01 R), |V|/lift )
+
+    dE, dY: change of their 2 s means over 15 s, or over as much as there is since the last gap; R: angle that the
+    vehicle turned in it, of which a healthy gyro may be wrong by 1 %. |V|: the smaller of two 4 s means, one after the
+    other, where both have the same sign, so that the start of a climb does not count. Propellers, wind and payload do
+    not enter. `level` equals the statistic, `signal` is |dE| [rad].
+
+    Warm-up: 4 s without a gap, 8 s for V. Latency: a gyro bias of 0.05 rad/s takes 4 s where the estimator's time
+    constant is 8 s, a drift of 0.002 rad/s^2 13 s; a vertical bias of 0.5 m/s^2 6 s.
+    False alarms: see `thresholds`; the threshold is never less than 2.5, which is 0.025 rad or 0.2 m/s^2. A mount that
+    slips or cameras that jump raise it too. Blind spots: a gyro's scale, unless the vehicle turns; a horizontal
+    accelerometer bias, unless it comes within 15 s (to a filter it is tilt, and a flight against wind looks the same);
+    an accelerometer's horizontal scale; what was there when the flight began; attitudes beyond 40 degrees.
+
+    >>> from mavdiag.testing import example_context, example_rows
+    >>> rng, still = np.random.default_rng(9), np.tile([0.0, 0.0, -GRAVITY], (3000, 1))
+    >>> rate, attitude = rng.normal(0, 0.003, (3000, 3)), np.zeros((3000, 3))
+    >>> healthy = example_rows(3000, rate=rate, force=still, attitude=attitude)
+    >>> monitor = SensorDrift(*SensorDrift.fit([[healthy]], example_context()))
+    >>> rate[2000:, 0] += 0.05
+    >>> _, found = monitor.step(monitor.start(), example_rows(3000, rate=rate, force=still, attitude=attitude))
+    >>> bool(found.value[190] < 2.0), bool(found.value[-1] > 20.0)
+    (True, True)
+    """
+
+    name = "sensor_drift"
+    label = "IMU drift"
+    needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
+    kind = FaultKind.SENSOR
+    # An estimate: a gyro's bias may change by 1.5 mrad/s between the flights that taught and this one.
+    guard = Guard(least=2.5)
+    spec_type = SensorDriftSpec
+    unit = "x healthy rms"
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
+        """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
+        first = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
+        pieces = [_biases(first, flight) for flight in flights]
+        together = np.concatenate(pieces) if pieces else np.empty((0, 4))
+        if len(together) == 0:
+            raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
+        mean = together.mean(axis=0)
+        spec = replace(first, bias=three(mean[:3]), vertical=float(mean[3]))
+        parts = np.concatenate([_parts(spec, flight) for flight in flights])
+        if len(parts) == 0:
+            raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
+        tilt, heading, lift = np.sqrt(np.mean(parts**2, axis=0)).tolist()
+        return (
+            replace(
+                spec,
+                tilt=max(tilt, LEAST_ANGLE),
+                heading=max(heading, LEAST_ANGLE),
+                lift=max(lift, LEAST_VERTICAL),
+            ),
+        )
+
+    def start(self) -> SensorDriftState:
+        """No row yet."""
+        return _fresh()
+
+    def step(self, state: SensorDriftState, rows: Rows) -> tuple[SensorDriftState, Statistic]:
+        """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
+        spec = self.spec
+        state, t_ns, parts, turned, full = _advance(spec, state, rows.block)
+        scale = np.array([spec.tilt, spec.heading, spec.lift]) + turned[:, None] * np.array(
+            [TURN_SHARE, TURN_SHARE, 0.0]
+        )
+        value = np.minimum((parts / scale).max(axis=1, initial=0.0), LIMIT)
+        return state, Statistic(t_ns, spec.tick * spec.dt_s, value, full, value, parts[:, 0])
+
+
+def _fresh() -> SensorDriftState:
+    return SensorDriftState(
+        np.empty((0, 9)),
+        np.empty(0, dtype=np.int64),
+        np.empty(0, dtype=np.bool_),
+        np.zeros(4),
+        np.empty((0, COLUMNS)),
+    )
+
+
+def _joined(state: SensorDriftState, block: Block) -> tuple[FloatArray, IntArray, BoolArray]:
+    """The rows that wait and the next ones: values, times, and whether they may be used."""
+    fresh = np.concatenate((block.rate, block.force, block.attitude), axis=1)
+    known = block.valid & block.known(Signal.SPECIFIC_FORCE) & block.known(Signal.ATTITUDE)
+    known &= (np.abs(block.attitude[:, :2]) < STEEP_RAD).all(axis=1) & (np.abs(block.rate) < FAST_RAD_S).all(axis=1)
+    rows = np.concatenate((state.rows, np.where(known[:, None], fresh, 0.0)))
+    return rows, np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, known))
+
+
+def _advance(
+    spec: SensorDriftSpec, state: SensorDriftState, block: Block
+) -> tuple[SensorDriftState, IntArray, FloatArray, FloatArray, BoolArray]:
+    """The ticks that the next rows complete: times, (n, 3) |dE|, |dY| and |V|, angle turned, and whether they count."""
+    tick = spec.tick
+    rows, t_ns, valid = _joined(state, block)
+    n = len(rows) // tick
+    used = n * tick
+    whole: BoolArray = np.asarray(valid[:used].reshape(n, tick).all(axis=1), dtype=np.bool_)
+    steps, seen = _ticks(spec, rows[:used], n)
+    parts, turned, full = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.bool_)
+    angle, history = state.angle, state.history
+    for first, stop, good in _stretches(whole):
+        if not good:
+            angle, history = np.zeros(4), np.empty((0, COLUMNS))
+            continue
+        sums = np.cumsum(np.concatenate((angle[None], steps[first:stop])), axis=0)
+        fresh = np.column_stack((seen[first:stop, :3] - sums[1:, :3], seen[first:stop, 3], sums[1:, 3]))
+        angle, past = sums[-1], len(history)
+        history = np.concatenate((history, fresh))
+        found = _disagreements(spec, history)
+        parts[first:stop], turned[first:stop] = found[past:, :3], found[past:, 3]
+        full[first:stop] = np.arange(past, len(history)) >= 2 * spec.ticks(MEAN_S) - 1
+        history = history[-(spec.ticks(LAG_S) + 2 * spec.ticks(MEAN_S)) :]
+    state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
+    return state, t_ns[tick - 1 : used : tick], parts, turned, full
+
+
+def _stretches(flags: BoolArray) -> list[tuple[int, int, bool]]:
+    """Spans of equal flags: first, stop, flag."""
+    if len(flags) == 0:
+        return []
+    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
+    return [(a, b, bool(flags[a])) for a, b in itertools.pairwise(edges)]
+
+
+def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
+    """Of each tick what the gyro turns, (n, 4), and what is seen: tilt to north and east, heading, V, (n, 4)."""
+    p, q, r = (rows[:, :3] - np.array(spec.bias)).T
+    phi, theta, psi = rows[:, 6:].T
+    x, y, z = rows[:, 3:6].T
+    c, s, cos_theta = np.cos(psi), np.sin(psi), np.cos(theta)
+    turn = (q * np.sin(phi) + r * np.cos(phi)) / cos_theta
+    down = cos_theta * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
+    turning = np.stack((p * c - q * s, p * s + q * c, turn, np.abs(turn)), axis=1) * (spec.tick * spec.dt_s)
+    seen = np.stack((phi * c - theta * s, phi * s + theta * c, psi, down + GRAVITY - spec.vertical), axis=1)
+    return turning.reshape(n, spec.tick, 4).mean(axis=1), seen.reshape(n, spec.tick, 4).mean(axis=1)
+
+
+def _disagreements(spec: SensorDriftSpec, history: FloatArray) -> FloatArray:
+    """|dE|, |dY|, |V| and the angle turned at each tick of an unbroken history, (h, 4); zero where it is too short."""
+    h, mean, lag, lift = len(history), spec.ticks(MEAN_S), spec.ticks(LAG_S), spec.ticks(VERTICAL_S)
+    out = np.zeros((h, 4))
+    if h >= 2 * mean:
+        means = window_mean(history[:, [0, 1, 2, 4]], mean)  # means[i] ends at tick i + mean - 1
+        now = np.arange(mean, len(means))
+        change = means[now] - means[np.maximum(now - lag, 0)]
+        out[now + mean - 1, 0] = np.hypot(change[:, 0], change[:, 1])
+        out[now + mean - 1, 1] = np.abs(change[:, 2])
+        out[now + mean - 1, 3] = change[:, 3]
+    if h >= 2 * lift:
+        means = window_mean(history[:, 3:4], lift)[:, 0]
+        late, early = means[lift:], means[:-lift]
+        out[2 * lift - 1 :, 2] = np.where(late * early > 0, np.minimum(np.abs(late), np.abs(early)), 0.0)
+    return out
+
+
+def _biases(spec: SensorDriftSpec, flight: Sequence[Rows]) -> FloatArray:
+    """Gyro less attitude rate, and vertical specific force beyond -g, of each usable tick of a flight, (k, 4)."""
+    found = [np.empty((0, 4))]
+    for segment in segments(flight):
+        state = _fresh()
+        for rows in segment:
+            values, t_ns, valid = _joined(state, rows.block)
+            n = len(values) // spec.tick
+            used = n * spec.tick
+            state = replace(_fresh(), rows=values[used:], t_ns=t_ns[used:], valid=valid[used:])
+            whole = valid[:used].reshape(n, spec.tick).all(axis=1)
+            found.append(_gyro_errors(spec, values[:used], n)[whole])
+    return np.concatenate(found)
+
+
+def _gyro_errors(spec: SensorDriftSpec, rows: FloatArray, n: int) -> FloatArray:
+    """(n, 4) of each tick: gyro less the rate of the attitude in it, and vertical specific force beyond -g."""
+    ticks = rows.reshape(n, spec.tick, 9)
+    mean = ticks.mean(axis=1)
+    span_s = max(1, spec.tick - 1) * spec.dt_s
+    dphi, dtheta, dpsi = ((ticks[:, -1, 6:] - ticks[:, 0, 6:]) / span_s).T
+    phi, theta = mean[:, 6], mean[:, 7]
+    turn = np.cos(theta) * dpsi
+    rates = (
+        dphi - np.sin(theta) * dpsi,
+        np.cos(phi) * dtheta + np.sin(phi) * turn,
+        np.cos(phi) * turn - np.sin(phi) * dtheta,
+    )
+    down = _ticks(spec, rows, n)[1][:, 3]
+    return np.column_stack((mean[:, :3] - np.column_stack(rates), down))
+
+
+def _parts(spec: SensorDriftSpec, flight: Sequence[Rows]) -> FloatArray:
+    """|dE|, |dY| and |V| of a flight, beyond what its turns excuse, (k, 3)."""
+    found = [np.empty((0, 3))]
+    for segment in segments(flight):
+        state = _fresh()
+        for rows in segment:
+            state, _, parts, turned, full = _advance(spec, state, rows.block)
+            excused = turned[:, None] * np.array([TURN_SHARE, TURN_SHARE, 0.0])
+            found.append(np.maximum(parts - excused, 0.0)[full])
+    return np.concatenate(found)

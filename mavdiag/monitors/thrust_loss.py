@@ -1,0 +1,148 @@
+"""The thrust-loss monitor: thrust that was there a moment ago is gone, and the vehicle falls to one side.
+
+A propeller that leaves takes its share of the lift with it at once. The accelerometer feels less than what the
+collective command gave until now, and the airframe turns towards the empty arm before any controller can answer.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.thresholds.guard import Guard
+
+__all__ = ["ThrustLoss", "ThrustLossSpec", "ThrustLossState"]
+
+WINDOW_S = 0.1  # our choice: four time constants of a motor
+MEMORY_S = 3.0  # of what the command gives: battery and payload change it more slowly (our choice)
+MIN_THRUST = 0.05  # collective command below which nothing flies (our choice)
+PER_RAD_S = 0.1  # share of thrust that a rate of 1 rad/s lets count: at 3 rad/s a loss of 0.3 (our choice)
+LEAST_SHARE = (
+    0.3  # of the thrust: more than a quarter, since the controller gives up the opposite rotor too (our choice)
+)
+CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
+COLUMNS = 5  # specific force, command, gyro x and y, rate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThrustLossSpec:
+    """Healthy thrust.
+
+    layout: where the rotors are; None if it is not known.
+    per_command: healthy mean of the upward specific force per collective command [m/s^2].
+    Raises InputError if it is not positive.
+    """
+
+    kind: Literal["thrust_loss"] = "thrust_loss"
+    layout: RotorLayout | None
+    per_command: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.per_command) and self.per_command > 0):
+            raise InputError("thrust_loss: the healthy specific force per command must be positive")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThrustLossState:
+    """What the command gave lately, (1,) in units of the healthy one, and the means of the last 0.1 s."""
+
+    usual: FloatArray
+    mean: MeanState
+
+
+class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
+    """Statistic: share of the thrust that is missing while the vehicle turns [1].
+
+        k = (-f_z)/(per_command T),    loss = 1 - mean_0.1s(-f_z)/(mean_0.1s(T) per_command EMA_3s(k))
+        s = max(0, min(loss, 0.1 s |omega|))          T: collective command, omega: gyro, mean of its size over 0.1 s
+
+    A battery, a payload or another pilot change k slowly; a motor that lags a step of the command has the loss for a
+    moment but does not turn the vehicle. `level` is the loss, `signal` the specific force upwards [m/s^2]. `rotors`:
+    cosine between the mean of p, q and what a loss of rotor j alone turns, -(its roll and pitch effects).
+
+    Warm-up: 0.1 s. Latency: 0.2 s. False alarms: see `thresholds`; the threshold is never less than 0.3. Blind spots:
+    a vehicle of six or more rotors that flies on without one; a weak propeller (see rotor_trim); links without
+    collective command or accelerometer.
+
+    >>> from mavdiag.airframe.layout import layout_named
+    >>> from mavdiag.testing import example_rows
+    >>> force, rate = np.tile([0.0, 0.0, -9.81], (300, 1)), np.zeros((300, 3))
+    >>> force[200:, 2], rate[200:, :2] = -5.0, (4.0, 4.0)   # down on the right and up at the nose: rear right
+    >>> monitor = ThrustLoss(ThrustLossSpec(layout=layout_named("qdrone2"), per_command=19.62))
+    >>> rows = example_rows(300, rate=rate, force=force, thrust=np.full(300, 0.5))
+    >>> _, found = monitor.step(monitor.start(), rows)
+    >>> float(found.value[150].round(2)), float(found.value[215].round(1)), int(found.rotors[215].argmax()) + 1
+    (0.0, 0.5, 1)
+    """
+
+    name = "thrust_loss"
+    label = "thrust"
+    needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
+    kind = FaultKind.GROSS_LOSS
+    clear_s = 1.0
+    guard = Guard(least=LEAST_SHARE)
+    evidence = RotorEvidence(8.0)  # neighbours differ by a cosine of 0.7 and more
+    spec_type = ThrustLossSpec
+    unit = "share of thrust"
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
+        """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
+        ratios = [np.empty(0)]
+        for rows in (rows for flight in flights for rows in flight):
+            known = _known(rows.block)
+            ratios.append(-rows.block.force[known, 2] / rows.block.thrust[known])
+        pooled = np.concatenate(ratios)
+        if len(pooled) == 0 or not pooled.mean() > 0:
+            raise InputError("no flight with an accelerometer along z and a collective thrust command")
+        return (ThrustLossSpec(layout=context.airframe.layout, per_command=float(pooled.mean())),)
+
+    def known(self, block: Block, signal: Signal) -> BoolArray:
+        """Of the accelerometer its z."""
+        return block.known(signal, 2) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+
+    def start(self) -> ThrustLossState:
+        """The command gives what it gave in health."""
+        return ThrustLossState(np.ones(1), start_mean(COLUMNS))
+
+    def step(self, state: ThrustLossState, rows: Rows) -> tuple[ThrustLossState, Statistic]:
+        """The missing share at each of the next rows."""
+        spec, block = self.spec, rows.block
+        known = _known(block)
+        thrust = np.where(known, block.thrust, 1.0)
+        up = np.where(known, -block.force[:, 2], spec.per_command)
+        given = np.clip(up / (spec.per_command * thrust), 0.0, CUT)
+        usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
+        rate = np.where(known[:, None], block.rate, 0.0)
+        columns = np.column_stack((up, thrust, rate[:, :2], np.linalg.norm(rate, axis=1)))
+        mean_state, mean, full = sliding_mean(state.mean, columns, known, window_rows(WINDOW_S, block.dt_s))
+        expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
+        loss = 1.0 - mean[:, 0] / expected
+        value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
+        rotors = np.empty((len(block), 0)) if spec.layout is None else _towards(spec.layout, mean[:, 2:4])
+        state = replace(state, usual=usual, mean=mean_state)
+        return state, Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
+
+
+def _known(block: Block) -> BoolArray:
+    sound = block.valid & np.isfinite(block.rate).all(axis=1)
+    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, 2) & (block.thrust > MIN_THRUST), dtype=np.bool_)
+
+
+def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
+    """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
+    lost = -layout.mixing[:, :2]
+    sizes = np.linalg.norm(turning, axis=1)[:, None] * np.linalg.norm(lost, axis=1)
+    cosine: FloatArray = np.divide(
+        turning @ lost.T, sizes, out=np.zeros((len(turning), layout.rotors)), where=sizes > 0
+    )
+    return cosine

@@ -1,0 +1,146 @@
+"""What kind of fault it is, and when a rotor is named: the rules alone, and in the decision."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_statistics import statistic
+
+from mavdiag.decision.alarm import Change, DecisionSpec, DecisionState, Event, SlotSpec, Stage
+from mavdiag.decision.events import EventSpec
+from mavdiag.decision.kinds import KindReading, grown, named, upset
+from mavdiag.monitors import MONITORS
+from mavdiag.monitors.base import FaultKind, RotorEvidence
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
+
+HOW = RotorEvidence(8.0)
+FIRST, THIRD = (0.9, 0.0, 0.0, 0.0), (0.0, 0.0, 0.9, 0.0)
+PROPELLER = KindReading(FaultKind.PROPELLER, True, 3.0, 1.0, HOW, FIRST)
+SENSOR = KindReading(FaultKind.SENSOR, True, 2.0, 1.0)
+CONTROL = KindReading(FaultKind.LOSS_OF_CONTROL, True, 2.0, 1.0)
+THRUST = KindReading(FaultKind.GROSS_LOSS, True, 2.0, 1.0, HOW, THIRD)
+STEP_S = 0.02
+
+
+@pytest.mark.parametrize(
+    ("held", "readings", "kind"),
+    [
+        (None, [PROPELLER], FaultKind.PROPELLER),
+        (None, [PROPELLER, SENSOR], FaultKind.SENSOR),
+        (None, [SENSOR, CONTROL], FaultKind.LOSS_OF_CONTROL),
+        (None, [THRUST, CONTROL, SENSOR, PROPELLER], FaultKind.GROSS_LOSS),
+        (FaultKind.PROPELLER, [PROPELLER, CONTROL], FaultKind.LOSS_OF_CONTROL),
+        (FaultKind.SENSOR, [PROPELLER], FaultKind.SENSOR),  # it never shrinks
+        (FaultKind.GROSS_LOSS, [], FaultKind.GROSS_LOSS),
+        (None, [PROPELLER, replace(SENSOR, ratio=0.9)], FaultKind.PROPELLER),  # below its threshold
+        (None, [PROPELLER, replace(SENSOR, decides=False)], FaultKind.PROPELLER),
+    ],
+)
+def test_the_gravest_kind_holds(held: FaultKind | None, readings: list[KindReading], kind: FaultKind) -> None:
+    assert grown(held, readings, NS_PER_S) is kind
+
+
+def test_a_propeller_fault_of_long_ago_becomes_no_sensor_fault_but_may_get_out_of_control() -> None:
+    assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 10 * NS_PER_S) is FaultKind.SENSOR
+    assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR], 11 * NS_PER_S) is FaultKind.PROPELLER
+    assert grown(FaultKind.PROPELLER, [PROPELLER, SENSOR, CONTROL], 11 * NS_PER_S) is FaultKind.LOSS_OF_CONTROL
+
+
+def test_a_rotor_is_named_only_while_that_is_certain() -> None:
+    assert named(FaultKind.PROPELLER, [PROPELLER], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.69)], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.7)], False).rotor is None
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.49)], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.5)], False).rotor is None
+    for kind in (FaultKind.SENSOR, FaultKind.LOSS_OF_CONTROL):
+        assert named(kind, [PROPELLER, THRUST], False).rotor is None
+
+
+def test_a_gross_loss_shows_its_own_rotor_unless_one_was_named_before() -> None:
+    assert named(FaultKind.GROSS_LOSS, [PROPELLER, THRUST], False).rotor == 3
+    assert named(FaultKind.GROSS_LOSS, [PROPELLER, THRUST], True).rotor is None
+
+
+def test_an_upset_begins_at_half_of_a_loss() -> None:
+    assert not upset([PROPELLER, SENSOR, replace(CONTROL, ratio=0.49), replace(THRUST, ratio=0.1)])
+    assert upset([replace(CONTROL, ratio=0.5)])
+    assert upset([replace(THRUST, ratio=0.5)])
+
+
+def test_every_kind_has_a_monitor_that_decides() -> None:
+    assert {monitor.kind for monitor in MONITORS if monitor.decides} == set(FaultKind)
+
+
+def slot(name: str, kind: FaultKind, evidence: RotorEvidence | None = None) -> SlotSpec:
+    return SlotSpec(EventSpec(name, None, 1.0, 2.0), "", True, 0.0, evidence, None, kind)
+
+
+SPEC = DecisionSpec(
+    (
+        slot("unbalance", FaultKind.PROPELLER, HOW),
+        slot("sensor_noise", FaultKind.SENSOR),
+        slot("control_loss", FaultKind.LOSS_OF_CONTROL),
+        slot("thrust_loss", FaultKind.GROSS_LOSS, HOW),
+    )
+)
+
+
+def level(*pieces: tuple[float, float]) -> FloatArray:
+    """Pieces of (seconds, ratio)."""
+    return np.concatenate([np.full(round(span / STEP_S), ratio) for span, ratio in pieces])
+
+
+def values(x: FloatArray, *rotors: tuple[float, tuple[float, ...]]) -> Statistic:
+    """With evidence for the rotors, in pieces of (seconds, evidence)."""
+    found = statistic(x, first_s=0.0, dt_s=STEP_S, rotors=(0.0,) * 4 if rotors else ())
+    at = 0
+    for span, evidence in rotors:
+        found.rotors[at : at + round(span / STEP_S)] = evidence
+        at += round(span / STEP_S)
+    return found
+
+
+def decided(shaking: Statistic, *others: FloatArray) -> tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]:
+    found = [shaking, *(values(x) for x in others)]
+    found += [values(np.zeros(len(shaking)))] * (3 - len(others))
+    return SPEC.step(SPEC.start(), found, int(shaking.t_ns[-1]), final=True)
+
+
+def test_a_name_that_a_sensor_gave_is_withdrawn_from_the_fault_and_its_events() -> None:
+    shaking = values(level((2, 0.3), (4, 3.0)), (6, FIRST))
+    _, events, changes = decided(shaking, level((3, 0.1), (3, 2.0)))
+    faults = [one for one in changes if one.stage is Stage.FAULT]
+    assert [(one.kind, one.rotor) for one in faults] == [(FaultKind.PROPELLER, 1), (FaultKind.SENSOR, None)]
+    assert (faults[1].monitor, faults[1].reason) == ("sensor_noise", "it is a sensor fault")
+    assert [(one.monitor, one.kind, one.rotor) for one in events] == [
+        ("unbalance", FaultKind.PROPELLER, 1),
+        ("sensor_noise", FaultKind.SENSOR, None),
+    ]
+
+
+def test_in_an_upset_the_first_name_stays_and_the_kind_grows() -> None:
+    """The last name overwrote the first: right at 0.7 s in 7 of 7, wrong at the end in 6 of 7."""
+    shaking = values(level((2, 0.3), (4, 3.0)), (3, FIRST), (3, tuple(2.0 * x for x in THIRD)))
+    state, _, changes = decided(shaking, level((6, 0.1)), level((2.9, 0.1), (3.1, 3.0)))
+    assert [(one.kind, one.rotor) for one in changes if one.stage is Stage.FAULT] == [
+        (FaultKind.PROPELLER, 1),
+        (FaultKind.LOSS_OF_CONTROL, 1),
+    ]
+    assert (state.diagnosis.kind, state.diagnosis.rotor) == (FaultKind.LOSS_OF_CONTROL, 1)
+
+
+def test_an_upset_without_a_name_gets_none() -> None:
+    shaking = values(level((2, 0.3), (4, 3.0)), (6, FIRST))
+    _, _, changes = decided(shaking, level((6, 0.1)), level((1.9, 0.1), (4.1, 3.0)))
+    assert {one.rotor for one in changes} == {None}
+    assert changes[-1].kind is FaultKind.LOSS_OF_CONTROL
+
+
+def test_after_a_fault_the_kind_is_forgotten() -> None:
+    shaking = values(level((2, 0.3), (1, 3.0), (5, 0.1)), (8, FIRST))
+    state, _, changes = decided(shaking, level((8, 0.1)))
+    assert [one.stage for one in changes] == [Stage.QUIET, Stage.FAULT, Stage.QUIET]
+    assert state.diagnosis.kind is None
+    assert str(changes[1]).startswith("2.00 s propeller fault: ")

@@ -1,0 +1,182 @@
+"""The monitors of sensors and losses, on flights made by equations: what they find, and what leaves them silent."""
+
+import numpy as np
+import pytest
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import layout_named
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import LearnContext
+from mavdiag.monitors.control_loss import ControlLoss, ControlLossSpec
+from mavdiag.monitors.sensor_drift import GRAVITY, SensorDrift, SensorDriftSpec
+from mavdiag.monitors.sensor_noise import SensorNoise, SensorNoiseSpec
+from mavdiag.monitors.thrust_loss import ThrustLoss, ThrustLossSpec
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+
+DT_S = 0.01
+N = 4000
+AGREED = SensorDriftSpec(dt_s=DT_S, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=0.01, heading=0.01, lift=0.08)
+QUIET = SensorNoiseSpec(rms=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
+
+
+def context(dt_s: float = DT_S, corner_hz: float | None = None) -> LearnContext:
+    return LearnContext(Airframe(layout=layout_named("qdrone2")), corner_hz, dt_s, 11)
+
+
+def body_rates(angle: FloatArray) -> FloatArray:
+    """p, q, r of roll, pitch and yaw angles."""
+    (phi, theta, _), (roll, pitch, yaw) = angle.T, np.gradient(angle, DT_S, axis=0).T
+    q = np.cos(phi) * pitch + np.sin(phi) * np.cos(theta) * yaw
+    r = np.cos(phi) * np.cos(theta) * yaw - np.sin(phi) * pitch
+    return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
+
+
+def attitude(yaw_rate: float = 0.0) -> FloatArray:
+    """Roll and pitch swing by 0.1 rad, the heading turns."""
+    t = DT_S * np.arange(N)
+    return np.column_stack((0.1 * np.sin(0.9 * t), 0.1 * np.sin(0.7 * t + 1.0), yaw_rate * t))
+
+
+def level_force(angle: FloatArray) -> FloatArray:
+    """What an accelerometer reads that is not accelerated."""
+    phi, theta, _ = angle.T
+    down = np.column_stack((-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)))
+    return -GRAVITY * down
+
+
+def drift(angle: FloatArray, rate: FloatArray, force: FloatArray) -> Statistic:
+    monitor = SensorDrift(AGREED)
+    return monitor.step(monitor.start(), example_rows(N, DT_S, rate=rate, force=force, attitude=angle))[1]
+
+
+@pytest.mark.parametrize("yaw_rate", [0.0, 0.5, -2.0])
+def test_sensors_that_agree_are_silent_however_the_vehicle_turns(yaw_rate: float) -> None:
+    angle = attitude(yaw_rate)
+    assert drift(angle, body_rates(angle), level_force(angle)).value.max() < 1.0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_gyro_that_drifts_grows_by_its_integral(axis: int) -> None:
+    angle = attitude()
+    rate = body_rates(angle)
+    rate[:, axis] += 0.01
+    found = drift(angle, rate, level_force(angle))
+    for tick, span_s in ((399, 15.0), (79, 6.0)):  # after 8 s there are 6 s between the two means of 2 s
+        excused = 0.01 * 0.01 * span_s if axis == 2 else 0.0  # what a gyro that turns so far may be wrong by
+        expected = 0.01 * span_s / (0.01 + excused)
+        assert found.value[tick] == pytest.approx(expected, rel=0.1)
+
+
+def test_a_vertical_bias_counts_only_where_it_lasts() -> None:
+    angle = attitude()
+    lasting, short = level_force(angle), level_force(angle)
+    lasting[1000:, 2] += 0.4
+    short[1000:1200, 2] -= 2.0  # a climb that begins: 4 m/s more
+    assert drift(angle, body_rates(angle), lasting).value[-1] == pytest.approx(0.4 / 0.08, rel=0.05)
+    assert drift(angle, body_rates(angle), short).value.max() < 4.0 / 8.0 / 0.08 + 0.5  # half of it, over 4 s
+
+
+def test_a_gyro_scale_is_seen_in_a_turn_only() -> None:
+    angle, turning = attitude(), attitude(0.5)
+    assert drift(angle, 1.1 * body_rates(angle), level_force(angle)).value.max() < 3.0  # a tenth of the swings
+    assert drift(turning, 1.1 * body_rates(turning), level_force(turning)).value[-1] > 5.0
+
+
+def test_steep_and_fast_flight_is_not_judged() -> None:
+    angle = attitude()
+    rate = body_rates(angle)
+    rate[2000:2010, 0] = 4.0
+    found = drift(angle, rate, level_force(angle))
+    assert found.valid[199]
+    assert not found.valid[200]
+    assert not found.valid[239]  # it begins anew, and takes 4 s
+    assert found.valid[240]
+    steep = attitude()
+    steep[:, 0] = 0.8
+    assert not drift(steep, np.zeros((N, 3)), level_force(steep)).valid.any()
+
+
+def noise(rng: np.random.Generator, *loud: tuple[int, float]) -> Statistic:
+    """White noise on six axes, some of them louder."""
+    x = rng.normal(0.0, 1.0 / np.sqrt(70.0), (N, 6))  # 70: sum of squares of the fourth difference
+    for axis, times in loud:
+        x[N // 2 :, axis] *= times
+    monitor = SensorNoise(QUIET)
+    return monitor.step(monitor.start(), example_rows(N, 0.001, rate=x[:, :3], force=x[:, 3:]))[1]
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_noise_of_one_axis_is_found_and_shaking_of_several_is_not(axis: int) -> None:
+    rng = np.random.default_rng(axis)
+    alone = noise(rng, (axis, 5.0))
+    assert alone.value[: N // 2].max() < 1.0
+    assert alone.value[-1] > 1.5
+    both = noise(rng, (axis, 5.0), ((axis + 1) % 6, 3.0))
+    assert both.value.max() < 1.5
+
+
+def test_a_knock_is_no_noise() -> None:
+    rng = np.random.default_rng(4)
+    x = rng.normal(0.0, 1.0 / np.sqrt(70.0), (N, 6))
+    x[2000:2004, 5] += 100.0
+    monitor = SensorNoise(QUIET)
+    found = monitor.step(monitor.start(), example_rows(N, 0.001, rate=x[:, :3], force=x[:, 3:]))[1]
+    assert found.value.max() < 1.5
+
+
+def test_streams_that_carry_no_noise_are_refused() -> None:
+    rows = example_rows(N, DT_S, rate=np.ones((N, 3)), force=np.ones((N, 3)))
+    with pytest.raises(InputError, match="low-passed at 15 Hz"):
+        SensorNoise.fit([[rows]], context(corner_hz=15.0))
+    with pytest.raises(InputError, match="50 Hz"):
+        SensorNoise.fit([[rows]], context(dt_s=0.02))
+    with pytest.raises(InputError, match="attitude estimate"):
+        SensorDrift.fit([[rows]], context())
+
+
+def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:
+    rate = np.zeros((N, 3))
+    rate[1000:1400, 0] = 10.0
+    turning = np.zeros((N, 3))
+    turning[1000:1400, 0] = 10.0 * DT_S * np.arange(400)
+    turning[1400:, 0] = turning[1399, 0]
+    jump = np.zeros((N, 3))
+    jump[1000:, 2] = 1.5
+    monitor = ControlLoss(ControlLossSpec())
+    cases = {
+        "upset": (rate, np.zeros((N, 3)), 10.0),
+        "commanded": (rate, turning, 0.1),
+        "set-point that jumps": (np.zeros((N, 3)), jump, 0.1),
+    }
+    for name, (measured, setpoint, value) in cases.items():
+        found = monitor.step(None, example_rows(N, DT_S, rate=measured, setpoint=setpoint))[1]
+        inside = slice(1010, 1390)  # the rate filters see the edges
+        assert float(np.median(found.value[inside])) == pytest.approx(value, abs=0.2), name
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_rotor_that_is_gone_is_named_by_how_the_vehicle_falls(rotor: int) -> None:
+    layout = layout_named("qdrone2")
+    force, rate = np.tile([0.0, 0.0, -GRAVITY], (N, 1)), np.zeros((N, 3))
+    force[2000:, 2] *= 0.6
+    rate[2000:, :2] = -5.0 * layout.mixing[rotor - 1, :2]
+    monitor = ThrustLoss(ThrustLossSpec(layout=layout, per_command=2 * GRAVITY))
+    rows = example_rows(N, DT_S, rate=rate, force=force, thrust=np.full(N, 0.5))
+    _, found = monitor.step(monitor.start(), rows)
+    assert found.value[:2000].max() < 0.01
+    assert found.value[2015] == pytest.approx(0.4, abs=0.05)
+    assert int(found.rotors[2015].argmax()) + 1 == rotor
+
+
+def test_less_thrust_by_command_battery_or_payload_is_no_loss() -> None:
+    t = DT_S * np.arange(N)
+    thrust = 0.5 + 0.1 * np.sin(t)
+    battery = 1.0 - 0.3 * t / t[-1]
+    force = np.column_stack((np.zeros((N, 2)), -2 * GRAVITY * battery * thrust))
+    rate = np.full((N, 3), 3.0)
+    monitor = ThrustLoss(ThrustLossSpec(layout=None, per_command=2 * GRAVITY))
+    _, found = monitor.step(monitor.start(), example_rows(N, DT_S, rate=rate, force=force, thrust=thrust))
+    assert found.value.max() < 0.1
+    assert found.rotors.shape == (N, 0)
