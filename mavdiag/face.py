@@ -60,6 +60,7 @@ def learn(
     options: LearnOptions | None = None,
     vehicle: int | None = None,
     created: str | None = None,
+    robust: bool = False,
 ) -> Baseline:
     """A baseline from healthy flights.
 
@@ -69,9 +70,11 @@ def learn(
     options: how to learn.
     vehicle: MAVLink system id, where files hold several.
     created: time stamp to record, ISO 8601 UTC; the present time if None.
+    robust: leave out falls, copies and the like instead of refusing them.
     Raises InputError, IdentificationError or UsageError, in one line that says what to do.
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
+    chosen = replace(chosen, robust=chosen.robust or robust)
     found = [log for source in _each(flights) for log in _logs(source, vehicle)]
     return learning.learn(found, chosen, created=now() if created is None else created)
 

@@ -49,6 +49,9 @@ def identify(
     ] = None,
     name: Annotated[str | None, typer.Option(metavar="LABEL", help="What to call the airframe.")] = None,
     fleet: Annotated[bool, typer.Option("--fleet", help="The logs are of several vehicles of one type.")] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Leave out what is no healthy flight (falls, copies) instead of refusing.")
+    ] = False,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
@@ -66,6 +69,7 @@ def identify(
         monitors=THESIS if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
         rule=ThresholdRule.MAXIMUM if thesis else rule,
         alarms_per_hour=alarms_per_hour,
+        robust=robust,
     )
     options = with_airframe(options, airframe, name)
     if fleet:

@@ -12,7 +12,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window, sealed
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, airborne, front_for
+from mavdiag.learning.teaching import Taught, one_vehicle, taught
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
@@ -40,6 +40,7 @@ class LearnOptions:
     monitors: names of the monitors to use.
     rule: how thresholds follow from healthy maxima.
     alarms_per_hour: budget of all deciding monitors together.
+    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
     Raises UsageError for a monitor that there is not, or a budget that is not positive.
     """
 
@@ -52,6 +53,7 @@ class LearnOptions:
     monitors: tuple[str, ...] = ALL_MONITORS
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
+    robust: bool = False
 
     def __post_init__(self) -> None:
         for name in self.monitors:
@@ -88,10 +90,11 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     if not flights:
         raise InputError("no healthy flight to learn from")
     airframe = _airframe(options.airframe, flights[0].profile)
-    front = front_for(flights, options.window_s, airframe.gate)
-    learnt = [airborne(front, flight) for flight in flights]
-    rows = [one.rows for one in learnt]
-    airframe, unknown = _with_layout(airframe, rows)
+    found = taught(flights, options.window_s, airframe.gate, robust=options.robust)
+    airframe, unknown = _with_layout(airframe, [one.rows for one in found.flights])
+    if airframe.scope != "type":
+        found = one_vehicle(found, airframe.layout, robust=options.robust)
+    front, learnt, rows = found.front, found.flights, [one.rows for one in found.flights]
     fitted, refusals = _fit_all(rows, options, _context(options, airframe, front, flights[0].profile), unknown)
     if not fitted:
         reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
@@ -107,10 +110,10 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
                 gate=front.gate,
             ),
             window=Window(samples=front.rates.window, order=2),
-            monitors=tuple(_entries(fitted, options, len(flights))),
+            monitors=tuple(_entries(fitted, options, len(learnt))),
             not_judgeable=tuple(refusals),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
-            provenance=_provenance(learnt, created),
+            provenance=_provenance(found, created),
         )
     )
 
@@ -202,6 +205,9 @@ def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> 
     return entries
 
 
-def _provenance(flights: Sequence[LearntFlight], created: str) -> Provenance:
-    logs = tuple(SourceLog(name=one.flight.name, sha256=one.flight.sha256, judged_s=one.judged_s) for one in flights)
-    return Provenance(logs=logs, created=created, tool=f"mavdiag {__version__}")
+def _provenance(found: Taught, created: str) -> Provenance:
+    logs = tuple(
+        SourceLog(name=one.flight.name, sha256=one.flight.sha256, judged_s=one.judged_s) for one in found.flights
+    )
+    tool = f"mavdiag {__version__}"
+    return Provenance(logs=logs, created=created, tool=tool, left_out=found.left_out, notes=found.notes)
