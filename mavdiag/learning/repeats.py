@@ -50,7 +50,7 @@ def repeated(flights: Sequence[Log]) -> tuple[Finding, ...]:
 
 def _content(number: int, flight: Log) -> _Content:
     gyro = flight.telemetry.need(Signal.BODY_RATE)
-    values = np.ascontiguousarray(gyro.values + 0.0)  # without negative zeros
+    values = np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0  # without negative zeros
     runs, first = _runs(values)
     return _Content(number, flight, gyro.t_ns, hashlib.sha256(values.tobytes()).hexdigest(), runs, first)
 
