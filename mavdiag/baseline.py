@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.rows.align import Grid
@@ -164,6 +165,7 @@ class Baseline(_Part):
     not_judgeable: monitors that cannot work on such flights, and why.
     healthy_hours: flight that it was learnt from.
     provenance: where it came from.
+    fingerprint: what its flights showed of the vehicle; None if nothing, or in an older file.
     digest: over all the rest.
     """
 
@@ -177,6 +179,7 @@ class Baseline(_Part):
     not_judgeable: tuple[Refusal, ...]
     healthy_hours: NotNegative
     provenance: Provenance
+    fingerprint: Fingerprint | None = None
     digest: str = ""
 
     @property
@@ -306,5 +309,7 @@ def _digest(baseline: Baseline) -> str:
     for name in ("left_out", "notes"):  # fields that older files do not have count only where they say something
         if not content["provenance"][name]:
             del content["provenance"][name]
+    if content["fingerprint"] is None:
+        del content["fingerprint"]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.chain import Account, Chain, ChainState, chain_of
+from mavdiag.chain import Account, Chain, ChainState, chain_of, front_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.rows.align import measure_grid
+from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis, Log, pandas_module
 from mavdiag.units import NS_PER_S
 
@@ -104,17 +106,32 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     except BaselineError as error:
         reason = f"another link: {error}"
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
+    likeness = _likeness(log, baseline)
+    alike = likeness.sentence(baseline.airframe.name)
+    if likeness.outcome is Outcome.FAR:
+        reason = f"another vehicle: {alike}"
+        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
     chain = chain_of(baseline)
     state, first = chain.step(chain.start(), log.telemetry)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
     monitors = _summaries(chain, state, events)
     verdict, reason = _verdict(monitors, state, events, changes)
-    reason = "; ".join((reason, *log.notes))
+    reason = "; ".join((reason, *((alike,) if alike else ()), *log.notes))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
     return LogVerdict(
         log.name, verdict, reason, state.judged_s, log.profile, 1 / dt_s, monitors, judged, tuple(changes)
     )
+
+
+def _likeness(log: Log, baseline: Baseline) -> Likeness:
+    """How the beginning of the flight compares with the vehicle of the baseline."""
+    if baseline.fingerprint is None:
+        return Likeness(Outcome.ALIKE)
+    front = front_of(baseline)
+    state, parts = front.step(front.start(), log.telemetry)
+    rows = [part for part in (*parts, *front.finish(state)[1]) if isinstance(part, Rows)]
+    return compare(baseline.fingerprint, rows, baseline.airframe.layout)
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:

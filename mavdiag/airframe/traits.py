@@ -6,8 +6,9 @@ NaN. `mavdiag.airframe.fingerprint` compares flights by them.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -15,11 +16,25 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
-__all__ = ["joined", "joined_rates", "trim_of"]
+__all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits", "trim_of"]
 
+TRIM_S = 1.0  # of one mean of the trim (our choice)
+NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
+CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
+SLOW_S = 0.3  # means of the rates that are compared for the gain (our choice)
+MOST_LAG_S = 0.4  # between commanded and measured rate (our choice)
+GAIN_CORRELATION = 0.9  # of commanded and measured slow rates; with less the gain is that of noise (our choice)
+TURN_S = 0.1  # means of the gyro whose difference is the angular acceleration (our choice)
+TURN_LAG_S = 0.2  # between outputs and acceleration (our choice)
+TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
+LAG_STEP_S = 0.02
+PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
+ALIKE = 0.4  # of the logarithm of the level of two motors (our choice)
+MOVES = 0.2  # of the busiest motor's rms (our choice)
 
 
 def joined(flight: Sequence[Rows]) -> list[Block]:
@@ -70,3 +85,157 @@ def trim_of(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
     known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
     command = block.torque * np.array(layout.torque_gain)
     return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+
+
+@dataclass(frozen=True, slots=True)
+class Trait:
+    """name: how a text calls it. log: its figure is a natural logarithm, and a text gives the ratio."""
+
+    name: str
+    log: bool = False
+
+
+TRAITS: tuple[Trait, ...] = (
+    *(Trait(f"{axis} trim") for axis in ("roll", "pitch", "yaw")),
+    *(Trait(f"gyro noise {axis}", log=True) for axis in "pqr"),
+    *(Trait(f"accelerometer noise {axis}", log=True) for axis in "xyz"),
+    *(Trait(f"{axis} gain", log=True) for axis in ("roll", "pitch")),
+    *(Trait(f"{axis} authority", log=True) for axis in ("roll", "pitch")),
+    Trait("hover throttle", log=True),
+    Trait("motors"),
+)
+"""What `traits` gives, in this order.
+
+trim: median over seconds of the trim of the rotors [fraction of hover].
+noise: rms of the second differences of gyro [rad/s] and accelerometer [m/s^2] in calm flight.
+gain: of slow measured rates on slow commanded rates.
+authority: angular acceleration for a unit of trim [rad/s^2].
+hover throttle: median mean output, or thrust set-point.
+motors: outputs that move like motors, whatever the layout.
+"""
+
+
+def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
+    """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
+    blocks, rates = joined(flight), joined_rates(flight)
+    trims = [] if layout is None else [trim_of(block, layout) for block in blocks]
+    trim = np.concatenate(
+        [np.empty((0, 3)), *(_means(value, known, block.dt_s) for block, (value, known) in zip(blocks, trims, strict=False))]
+    )
+    turning = [(block, value, known) for block, (value, known) in zip(blocks, trims, strict=False)]
+    return np.array(
+        [
+            *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
+            *_noise([(block.rate, block.valid) for block in blocks], blocks),
+            *_noise([(block.force, block.valid & np.isfinite(block.force[:, 2])) for block in blocks], blocks),
+            *(_gain(rates, axis) for axis in (0, 1)),
+            *(_authority(turning, axis) for axis in (0, 1)),
+            _throttle(blocks, layout),
+            _motors(blocks),
+        ]
+    )
+
+
+def _means(values: FloatArray, known: BoolArray, dt_s: float) -> FloatArray:
+    """(w, 3) means over a second, of what is known throughout."""
+    window = window_rows(TRIM_S, dt_s)
+    whole = window_all(known, window)
+    means: FloatArray = window_mean(values, window)[whole]
+    return means[:: max(1, window // 4)]
+
+
+def beginning(flight: Sequence[Rows], span_s: float) -> list[Rows]:
+    """The first rows of a flight that hold so much valid flight [s]."""
+    out: list[Rows] = []
+    left_s = span_s
+    for rows in flight:
+        block, rates = rows.block, rows.rates
+        seen_s = np.cumsum(block.valid) * block.dt_s
+        stop = int(np.searchsorted(seen_s, left_s, side="right"))
+        if stop < len(block):
+            last = int(np.searchsorted(rates.t_ns, block.t_ns[stop]))
+            columns = (getattr(rates, field.name)[:last] for field in fields(RateBlock)[2:])
+            out.append(Rows(block.rows(0, stop), RateBlock(rates.segment, rates.dt_s, *columns)))
+            break
+        out.append(rows)
+        left_s -= float(seen_s[-1]) if len(seen_s) else 0.0
+    return out
+
+
+def _noise(signals: Sequence[tuple[FloatArray, BoolArray]], blocks: Sequence[Block]) -> FloatArray:
+    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows."""
+    found = [np.empty((0, 3))]
+    for (values, known), block in zip(signals, blocks, strict=True):
+        window = window_rows(NOISE_WINDOW_S, block.dt_s)
+        squares = np.where(window_all(known, 3)[:, None], np.square(np.diff(values, n=2, axis=0)), np.nan)
+        found.append(window_mean(squares, window)[:: max(1, window // 2)])
+    squares = np.concatenate(found)
+    return np.array([_log_root(column[np.isfinite(column)]) for column in squares.T])
+
+
+def _log_root(squares: FloatArray) -> float:
+    calm = float(np.quantile(squares, CALM_SHARE)) if len(squares) else 0.0
+    return 0.5 * math.log(calm) if calm > 0 else math.nan
+
+
+def _gain(rates: Sequence[RateBlock], axis: int) -> float:
+    """Logarithm of the gain of slow measured rates on slow commanded ones."""
+    pairs = []
+    for one in rates:
+        window = window_rows(SLOW_S, one.dt_s)
+        for first, stop in spans(one.commanded):
+            if stop - first > window_rows(PIECE_S, one.dt_s):
+                slow = window_mean(np.stack((one.u[first:stop, axis], one.y[first:stop, axis]), axis=1), window)
+                pairs.append((slow[:, 0] - slow[:, 0].mean(), slow[:, 1] - slow[:, 1].mean()))
+    return _slope(pairs, rates[0].dt_s, MOST_LAG_S, GAIN_CORRELATION) if pairs else math.nan
+
+
+def _authority(turning: Sequence[tuple[Block, FloatArray, BoolArray]], axis: int) -> float:
+    """Logarithm of the angular acceleration for a unit of trim."""
+    pairs = []
+    for block, trim, known in turning:
+        window = window_rows(TURN_S, block.dt_s)
+        for first, stop in spans(known & block.valid):
+            if stop - first > window_rows(PIECE_S, block.dt_s):
+                rate = window_mean(block.rate[first:stop, axis : axis + 1], window)[:, 0]
+                faster = (rate[window:] - rate[:-window]) / (window * block.dt_s)
+                command = window_mean(trim[first:stop, axis : axis + 1], 2 * window)[: len(faster), 0]
+                pairs.append((command - command.mean(), faster[: len(command)] - faster.mean()))
+    return _slope(pairs, turning[0][0].dt_s, TURN_LAG_S, TURN_CORRELATION) if pairs else math.nan
+
+
+def _slope(pairs: Sequence[tuple[FloatArray, FloatArray]], dt_s: float, most_lag_s: float, least: float) -> float:
+    """Logarithm of the least-squares slope of y on x at the lag where they correlate best; NaN if below `least`."""
+    best, slope = 0.0, math.nan
+    for lag in range(0, window_rows(most_lag_s, dt_s) + 1, window_rows(LAG_STEP_S, dt_s)):
+        cut = [(x[: len(x) - lag], y[lag:]) for x, y in pairs if len(x) > 2 * lag]
+        xy = sum(float(x @ y) for x, y in cut)
+        xx, yy = (sum(float(part[i] @ part[i]) for part in cut) for i in (0, 1))
+        if xx > 0 and yy > 0 and xy / math.sqrt(xx * yy) > best:
+            best, slope = xy / math.sqrt(xx * yy), xy / xx
+    return math.log(slope) if best >= least else math.nan
+
+
+def _throttle(blocks: Sequence[Block], layout: RotorLayout | None) -> float:
+    """Logarithm of the median thrust set-point in flight, or of the motors' mean output where there is none."""
+    thrust = np.concatenate([np.empty(0), *(block.thrust[block.valid] for block in blocks)])
+    if not np.isfinite(thrust).any() and layout is not None:
+        outputs = [block.actuator[block.valid, : layout.rotors] for block in blocks]
+        thrust = np.concatenate([np.empty(0), *(one.mean(axis=1) for one in outputs if one.shape[1])])
+    known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
+    return math.log(float(np.median(known))) if len(known) else math.nan
+
+
+def _motors(blocks: Sequence[Block]) -> float:
+    """How many outputs move at about the level of the one that moves most; NaN if none is sent."""
+    width = min((block.actuator.shape[1] for block in blocks), default=0)
+    if not width:
+        return math.nan
+    outputs = np.concatenate([block.actuator[block.valid, :width] for block in blocks])
+    outputs = outputs[np.isfinite(outputs).all(axis=1)]
+    if not len(outputs):
+        return math.nan
+    level, moves = outputs.mean(axis=0), outputs.std(axis=0)
+    busiest = int(np.where(level > MIN_OUTPUT, moves, 0.0).argmax())
+    alike = (np.abs(np.log(np.maximum(level, 1e-9) / max(level[busiest], 1e-9))) < ALIKE) & (moves > MOVES * moves[busiest])
+    return float(np.count_nonzero(alike))

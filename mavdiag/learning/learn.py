@@ -8,6 +8,7 @@ from typing import Any
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import detect_layout
+from mavdiag.airframe.fingerprint import fingerprint_of
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window, sealed
 from mavdiag.errors import IdentificationError, InputError, UsageError
@@ -114,6 +115,7 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
             not_judgeable=tuple(refusals),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
             provenance=_provenance(found, created),
+            fingerprint=fingerprint_of(rows, airframe.layout),
         )
     )
 
