@@ -53,7 +53,7 @@ class _Limit:
 
 
 _NEVER = math.inf
-_NOISE = _Limit(0.1, math.log(1.5), _NEVER, math.log(4.0), _NEVER)
+_NOISE = _Limit(0.1, math.log(2.0), _NEVER, math.log(4.0), _NEVER)
 # Floors: what healthy flights of one emulated airframe differ by, trims in payload and wind among them (estimates).
 _LIMITS: tuple[_Limit, ...] = (
     *(_Limit(floor, _NEVER, _NEVER, _NEVER, _NEVER) for floor in (0.01, 0.01, 0.002)),

@@ -120,7 +120,10 @@ def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
     blocks, rates = joined(flight), joined_rates(flight)
     trims = [] if layout is None else [trim_of(block, layout) for block in blocks]
     trim = np.concatenate(
-        [np.empty((0, 3)), *(_means(value, known, block.dt_s) for block, (value, known) in zip(blocks, trims, strict=False))]
+        [
+            np.empty((0, 3)),
+            *(_means(value, known, block.dt_s) for block, (value, known) in zip(blocks, trims, strict=False)),
+        ]
     )
     turning = [(block, value, known) for block, (value, known) in zip(blocks, trims, strict=False)]
     return np.array(
@@ -237,5 +240,6 @@ def _motors(blocks: Sequence[Block]) -> float:
         return math.nan
     level, moves = outputs.mean(axis=0), outputs.std(axis=0)
     busiest = int(np.where(level > MIN_OUTPUT, moves, 0.0).argmax())
-    alike = (np.abs(np.log(np.maximum(level, 1e-9) / max(level[busiest], 1e-9))) < ALIKE) & (moves > MOVES * moves[busiest])
+    ratio = np.maximum(level, MIN_OUTPUT) / max(float(level[busiest]), MIN_OUTPUT)
+    alike = (np.abs(np.log(ratio)) < ALIKE) & (level > MIN_OUTPUT) & (moves > MOVES * moves[busiest])
     return float(np.count_nonzero(alike))

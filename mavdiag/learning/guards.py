@@ -107,7 +107,8 @@ def _compared(blocks: Sequence[_Block]) -> FloatArray:
         at_rest = _median(np.exp(logs[calm, column]))
         share = _median(np.exp(logs[lively, column]) / busy[lively]) if lively.any() else 0.0
         logs[:, column] -= np.log(np.hypot(at_rest, share * busy) + np.finfo(float).tiny)
-    return logs - np.array([_median(column) for column in logs.T])
+    middle = np.array([_median(column) for column in logs.T])
+    return np.asarray(logs - middle, dtype=np.float64)
 
 
 def _median(x: FloatArray) -> float:
@@ -182,7 +183,8 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
     mean, rest = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
     text = (
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {_three(mean)} in "
-        f"{', '.join(names[i] for i in odd)} and {_three(rest)} in the others: two airframes, sets of propellers or sessions"
+        f"{', '.join(names[i] for i in odd)} and {_three(rest)} in the others: "
+        "two airframes, sets of propellers or sessions"
     )
     if not refuses:
         return (Finding(numbers[odd[0]], names[odd[0]], Kind.GROUPS, text, refuses=False),)

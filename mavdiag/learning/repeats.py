@@ -1,7 +1,7 @@
 """Guard of teaching: a flight that counts twice, found by its content and not by its name.
 
-Two copies of one file have one SHA-256. A copy in another container, or a part of a log, has the same gyro samples; they
-are compared by their values, since a container may change the stamps.
+Two copies of one file have one SHA-256. A copy in another container, or a part of a log, has the same gyro samples;
+they are compared by their values, since a container may change the stamps.
 """
 
 import hashlib
@@ -24,7 +24,11 @@ ODD = 0x9E3779B97F4A7C15  # the golden ratio times 2^64: a multiplier that sprea
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Content:
-    """Of a flight's gyro: digest of all values, hashes of the runs that move (m,), and the first sample of each (m,)."""
+    """Of a flight's gyro.
+
+    t_ns: (n,) its times. digest: of all values. runs: (m,) hashes of the runs that move.
+    first: (m,) the sample that each begins with.
+    """
 
     number: int
     log: Log
