@@ -1,4 +1,4 @@
-"""The guards of teaching on emulated flights: sets of healthy flights that they refuse, and made-up cases that they miss.
+"""The guards of teaching on emulated flights: healthy sets that they refuse, and made-up cases that they miss.
 
     python benchmarks/teaching_guards.py [--sets 120] [--seed 0]
 

@@ -7,8 +7,9 @@ must not be taken for another vehicle. So only that counts which damage to one r
 - Damage shifts the trim along the rotor's own pattern: the best rise of one rotor is taken out of the shift. A rise of
   less than 0.02 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
 - Damage raises vibration: only lower noise counts.
-- Damage costs thrust: a lower hover throttle counts, a higher one only if it is far higher.
+- Damage costs thrust: a lower hover throttle counts, a higher one is only noted.
 - Damage hardly changes how the vehicle follows its commands, nor how many motors it has.
+- Trim and throttle of a vehicle that tumbles say nothing: only calm seconds count.
 
 Sessions of one vehicle differ as well, in battery, payload and propellers. What is far (`FAR`) is beyond all that they
 were seen to do, and the flight is refused. What is near (`NEAR`) is significant against the learnt flights alone: it is
@@ -60,7 +61,7 @@ _LIMITS: tuple[_Limit, ...] = (
     *(_NOISE,) * 6,
     *(_Limit(0.1, math.log(1.5), math.log(1.5), math.log(2.0), math.log(2.0)),) * 2,
     *(_Limit(0.2, _NEVER, math.log(2.0), math.log(4.0), math.log(4.0)),) * 2,
-    _Limit(0.03, math.log(1.15), math.log(1.4), math.log(1.5), math.log(2.0)),
+    _Limit(0.03, math.log(1.15), math.log(1.4), math.log(1.5), _NEVER),
     _Limit(0.1, OTHER_MOTORS, OTHER_MOTORS, OTHER_MOTORS, OTHER_MOTORS),
 )
 """Of TRAITS, in the same order; choices of ours, held against recorded sessions, cuts, tape and weights."""

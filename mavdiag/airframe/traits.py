@@ -21,6 +21,7 @@ from mavdiag.telemetry import BoolArray, FloatArray, Signal
 
 __all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits", "trim_of"]
 
+CALM_RAD_S = 2.0  # rms of the body rates over a second (our choice)
 TRIM_S = 1.0  # of one mean of the trim (our choice)
 NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
 CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
@@ -118,13 +119,12 @@ motors: outputs that move like motors, whatever the layout.
 def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
     blocks, rates = joined(flight), joined_rates(flight)
+    calm = [_calm(block) for block in blocks]
     trims = [] if layout is None else [trim_of(block, layout) for block in blocks]
-    trim = np.concatenate(
-        [
-            np.empty((0, 3)),
-            *(_means(value, known, block.dt_s) for block, (value, known) in zip(blocks, trims, strict=False)),
-        ]
+    means = (
+        _means(value, known & ok, block.dt_s) for block, ok, (value, known) in zip(blocks, calm, trims, strict=False)
     )
+    trim = np.concatenate([np.empty((0, 3)), *means])
     turning = [(block, value, known) for block, (value, known) in zip(blocks, trims, strict=False)]
     return np.array(
         [
@@ -133,10 +133,18 @@ def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
             *_noise([(block.force, block.valid & np.isfinite(block.force[:, 2])) for block in blocks], blocks),
             *(_gain(rates, axis) for axis in (0, 1)),
             *(_authority(turning, axis) for axis in (0, 1)),
-            _throttle(blocks, layout),
+            _throttle(blocks, calm, layout),
             _motors(blocks),
         ]
     )
+
+
+def _calm(block: Block) -> BoolArray:
+    """(n,) valid rows that begin a second of less than CALM_RAD_S rms: the vehicle does not tumble."""
+    window = min(window_rows(TRIM_S, block.dt_s), len(block))
+    squares = window_mean(np.square(block.rate).sum(axis=1)[:, None], window)[:, 0] if window else np.empty(0)
+    squares = np.append(squares, np.repeat(squares[-1:], len(block) - len(squares)))
+    return np.asarray(block.valid & (squares < CALM_RAD_S**2), dtype=np.bool_)
 
 
 def _means(values: FloatArray, known: BoolArray, dt_s: float) -> FloatArray:
@@ -219,11 +227,11 @@ def _slope(pairs: Sequence[tuple[FloatArray, FloatArray]], dt_s: float, most_lag
     return math.log(slope) if best >= least else math.nan
 
 
-def _throttle(blocks: Sequence[Block], layout: RotorLayout | None) -> float:
+def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorLayout | None) -> float:
     """Logarithm of the median thrust set-point in flight, or of the motors' mean output where there is none."""
-    thrust = np.concatenate([np.empty(0), *(block.thrust[block.valid] for block in blocks)])
+    thrust = np.concatenate([np.empty(0), *(b.thrust[ok] for b, ok in zip(blocks, calm, strict=True))])
     if not np.isfinite(thrust).any() and layout is not None:
-        outputs = [block.actuator[block.valid, : layout.rotors] for block in blocks]
+        outputs = [b.actuator[ok, : layout.rotors] for b, ok in zip(blocks, calm, strict=True)]
         thrust = np.concatenate([np.empty(0), *(one.mean(axis=1) for one in outputs if one.shape[1])])
     known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
     return math.log(float(np.median(known))) if len(known) else math.nan
