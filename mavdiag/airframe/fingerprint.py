@@ -5,7 +5,7 @@ its spread between flights. A flight that is far from it is of another vehicle. 
 must not be taken for another vehicle. So only that counts which damage to one rotor does not do:
 
 - Damage shifts the trim along the rotor's own pattern: the best rise of one rotor is taken out of the shift. A rise of
-  less than 0.02 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
+  less than 0.025 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
 - Damage raises vibration: only lower noise counts.
 - Damage costs thrust: a lower hover throttle counts, a higher one is only noted.
 - Damage hardly changes how the vehicle follows its commands, nor how many motors it has.
@@ -33,8 +33,8 @@ __all__ = ["FIRST_S", "Figure", "Fingerprint", "Likeness", "Outcome", "compare",
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
-FAR_TRIM = 0.06  # of the hover command, roll and pitch counting a third; recorded sessions and a weight give 0.03
-DAMAGE_RISE = 0.02  # of the hover command: what the rotor-trim monitor takes for a rotor's rise at the least
+FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
+DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor takes for a rise (our choice)
 LEVEL_RATIO = 3.0  # payload and wind move roll and pitch: they count a third
 RAISED = math.log(1.5)  # of a noise: vibration that damage may have made (our choice)
 OTHER_MOTORS = 2  # a quadrotor is no hexarotor
@@ -165,9 +165,10 @@ def _trim(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None, rai
     """Whether the trim is far, and whether it is near."""
     if layout is None or not np.isfinite(shift).all():
         return False, False
+    level = np.array([LEVEL_RATIO, LEVEL_RATIO, 1.0])
+    _, rest = _without_rotor(shift, level, layout)
+    far = float(np.linalg.norm(rest / level)) > FAR_TRIM and float(np.linalg.norm(rest / spread)) > FAR_SPREADS
     rise, rest = _without_rotor(shift, spread, layout)
-    weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
-    far = float(np.linalg.norm(rest * weight)) > FAR_TRIM and float(np.linalg.norm(rest / spread)) > FAR_SPREADS
     if rise >= DAMAGE_RISE or raised:
         return far, float(np.linalg.norm(rest / spread)) > FAR_SPREADS
     return far, float(np.linalg.norm(shift / spread)) > SIGNIFICANT

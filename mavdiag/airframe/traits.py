@@ -34,7 +34,7 @@ TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
 LAG_STEP_S = 0.02
 PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
-ALIKE = 0.4  # of the logarithm of the level of two motors (our choice)
+ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
 MOVES = 0.2  # of the busiest motor's rms (our choice)
 
 
@@ -238,7 +238,7 @@ def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorL
 
 
 def _motors(blocks: Sequence[Block]) -> float:
-    """How many outputs move at about the level of the one that moves most; NaN if none is sent."""
+    """How many outputs move, at about the same level; NaN if none is sent."""
     width = min((block.actuator.shape[1] for block in blocks), default=0)
     if not width:
         return math.nan
@@ -247,7 +247,8 @@ def _motors(blocks: Sequence[Block]) -> float:
     if not len(outputs):
         return math.nan
     level, moves = outputs.mean(axis=0), outputs.std(axis=0)
-    busiest = int(np.where(level > MIN_OUTPUT, moves, 0.0).argmax())
-    ratio = np.maximum(level, MIN_OUTPUT) / max(float(level[busiest]), MIN_OUTPUT)
-    alike = (np.abs(np.log(ratio)) < ALIKE) & (level > MIN_OUTPUT) & (moves > MOVES * moves[busiest])
-    return float(np.count_nonzero(alike))
+    moving = (level > MIN_OUTPUT) & (moves > MOVES * np.where(level > MIN_OUTPUT, moves, 0.0).max())
+    if not moving.any():
+        return 0.0
+    ratio = np.maximum(level, MIN_OUTPUT) / float(np.median(level[moving]))
+    return float(np.count_nonzero(moving & (np.abs(np.log(ratio)) < ALIKE)))

@@ -28,8 +28,8 @@ UPSIDE_DOWN_G = 0.3  # towards the belly (our choice)
 TILT_RAD = math.radians(90.0)  # from the vertical (our choice)
 ERROR_RAD = math.radians(60.0)  # from the commanded attitude (our choice)
 TUMBLE_RAD_S = 5.0  # roll and pitch rates together (our choice)
-TUMBLE_RATIO = 5.0  # and against the rate that the flight stays below for 95 % of its time (our choice)
-USUAL_SHARE = 0.95
+TUMBLE_RATIO = 5.0  # and against the rate that the flight stays below for three quarters of its time
+USUAL_SHARE = 0.75
 MARGIN_S = 2.0  # of the flight before the first sign and after the last that belong to the upset (our choice)
 REST_S = 10.0  # less flight than this after it is left out with it (our choice)
 
@@ -66,7 +66,7 @@ def _motions(blocks: Sequence[Block]) -> Iterator[Sign]:
         # A vehicle that sends the z axis alone is judged by it.
         size = np.where(known, np.sqrt(np.nansum(block.force**2, axis=1)), np.nan) / G
         size = _mean(size, block.dt_s)
-        yield from _spells(t_s, size < FALL_G, size, "free fall, specific force {:.2f} g")
+        yield from _spells(t_s, size < FALL_G, -size, "free fall, specific force {:.2f} g")
         down = _mean(block.force[:, 2] / G, block.dt_s)
         yield from _spells(t_s, down > UPSIDE_DOWN_G, down, "upside down, specific force {:.1f} g towards the belly")
 
@@ -110,7 +110,7 @@ def _mean(x: FloatArray, dt_s: float) -> FloatArray:
 
 
 def _spells(t_s: FloatArray, sign: BoolArray, value: FloatArray, text: str) -> Iterator[Sign]:
-    """Each spell of a sign (m,) over windows of the samples at t_s (n,), with the figure at its start."""
+    """Each spell of a sign (m,) over windows of the samples at t_s (n,), with the size of its greatest value."""
     window = len(t_s) - len(sign)
     for first, stop in spans(np.asarray(sign, dtype=np.bool_)):
-        yield float(t_s[first]), float(t_s[stop - 1 + window]), text.format(float(value[first]))
+        yield float(t_s[first]), float(t_s[stop - 1 + window]), text.format(abs(float(value[first:stop].max())))
