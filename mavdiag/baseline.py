@@ -24,10 +24,12 @@ from pydantic import (
 )
 
 from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.rows.align import Grid
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered
@@ -57,7 +59,7 @@ __all__ = [
 OLD_SCHEMAS = ("mavdiag.baseline/1", "mavdiag.baseline/2")
 SCHEMA = "mavdiag.baseline/3"
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
-RATE_TOLERANCE = 0.02  # of the sample time; beyond it the model's poles mean another system (our choice)
+RATE_TOLERANCE = NATIVE_TOLERANCE
 REMEDY = "make the baseline anew with `mavdiag identify`"
 
 Positive = Annotated[float, Field(gt=0)]
@@ -172,11 +174,18 @@ class SourceLog(_Part):
 
 
 class Provenance(_Part):
-    """Where the baseline came from. created: ISO 8601, UTC."""
+    """Where the baseline came from.
+
+    created: ISO 8601, UTC.
+    left_out: parts and logs that were given but not learnt, and why.
+    notes: what was odd about the flights though they were learnt.
+    """
 
     logs: Annotated[tuple[SourceLog, ...], Field(min_length=1)]
     created: str
     tool: str
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Baseline(_Part):
@@ -189,6 +198,7 @@ class Baseline(_Part):
     envelope: the conditions that the healthy flights covered.
     healthy_hours: flight that it was learnt from.
     provenance: where it came from.
+    fingerprint: what its flights showed of the vehicle; None if nothing, or in an older file.
     digest: over all the rest.
     """
 
@@ -203,6 +213,7 @@ class Baseline(_Part):
     envelope: tuple[Covered, ...] = ()
     healthy_hours: NotNegative
     provenance: Provenance
+    fingerprint: Fingerprint | None = None
     digest: str = ""
 
     @property
@@ -268,6 +279,8 @@ class Baseline(_Part):
             lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))
         lines += [f"{one.monitor:<15} not judgeable: {one.reason}" for one in self.not_judgeable]
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
+        lines += [f"left out   {one}" for one in self.provenance.left_out]
+        lines += [f"note       {one}" for one in self.provenance.notes]
         return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()])
 
     def _advice(self) -> list[str]:
@@ -344,11 +357,16 @@ def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:
     if profile != link.profile:  # a log and a live link of one vehicle differ too: in filters, rates and stamps
         differ = f"the baseline is for {link.profile!r}, the data are {profile!r}"
         raise BaselineError(f"link.profile: {differ}; learn one from healthy flights of this kind")
-    if abs(dt_s / link.dt_s - 1.0) > RATE_TOLERANCE:
+    if abs(dt_s / link.dt_s - 1.0) > rate_tolerance(link.grid, link.dt_s, baseline.window.samples * link.dt_s):
         raise BaselineError(f"link.dt_s: the baseline is for {1 / link.dt_s:.1f} Hz, the data have {1 / dt_s:.1f} Hz")
 
 
 def _digest(baseline: Baseline) -> str:
     content: dict[str, Any] = baseline.model_dump(mode="json", by_alias=True, exclude={"digest"})
+    for name in ("left_out", "notes"):  # fields that older files do not have count only where they say something
+        if not content["provenance"][name]:
+            del content["provenance"][name]
+    if content["fingerprint"] is None:
+        del content["fingerprint"]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

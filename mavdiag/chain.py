@@ -172,16 +172,16 @@ class Chain:
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
         front, parts = self.front.step(state.front, telemetry)
-        return self._judge(replace(state, front=front), parts)
+        return self.judge(replace(state, front=front), parts)
 
     def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The link was lost or the watch ends: close what is open. Rows may go on later."""
-        return self._judge(state, () if state.now_ns is None else (Border(state.now_ns),))
+        return self.judge(state, () if state.now_ns is None else (Border(state.now_ns),))
 
     def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
         front, parts = self.front.finish(state.front)
-        state, output = self._judge(replace(state, front=front), parts)
+        state, output = self.judge(replace(state, front=front), parts)
         if state.now_ns is None:
             return state, output
         decision, events, changes = self.decision.step(state.decision, (), state.now_ns, final=True)
@@ -192,7 +192,8 @@ class Chain:
     def _fresh(self) -> tuple[Any, ...]:
         return tuple(slot.monitor.start() for slot in self.slots)
 
-    def _judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> tuple[ChainState, ChainOutput]:
+    def judge(self, state: ChainState, parts: Sequence[Rows | Border]) -> tuple[ChainState, ChainOutput]:
+        """Take in rows that its front made."""
         output = ChainOutput()
         for part in parts:
             if isinstance(part, Border):

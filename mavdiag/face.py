@@ -20,9 +20,8 @@ from mavdiag.decision.alarm import Change, Diagnosis, Event
 from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
-from mavdiag.learning.flights import front_for
+from mavdiag.learning.flights import front_for, rows_of
 from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
-from mavdiag.rows.gate import Border
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
 __all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "with_airframe"]
@@ -60,6 +59,7 @@ def learn(
     options: LearnOptions | None = None,
     vehicle: int | None = None,
     created: str | None = None,
+    robust: bool = False,
 ) -> Baseline:
     """A baseline from healthy flights.
 
@@ -69,9 +69,11 @@ def learn(
     options: how to learn.
     vehicle: MAVLink system id, where files hold several.
     created: time stamp to record, ISO 8601 UTC; the present time if None.
+    robust: leave out falls, copies and the like instead of refusing them.
     Raises InputError, IdentificationError or UsageError, in one line that says what to do.
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
+    chosen = replace(chosen, robust=chosen.robust or robust)
     found = [log for source in _each(flights) for log in _logs(source, vehicle)]
     return learning.learn(found, chosen, created=now() if created is None else created)
 
@@ -96,8 +98,7 @@ def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRate
         raise UsageError(f"no axis {axis!r}; there are {', '.join(Axis)}")
     log = flight if isinstance(flight, Log) else read_log(flight)
     front = front_for([log], window_s)
-    state, first = front.step(front.start(), log.telemetry)
-    rows = [part for part in (*first, *front.finish(state)[1]) if not isinstance(part, Border)]
+    rows = rows_of(front, log.telemetry)
     pieces = training_pieces(rows, Axis(axis))
     if not pieces:
         raise InputError(f"{log.name}: no unbroken flight of {MIN_PIECE_S:g} s with a set-point; fly longer")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, chain_of
@@ -12,6 +13,8 @@ from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
+from mavdiag.rows.front import Rows
+from mavdiag.rows.gate import Border
 from mavdiag.telemetry import Axis, Log, pandas_module
 from mavdiag.units import NS_PER_S
 
@@ -115,12 +118,18 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     chain = chain_of(baseline, log.started_ns)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
-    state, first = chain.step(chain.start(), log.telemetry)
+    parts = chain.front.whole(log.telemetry)
+    likeness = _likeness(parts, baseline)
+    alike = likeness.sentence(baseline.airframe.name)
+    if likeness.outcome is Outcome.FAR:
+        reason = f"another vehicle: {alike}"
+        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
+    state, first = chain.judge(chain.start(), parts)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
     monitors = _summaries(chain, state, events)
     verdict, reason = _verdict(monitors, state, events, changes)
-    notes = (*log.notes, *_layout_notes(log, baseline))
+    notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
     return LogVerdict(
         log.name,
@@ -135,6 +144,14 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
         notes,
         _kind(changes),
     )
+
+
+def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:
+    """How the beginning of the flight compares with the vehicle of the baseline."""
+    if baseline.fingerprint is None:
+        return Likeness(Outcome.ALIKE)
+    rows = [part for part in parts if isinstance(part, Rows)]
+    return compare(baseline.fingerprint, rows, baseline.airframe.layout)
 
 
 def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:

@@ -62,6 +62,9 @@ def identify(
             min=1, metavar="N", help="Sessions that the logs are from, in their order.  [default: by their times]"
         ),
     ] = None,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Leave out what is no healthy flight (falls, copies) instead of refusing.")
+    ] = False,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
@@ -80,6 +83,7 @@ def identify(
         rule=ThresholdRule.MAXIMUM if thesis else rule,
         alarms_per_hour=alarms_per_hour,
         sessions=sessions,
+        robust=robust,
     )
     options = with_airframe(options, airframe, name, layout)
     if fleet:

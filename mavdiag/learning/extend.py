@@ -10,11 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavdiag.airframe.fingerprint import Fingerprint, fingerprint_of, merged
 from mavdiag.baseline import Baseline, HealthyScores, MonitorEntry, Provenance, check_link, sealed
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import LearntFlight, airborne, sessions_of
+from mavdiag.learning.guards import upsets
 from mavdiag.learning.learn import plain_scores, sources
+from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.healthy import Three, three
@@ -44,6 +47,7 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
     _check(baseline, flights)
     front = front_of(baseline)
     learnt = [airborne(front, flight) for flight in flights]
+    refuse(upsets(learnt))
     old = baseline.provenance.logs
     propellers = max(one.propellers for one in old) + new_propellers
     sessions = _sessions(baseline, flights)
@@ -60,6 +64,7 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
             update={
                 "monitors": tuple(entries),
                 "envelope": envelope,
+                "fingerprint": _fingerprint(baseline, learnt, new_propellers),
                 "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
                 "provenance": Provenance(logs=logs, created=created, tool=baseline.provenance.tool),
             }
@@ -139,6 +144,12 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Sequence[LearntFlig
 def _trim(spec: RotorTrimSpec, flights: Sequence[LearntFlight]) -> Three:
     """Healthy trim of these flights alone."""
     return RotorTrim(spec).mean_of([one.rows for one in flights])
+
+
+def _fingerprint(baseline: Baseline, flights: Sequence[LearntFlight], new_propellers: bool) -> Fingerprint | None:
+    """That of all flights; new propellers have a trim and noise of their own."""
+    fresh = fingerprint_of([one.rows for one in flights], baseline.airframe.layout)
+    return fresh if new_propellers or baseline.fingerprint is None else merged(baseline.fingerprint, fresh)
 
 
 def _joined(one: Sequence[Covered], other: Sequence[Covered]) -> tuple[Covered, ...]:

@@ -13,15 +13,15 @@ from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
+from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.telemetry import Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["LearntFlight", "airborne", "front_for", "rows_of", "sessions_of"]
+__all__ = ["LearntFlight", "airborne", "front_for", "odd_rate", "rows_of", "sessions_of"]
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
-RATE_TOLERANCE = 0.02  # of the sample time; beyond it the flights' models are of another system (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,23 +41,41 @@ def front_for(flights: Sequence[Log], window_s: float, gate: GateSpec | None = N
     profiles = sorted({flight.profile for flight in flights})
     if len(profiles) != 1:
         raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
-    measured = [_grid(flight) for flight in flights]
-    periods = np.array([dt_s for dt_s, _ in measured])
-    dt_s = float(np.median(periods))
-    apart = np.abs(periods / dt_s - 1)
-    if np.any(apart > RATE_TOLERANCE):
-        odd = int(apart.argmax())
-        other = f"{flights[odd].name} has a gyro rate of {1 / periods[odd]:.1f} Hz"
-        raise InputError(f"{other}, the others have {1 / dt_s:.1f} Hz; learn from flights of one rate")
-    grid = Grid.NATIVE if all(grid is Grid.NATIVE for _, grid in measured) else Grid.RESAMPLED
+    dt_s, grid, odd = _common_grid(flights, window_s)
+    if odd is not None:
+        raise InputError(f"{odd[1]}; learn from flights of one rate, or leave this log out with --robust")
     align = AlignSpec(dt_s, grid, max_gap_s=_gap_limit(flights))
     return Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
 
 
+def odd_rate(flights: Sequence[Log], window_s: float) -> tuple[int, str] | None:
+    """Number of the flight whose gyro rate differs most from the others', and a sentence; None if a model bears all.
+
+    Raises InputError, naming the flight, if one lacks the gyro.
+    """
+    return _common_grid(flights, window_s)[2]
+
+
+def _common_grid(flights: Sequence[Log], window_s: float) -> tuple[float, Grid, tuple[int, str] | None]:
+    """Median of the flights' mean gyro periods [s], the grid that suits all, and the flight that it does not suit."""
+    measured = [_grid(flight) for flight in flights]
+    grid = Grid.NATIVE if all(grid is Grid.NATIVE for _, grid in measured) else Grid.RESAMPLED
+    periods = np.array([dt_s for dt_s, _ in measured])
+    dt_s = float(np.median(periods))
+    apart = np.abs(periods / dt_s - 1)
+    tolerance, odd = rate_tolerance(grid, dt_s, window_s), int(apart.argmax())
+    if apart[odd] <= tolerance:
+        return dt_s, grid, None
+    text = (
+        f"{flights[odd].name} has a gyro rate of {1 / periods[odd]:.1f} Hz, the others have {1 / dt_s:.1f} Hz, "
+        f"more than {100 * tolerance:.0f} % apart"
+    )
+    return dt_s, grid, (odd, text)
+
+
 def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
     """All rows of a whole flight."""
-    state, first = front.step(front.start(), telemetry)
-    return tuple(part for part in (*first, *front.finish(state)[1]) if not isinstance(part, Border))
+    return tuple(part for part in front.whole(telemetry) if not isinstance(part, Border))
 
 
 def airborne(front: Front, flight: Log) -> LearntFlight:

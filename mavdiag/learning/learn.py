@@ -8,6 +8,7 @@ from typing import Any
 
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.fingerprint import fingerprint_of
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import (
     Baseline,
@@ -22,8 +23,9 @@ from mavdiag.baseline import (
 )
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
-from mavdiag.learning.flights import LearntFlight, airborne, front_for, sessions_of
+from mavdiag.learning.flights import LearntFlight, sessions_of
 from mavdiag.learning.rotors import with_rotors
+from mavdiag.learning.teaching import Taught, one_vehicle, taught
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
@@ -54,6 +56,7 @@ class LearnOptions:
     alarms_per_hour: budget of all deciding monitors together.
     sessions: how many sessions the flights were flown in, in equal parts and in their order; None for what their
         wall-clock times say, and for one each where a log has none.
+    robust: what the guards of teaching find is left out instead of refused (see `mavdiag.learning.guards`).
     Raises UsageError for a monitor that there is not, or a budget that is not positive.
     """
 
@@ -67,6 +70,7 @@ class LearnOptions:
     rule: ThresholdRule = ThresholdRule.GUMBEL
     alarms_per_hour: float = BUDGET_PER_HOUR
     sessions: int | None = None
+    robust: bool = False
 
     def __post_init__(self) -> None:
         for name in self.monitors:
@@ -105,11 +109,13 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     if not flights:
         raise InputError("no healthy flight to learn from")
     airframe = _airframe(options.airframe, flights[0].profile)
-    front = front_for(flights, options.window_s, airframe.gate)
-    learnt = [airborne(front, flight) for flight in flights]
-    airframe, learnt = with_rotors(airframe, learnt)
-    rows = [one.rows for one in learnt]
-    sessions = sessions_of(flights, options.sessions)
+    found = taught(flights, options.window_s, airframe.gate, robust=options.robust)
+    airframe, ordered = with_rotors(airframe, found.flights)
+    found = replace(found, flights=tuple(ordered))
+    if airframe.scope != "type":
+        found = one_vehicle(found, airframe.layout, robust=options.robust)
+    front, learnt, rows = found.front, found.flights, [one.rows for one in found.flights]
+    sessions = sessions_of([one.flight for one in learnt], options.sessions)
     unknown = airframe.layout_basis if airframe.layout is None else ""
     context = _context(options, airframe, front, flights[0].profile)
     fitted, refusals = _fit_all(rows, sessions, options, context, unknown)
@@ -131,7 +137,8 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
             not_judgeable=tuple(refusals),
             envelope=covered_by(rows),
             healthy_hours=sum(one.judged_s for one in learnt) / 3600,
-            provenance=Provenance(logs=sources(learnt, sessions), created=created, tool=f"mavdiag {__version__}"),
+            provenance=_provenance(found, sessions, created),
+            fingerprint=fingerprint_of(rows, airframe.layout),
         )
     )
 
@@ -245,3 +252,8 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
         )
         for one, session in zip(flights, sessions, strict=True)
     )
+
+
+def _provenance(found: Taught, sessions: Sequence[int], created: str) -> Provenance:
+    logs, tool = sources(found.flights, sessions), f"mavdiag {__version__}"
+    return Provenance(logs=logs, created=created, tool=tool, left_out=found.left_out, notes=found.notes)

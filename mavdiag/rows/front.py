@@ -58,6 +58,11 @@ class Front:
         gated, rest = self.gate.finish(gated)
         return self._rows(aligned, gated, state.rates, (*parts, *rest))
 
+    def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
+        """All that a whole flight gives."""
+        state, first = self.step(self.start(), telemetry)
+        return (*first, *self.finish(state)[1])
+
     def _rows(
         self, aligned: AlignState, gated: GateState, filtered: RateState, parts: tuple[Block | Border, ...]
     ) -> tuple[FrontState, tuple[Rows | Border, ...]]:

@@ -1,0 +1,213 @@
+"""Guards of teaching: what among healthy flights should not be learnt, and where it is.
+
+A log with its crash inside, the same flight twice, a stretch far from all the rest, two vehicles taken for one: each
+would be learnt without a word, and the baseline would call the like of it healthy. All guards are pure; they return
+`Finding`s, and `mavdiag.learning.teaching` refuses or leaves out what they name.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.traits import joined, joined_rates, trim_of
+from mavdiag.learning.findings import Finding, Kind
+from mavdiag.learning.flights import LearntFlight
+from mavdiag.learning.repeats import repeated
+from mavdiag.learning.upsets import upsets
+from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.windows import window_mean, window_rows
+from mavdiag.telemetry import FloatArray
+from mavdiag.units import NS_PER_S
+
+__all__ = ["Finding", "Kind", "far_blocks", "repeated", "trim_groups", "upsets"]
+
+BLOCK_S = 5.0  # of flight (our choice)
+WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
+MIN_BLOCKS = 6  # fewer have no rest to be far from (our choice)
+FAR_SPREADS = 5.0  # robust standard deviations above the median (our choice)
+FAR_RATIO = 4.0  # least ratio of noise or rate error to what is expected (our choice)
+FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
+
+GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
+NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
+GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
+GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
+LEVEL_RATIO = 3.0  # payloads and wind move roll and pitch: they count a third, as for the rotor-trim monitor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """A few seconds of flight.
+
+    number, log: of which flight.
+    from_s, to_s: vehicle's clock.
+    logs: natural logarithms of the gyro's fast noise, of the error of the rates, and of the thrust; NaN if unknown.
+    busy: rms of the commanded rates [rad/s]; 0 if unknown.
+    """
+
+    number: int
+    log: str
+    from_s: float
+    to_s: float
+    logs: tuple[float, float, float]
+    busy: float
+
+
+_FIGURES = ("gyro noise", "rate error", "thrust")
+
+
+def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
+    """Stretches whose gyro noise, rate error or thrust lies far from that of all other stretches.
+
+    Noise and rate error grow with what is commanded; they are compared with sqrt(a^2 + (b u)^2), u the rms of the
+    commanded rates, a their median over the calmer half of the blocks and b u that over the busier half. Far is above
+    4 times the median and above 5 robust standard deviations (1.48 times the median of what lies above the median).
+    Lower noise is not far: a hover among squares is quiet. Thrust is far at 1.5 times or a 1.5th.
+    """
+    blocks = [block for number, flight in enumerate(flights) for block in _blocks(number, flight)]
+    if len(blocks) < MIN_BLOCKS:
+        return ()
+    values = _compared(blocks)
+    found: dict[int, list[tuple[_Block, str]]] = {}
+    for name, column, least in zip(_FIGURES, values.T, (FAR_RATIO, FAR_RATIO, FAR_LEVEL), strict=True):
+        size = np.abs(column) if name == "thrust" else column
+        above = size[size > 0]
+        limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
+        for i in np.flatnonzero(size > limit).tolist():
+            text = f"{name} {math.exp(column[i]):.2g} times that of the other flights' blocks"
+            found.setdefault(blocks[i].number, []).append((blocks[i], text))
+    return tuple(one for far in found.values() for one in _stretches(far))
+
+
+def _stretches(far: Sequence[tuple[_Block, str]]) -> Iterator[Finding]:
+    """Blocks that follow each other make one finding."""
+    ordered = sorted(far, key=lambda one: one[0].from_s)
+    begin, text = ordered[0]
+    end_s = begin.to_s
+    for block, other in [*ordered[1:], (None, "")]:
+        if block is not None and block.from_s <= end_s + BLOCK_S:
+            end_s = max(end_s, block.to_s)
+            continue
+        place = f"{begin.from_s:.1f} to {end_s:.1f} s"
+        yield Finding(begin.number, begin.log, Kind.FAR, f"{place}: {text}", begin.from_s, end_s)
+        if block is not None:
+            begin, text, end_s = block, other, block.to_s
+
+
+def _compared(blocks: Sequence[_Block]) -> FloatArray:
+    """(b, 3) logarithms against what is expected, their median taken out."""
+    logs = np.array([one.logs for one in blocks])
+    busy = np.array([one.busy for one in blocks])
+    calm, lively = busy <= np.median(busy), (busy >= np.median(busy)) & (busy > 0)
+    for column in (0, 1):
+        at_rest = _median(np.exp(logs[calm, column]))
+        share = _median(np.exp(logs[lively, column]) / busy[lively]) if lively.any() else 0.0
+        logs[:, column] -= np.log(np.hypot(at_rest, share * busy) + np.finfo(float).tiny)
+    middle = np.array([_median(column) for column in logs.T])
+    return np.asarray(logs - middle, dtype=np.float64)
+
+
+def _median(x: FloatArray) -> float:
+    known = x[np.isfinite(x)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _blocks(number: int, flight: LearntFlight) -> Iterator[_Block]:
+    for block, rates in zip(joined(flight.rows), joined_rates(flight.rows), strict=True):
+        noise = np.square(np.diff(block.rate, n=2, axis=0)).sum(axis=1)
+        for first, stop in _cuts(len(block), window_rows(BLOCK_S, block.dt_s)):
+            if np.count_nonzero(block.valid[first:stop]) < 0.5 * window_rows(BLOCK_S, block.dt_s):
+                continue
+            low_ns, high_ns = int(block.t_ns[first]), int(block.t_ns[stop - 1])
+            error, busy = _errors(rates, low_ns, high_ns)
+            quick = _typical(np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan), block.dt_s)
+            thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
+            logs = (_log(quick), _log(error), _log(thrust))
+            yield _Block(number, flight.flight.name, low_ns / NS_PER_S, high_ns / NS_PER_S, logs, busy)
+
+
+def _errors(rates: RateBlock, low_ns: int, high_ns: int) -> tuple[float, float]:
+    """Error of the rates and rms of the commanded ones between two times [rad/s]; NaN and 0 if they are not known."""
+    inside = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns + 1]).tolist())
+    known = rates.commanded[inside]
+    if not known.any():
+        return math.nan, 0.0
+    error = np.square(rates.y[inside] - rates.u[inside]).sum(axis=1)
+    busy = math.sqrt(float(np.square(rates.u[inside][known]).sum(axis=1).mean()))
+    return _typical(np.where(known, error, np.nan), rates.dt_s), busy
+
+
+def _typical(squares: FloatArray, dt_s: float) -> float:
+    """Median over windows of their rms, (n,); NaN if no window is whole."""
+    window = window_rows(WINDOW_S, dt_s)
+    means = window_mean(squares[:, None], window)[:: max(1, window // 2), 0]
+    known = means[np.isfinite(means)]
+    return math.sqrt(float(np.median(known))) if len(known) else math.nan
+
+
+def _log(x: float) -> float:
+    return math.log(x) if x > 0 else math.nan
+
+
+def _cuts(count: int, size: int) -> Iterator[tuple[int, int]]:
+    """Half-open cuts of `size` rows; a last one that is shorter than half belongs to the one before."""
+    edges = [*range(0, max(1, count - size // 2), size), count]
+    return itertools.pairwise(edges)
+
+
+def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> tuple[Finding, ...]:
+    """Flights whose mean trims fall into two groups: two airframes, or two sets of propellers.
+
+    The flights are cut in two where the gap along one axis is widest. The groups are apart if the distance of their
+    means is at least 6 times the spread within them and 0.03 of the hover command, roll and pitch counting a third.
+    With 0.005 it is noted, and so it is if a group has one flight alone: nothing tells its spread.
+    """
+    if layout is None:
+        return ()
+    means = [(number, _mean_trim(flight, layout)) for number, flight in enumerate(flights)]
+    known = [(number, mean) for number, mean in means if mean is not None]
+    if len(known) < 3:
+        return ()
+    weight = np.array([1.0 / LEVEL_RATIO, 1.0 / LEVEL_RATIO, 1.0])
+    trims = np.array([mean for _, mean in known]) * weight
+    distance, spread, odd = max((_split(trims, axis) for axis in range(3)), key=lambda one: one[0] / one[1])
+    if distance < max(NOTED_DISTANCE, GROUP_RATIO * spread):
+        return ()
+    refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
+    numbers = [number for number, _ in known]
+    names = [flights[number].flight.name for number in numbers]
+    mean, rest = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
+    text = (
+        f"the mean trims of the flights fall into two groups: roll, pitch, yaw {_three(mean)} in "
+        f"{', '.join(names[i] for i in odd)} and {_three(rest)} in the others: "
+        "two airframes, sets of propellers or sessions"
+    )
+    if not refuses:
+        return (Finding(numbers[odd[0]], names[odd[0]], Kind.GROUPS, text, refuses=False),)
+    return tuple(Finding(numbers[i], names[i], Kind.GROUPS, text) for i in odd)
+
+
+def _mean_trim(flight: LearntFlight, layout: RotorLayout) -> FloatArray | None:
+    found = [trim_of(block, layout) for block in joined(flight.rows)]
+    known = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in found)])
+    return known.mean(axis=0) if len(known) else None
+
+
+def _split(trims: FloatArray, axis: int) -> tuple[float, float, list[int]]:
+    """Distance of the two groups that the widest gap along an axis makes, the spread within, and the smaller group."""
+    order = np.argsort(trims[:, axis], kind="stable")
+    at = int(np.diff(trims[order, axis]).argmax()) + 1
+    low, high = order[:at], order[at:]
+    apart = trims[high].mean(axis=0) - trims[low].mean(axis=0)
+    within = np.concatenate([trims[group] - trims[group].mean(axis=0) for group in (low, high)])
+    freedom = max(1, len(trims) - 2)
+    spread = math.hypot(math.sqrt(float(np.square(within).sum()) / freedom), GROUP_FLOOR)
+    return float(np.linalg.norm(apart)), spread, sorted((low if len(low) < len(high) else high).tolist())
+
+
+def _three(trim: FloatArray) -> str:
+    return "/".join(f"{x:+.3f}" for x in trim)

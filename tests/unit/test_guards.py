@@ -1,0 +1,267 @@
+"""Guards of teaching: each made-up case is refused with its reason, and left out on demand."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flying_telemetry import START_NS, flying
+from made_baselines import ALWAYS, FRAME, NOW, healthy
+
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.commands.options import between
+from mavdiag.errors import InputError
+from mavdiag.learning import LearnOptions, airborne, front_for, learn
+from mavdiag.learning.findings import Finding, Kind
+from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
+from mavdiag.learning.teaching import taught
+from mavdiag.rows.align import Grid
+from mavdiag.rows.tolerance import rate_tolerance
+from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+
+OPTIONS = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
+ROBUST = replace(OPTIONS, robust=True)
+
+
+def changed(log: Log, signal: Signal, from_s: float, to_s: float, change: Callable[[FloatArray], FloatArray]) -> Log:
+    """The log with the values of a signal changed between two times since its start."""
+    parts = []
+    for one in log.telemetry.series:
+        at_s = (one.t_ns - START_NS) / 1e9
+        inside = (at_s >= from_s) & (at_s < to_s)
+        values = one.values.copy()
+        if one.signal is signal:
+            values[inside] = change(values[inside])
+        parts.append(replace(one, values=values))
+    return replace(log, telemetry=Telemetry(tuple(parts)))
+
+
+def with_attitude(log: Log) -> Log:
+    """The log with an estimated attitude equal to the set-point."""
+    setpoint = log[Signal.ATTITUDE_SETPOINT]
+    attitude = replace(setpoint, signal=Signal.ATTITUDE, values=setpoint.values.copy())
+    return replace(log, telemetry=Telemetry((*log.telemetry.series, attitude)))
+
+
+def falling(force: FloatArray) -> FloatArray:
+    return 0.1 * force
+
+
+def tumbling(rate: FloatArray) -> FloatArray:
+    return np.asarray(rate + np.array([7.0, 0.0, 0.0]))
+
+
+def over(angle: FloatArray) -> FloatArray:
+    return np.asarray(angle + np.array([2.5, 0.0, 0.0]))
+
+
+def turned(force: FloatArray) -> FloatArray:
+    return -force
+
+
+UPSETS = (
+    (Signal.SPECIFIC_FORCE, falling, "free fall, specific force 0.1"),
+    (Signal.BODY_RATE, tumbling, "it turns at"),
+    (Signal.ATTITUDE, over, "deg from its set-point"),
+    (Signal.SPECIFIC_FORCE, turned, "upside down, specific force 1.0 g"),
+)
+
+
+@pytest.mark.parametrize(("signal", "change", "says"), UPSETS)
+def test_a_log_that_ends_in_a_fall_is_refused_with_place_and_remedy(
+    signal: Signal, change: Callable[[FloatArray], FloatArray], says: str
+) -> None:
+    crash = changed(with_attitude(healthy(1)[0]), signal, 27.0, 30.0, change)
+    with pytest.raises(
+        InputError, match=r"flight0: the flight ends in an upset, at 2[78].*cut the log before 2[56]"
+    ) as e:
+        learn([crash, *healthy(3)[1:]], OPTIONS, created=NOW)
+    assert says in str(e.value)
+    assert "--robust" in str(e.value)
+    baseline = learn([crash, *healthy(3)[1:]], ROBUST, created=NOW)
+    left_out = baseline.provenance.left_out
+    assert len(left_out) == 1
+    assert "flight0, all from 2" in left_out[0]
+    assert len(baseline.provenance.logs) == 3
+    whole = learn(healthy(3), OPTIONS, created=NOW).provenance.logs[0].judged_s
+    assert baseline.provenance.logs[0].judged_s == pytest.approx(whole - 4, abs=1.5)
+    assert "left out   flight0" in str(baseline)
+
+
+def test_an_upset_in_the_middle_is_cut_out_and_the_rest_is_learnt() -> None:
+    crash = changed(healthy(1, 6000)[0], Signal.BODY_RATE, 20.0, 22.0, tumbling)
+    (found,) = upsets([airborne(front_for([crash], 0.1, ALWAYS), crash)])
+    assert "has an upset in it" in found.text
+    assert found.from_s == pytest.approx(18.8, abs=0.5)
+    assert found.to_s == pytest.approx(25.2, abs=0.5)
+    assert "cut 1" in found.remedy
+    assert learn([crash, *healthy(2)], ROBUST, created=NOW).provenance.logs[0].judged_s == pytest.approx(51, abs=3)
+
+
+def test_the_spike_of_a_landing_is_no_crash() -> None:
+    """8 to 11 rad/s for some tens of milliseconds at touch-down (METHOD section 5)."""
+    landed = changed(healthy(1)[0], Signal.BODY_RATE, 29.85, 29.95, lambda rate: rate + 11.0)
+    landed = changed(landed, Signal.SPECIFIC_FORCE, 29.85, 29.95, lambda force: 4.0 * force)
+    front = front_for([landed], 0.1, ALWAYS)
+    assert upsets([airborne(front, landed)]) == ()
+    assert far_blocks([airborne(front, one) for one in (landed, *healthy(2))]) == ()
+
+
+@pytest.mark.parametrize("again", ["file", "content", "part"])
+def test_a_flight_that_counts_twice_is_refused(again: str) -> None:
+    flights = healthy(2)
+    copy = replace(flights[0], name="copy")
+    if again != "file":
+        moved = [replace(s, t_ns=s.t_ns + 7_000_000_000) for s in copy.telemetry.series]
+        copy = replace(copy, sha256="", telemetry=Telemetry(tuple(moved)))
+    if again == "part":
+        copy = replace(copy, telemetry=between(copy.telemetry, 15.0, None))
+    (found,) = repeated([*flights, copy])
+    assert (found.number, found.log, found.kind) == (2, "copy", Kind.REPEATED)
+    says = {
+        "file": "the same file as flight0",
+        "content": "the same flight as flight0",
+        "part": "are in flight0 as well",
+    }
+    assert says[again] in found.text
+    with pytest.raises(InputError, match=r"copy: .*--robust"):
+        learn([*flights, copy], OPTIONS, created=NOW)
+    baseline = learn([*flights, copy], ROBUST, created=NOW)
+    assert [one.name for one in baseline.provenance.logs] == ["flight0", "flight1"]
+    assert baseline.monitors == learn(flights, OPTIONS, created=NOW).monitors
+
+
+def test_the_same_log_given_twice_leaves_one() -> None:
+    flight = healthy(1)[0]
+    baseline = learn([flight, flight], ROBUST, created=NOW)
+    assert len(baseline.provenance.logs) == 1
+
+
+def test_flights_that_overlap_lose_the_overlap_alone() -> None:
+    long = healthy(1, 6000)[0]
+    early, late = (replace(long, sha256="", name=n, telemetry=between(long.telemetry, *span)) for n, span in
+                   (("early", (None, 40.0)), ("late", (30.0, None))))  # fmt: skip
+    (found,) = repeated([early, late])
+    assert found.from_s == pytest.approx(30.0, abs=0.1)
+    assert found.to_s == pytest.approx(40.0, abs=0.1)
+    kept = taught([early, late], 0.1, ALWAYS, robust=True).flights
+    assert sum(one.judged_s for one in kept) == pytest.approx(57, abs=2)
+
+
+def test_a_stretch_far_from_the_rest_is_refused_and_named() -> None:
+    flights = healthy(4)
+    rng = np.random.default_rng(1)
+    flights[2] = changed(
+        flights[2], Signal.BODY_RATE, 10.0, 20.0, lambda rate: rate + 0.5 * rng.standard_normal(rate.shape)
+    )
+    with pytest.raises(InputError, match=r"flight2: (1\d|9)\.\d to (19|2\d)\.\d s: gyro noise \d+ times .* --robust"):
+        learn(flights, OPTIONS, created=NOW)
+    found = learn(flights, ROBUST, created=NOW).provenance
+    assert found.logs[2].judged_s < 20
+    assert "flight2, " in found.left_out[0]
+
+
+def test_a_quiet_flight_is_not_far() -> None:
+    flights = [airborne(front_for(healthy(1), 0.1, ALWAYS), one) for one in healthy(4)]
+    hover = changed(healthy(5)[4], Signal.ATTITUDE_SETPOINT, 0.0, 99.0, np.zeros_like)
+    hover = changed(hover, Signal.BODY_RATE, 0.0, 99.0, lambda rate: 0.02 * np.sign(rate))
+    assert far_blocks([*flights, airborne(front_for([hover], 0.1, ALWAYS), hover)]) == ()
+
+
+def two_vehicles(other: int, rise: float) -> list[Log]:
+    """Three flights of one vehicle, and some of another one whose rotor 2 needs more."""
+    odd = [Log(f"odd{i}", "", "px4", flying(3000, 300 + i, weak_rotor=2, rise=rise)) for i in range(other)]
+    return [*healthy(3), *odd]
+
+
+def test_two_vehicles_taken_for_one_are_refused_or_learnt_as_a_type() -> None:
+    flights = two_vehicles(2, 0.2)
+    with pytest.raises(
+        InputError, match=r"odd0: the mean trims .* two groups.* in odd0, odd1 .*--robust; or .*--fleet"
+    ):
+        learn(flights, OPTIONS, created=NOW)
+    assert [one.name for one in learn(flights, ROBUST, created=NOW).provenance.logs] == [
+        "flight0",
+        "flight1",
+        "flight2",
+    ]
+    fleet = replace(OPTIONS, airframe=replace(FRAME, scope="type"))
+    assert len(learn(flights, fleet, created=NOW).provenance.logs) == 5
+
+
+@pytest.mark.parametrize(("other", "rise"), [(1, 0.2), (2, 0.05)])
+def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) -> None:
+    found = learn(two_vehicles(other, rise), OPTIONS, created=NOW)
+    assert len(found.provenance.logs) == 3 + other
+    assert "two groups" in found.provenance.notes[0]
+    assert "note       odd0" in str(found)
+
+
+def test_flights_of_one_vehicle_make_no_groups() -> None:
+    flights = healthy(6)
+    front = front_for(flights, 0.1, ALWAYS)
+    rows = [airborne(front, one) for one in flights]
+    assert trim_groups(rows, layout_named("x")) == ()
+    assert trim_groups(rows, None) == ()
+
+
+def slower(log: Log, factor: float, jitter: bool) -> Log:
+    """The log on a clock that runs slower, jittered so that its grid is resampled if asked."""
+    rng = np.random.default_rng(4)
+    parts = []
+    for one in log.telemetry.series:
+        late = rng.uniform(0.0, 0.6e7, len(one)) if jitter and one.signal is Signal.BODY_RATE else np.zeros(len(one))
+        t_ns = (START_NS + factor * (one.t_ns - START_NS) + late).astype(np.int64)
+        parts.append(Series(one.signal, t_ns, t_ns, one.values))
+    return replace(log, telemetry=Telemetry(tuple(parts)))
+
+
+def test_resampled_flights_may_differ_in_rate_as_far_as_the_model_bears() -> None:
+    flights = [slower(one, 1.0, True) for one in healthy(2)]
+    near, far = slower(healthy(3)[2], 1.1, True), slower(healthy(3)[2], 1.3, True)
+    assert front_for([*flights, near], 0.1, ALWAYS).align.grid is Grid.RESAMPLED
+    with pytest.raises(InputError, match=r"flight2 has a gyro rate of 7\d\.\d Hz, the others have 100\.0 Hz.*15 %"):
+        front_for([*flights, far], 0.1, ALWAYS)
+    found = taught([*flights, far], 0.1, ALWAYS, robust=True)
+    assert len(found.flights) == 2
+    assert "flight2 has a gyro rate" in found.left_out[0]
+
+
+def test_native_flights_must_agree_in_rate() -> None:
+    flights = [*healthy(2), slower(healthy(3)[2], 1.1, False)]
+    with pytest.raises(InputError, match=r"flight2 has a gyro rate of 90\.9 Hz"):
+        front_for(flights, 0.1, ALWAYS)
+
+
+def test_a_tolerance_changes_a_gain_in_the_pass_band_by_a_percent() -> None:
+    """The law behind it, from linear interpolation itself."""
+    dt_s, window_s = 0.02, 0.1
+    tolerance = rate_tolerance(Grid.RESAMPLED, dt_s, window_s)
+    gains = [np.sinc(period / window_s) ** 2 for period in (dt_s, (1 + tolerance) * dt_s)]
+    assert gains[0] - gains[1] == pytest.approx(0.01, rel=0.15)
+
+
+def test_nothing_left_is_said() -> None:
+    crash = changed(healthy(1, 600)[0], Signal.BODY_RATE, 2.5, 3.5, tumbling)
+    with pytest.raises(InputError, match="no healthy flight remains to learn from"):
+        learn([crash], ROBUST, created=NOW)
+
+
+def test_what_was_left_out_is_kept_in_the_file_and_old_files_are_read() -> None:
+    baseline = learn([*healthy(2), healthy(1)[0]], ROBUST, created=NOW)
+    again = parse(dump(baseline))
+    assert again.provenance.left_out == baseline.provenance.left_out != ()
+    old = learn(healthy(2), OPTIONS, created=NOW)
+    text = dump(old).replace('  "left_out": [],\n', "").replace('  "notes": []\n', "").replace(
+        f'"tool": "{old.provenance.tool}",', f'"tool": "{old.provenance.tool}"'
+    )  # fmt: skip
+    assert "left_out" not in text
+    assert isinstance(parse(text), Baseline)
+
+
+def test_a_finding_says_where() -> None:
+    assert Finding(0, "a", Kind.UPSET, "x", 3.0, None).place == "all from 3.0 s on"
+    assert Finding(0, "a", Kind.UPSET, "x", None, 3.0).place == "all before 3.0 s"
+    assert Finding(0, "a", Kind.UPSET, "x").place == "the whole log"
+    assert Finding(0, "a", Kind.FAR, "x", 1.0, 3.0).remedy.startswith("cut 1.0 to 3.0 s out of the log")
