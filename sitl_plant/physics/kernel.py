@@ -21,7 +21,7 @@ from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition,
 from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
 
-__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly"]
+__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "copy_row", "fly", "move", "obey", "record"]
 
 
 class Model(NamedTuple):
@@ -108,7 +108,7 @@ def _decide(state: State, model: Model, commands: FloatArray, row: int, t: float
         state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
     )
     if len(commands) > 0:
-        _obey(state.control, commands, row)
+        obey(state.control, commands, row)
         return
     reference(model.path, t, scratch.path)
     control(
@@ -117,7 +117,7 @@ def _decide(state: State, model: Model, commands: FloatArray, row: int, t: float
 
 
 @jit
-def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
+def obey(state: ControlState, commands: FloatArray, row: int) -> None:
     """Take the duties of one row of commands. Nobody commands an attitude."""
     state.motors[0] = DISARMED
     for i in range(len(state.duty)):
@@ -130,34 +130,40 @@ def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+def copy_row(source: FloatArray, rows: FloatArray, row: int) -> None:
     """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
         rows[row, i] = source[i]
 
 
 @inline
-def _record(state: State, row: int, rows: Rows) -> None:
-    _copy(state.control.setpoint, rows.setpoint, row)
-    _copy(state.control.rate, rows.rate_setpoint, row)
-    _copy(state.imu.reading, rows.imu, row)
-    _copy(state.estimate, rows.attitude, row)
-    _copy(state.rigid, rows.rigid, row)
-    _copy(state.rotors.speed, rows.rotor_speed, row)
-    _copy(state.control.duty, rows.duty, row)
+def record(state: State, row: int, rows: Rows) -> None:
+    """Write what is known at this instant into one row."""
+    copy_row(state.control.setpoint, rows.setpoint, row)
+    copy_row(state.control.rate, rows.rate_setpoint, row)
+    copy_row(state.imu.reading, rows.imu, row)
+    copy_row(state.estimate, rows.attitude, row)
+    copy_row(state.rigid, rows.rigid, row)
+    copy_row(state.rotors.speed, rows.rotor_speed, row)
+    copy_row(state.control.duty, rows.duty, row)
     rows.thrust[row] = state.control.wrench[0]
     rows.battery_v[row] = state.battery[0]
     rows.motors[row] = state.control.motors[0]
 
 
 @inline
-def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
-    """Advance wind, noise, rotors, body and battery by one step under the new command."""
-    advance_wind(state.wind, model.air, noise.wind, row)
-    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
+def _command(state: State, model: Model, condition: Condition, scratch: Scratch) -> None:
+    """The speeds that the duties ask for (T Eq 2.10)."""
     for i in range(len(scratch.command)):
         full = model.battery.speed_per_volt * state.battery[0]
         scratch.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+
+
+@inline
+def move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
+    """Advance wind, noise, rotors, body and battery by one step under the speeds in scratch.command."""
+    advance_wind(state.wind, model.air, noise.wind, row)
+    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
     advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
     rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, scratch.work, model.dt)
     grip(state.rigid, model.ground)
@@ -193,8 +199,9 @@ def _compiled_for(digest: int) -> Fly:
                 frame += 1
             _sense(state, model, sensors, noise, row, step, scratch)
             _decide(state, model, commands, row, step * model.dt, scratch)
-            _record(state, row, rows)
-            _move(state, model, condition, noise, row, scratch)
+            record(state, row, rows)
+            _command(state, model, condition, scratch)
+            move(state, model, condition, noise, row, scratch)
         return digest
 
     return fly
