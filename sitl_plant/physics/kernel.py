@@ -21,7 +21,7 @@ from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition,
 from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
 
-__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "copy_row", "fly", "move", "obey", "record"]
+__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly", "move", "obey", "record"]
 
 
 class Model(NamedTuple):
@@ -130,7 +130,7 @@ def obey(state: ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def copy_row(source: FloatArray, rows: FloatArray, row: int) -> None:
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
     """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
         rows[row, i] = source[i]
@@ -139,13 +139,13 @@ def copy_row(source: FloatArray, rows: FloatArray, row: int) -> None:
 @inline
 def record(state: State, row: int, rows: Rows) -> None:
     """Write what is known at this instant into one row."""
-    copy_row(state.control.setpoint, rows.setpoint, row)
-    copy_row(state.control.rate, rows.rate_setpoint, row)
-    copy_row(state.imu.reading, rows.imu, row)
-    copy_row(state.estimate, rows.attitude, row)
-    copy_row(state.rigid, rows.rigid, row)
-    copy_row(state.rotors.speed, rows.rotor_speed, row)
-    copy_row(state.control.duty, rows.duty, row)
+    _copy(state.control.setpoint, rows.setpoint, row)
+    _copy(state.control.rate, rows.rate_setpoint, row)
+    _copy(state.imu.reading, rows.imu, row)
+    _copy(state.estimate, rows.attitude, row)
+    _copy(state.rigid, rows.rigid, row)
+    _copy(state.rotors.speed, rows.rotor_speed, row)
+    _copy(state.control.duty, rows.duty, row)
     rows.thrust[row] = state.control.wrench[0]
     rows.battery_v[row] = state.battery[0]
     rows.motors[row] = state.control.motors[0]

@@ -3,7 +3,7 @@
 The manufacturer writes it in FLU; here it is in FRD and NED, where pitch, yaw and height change sign.
 
     rate, acceleration = second-order low-pass of each gyro and its slope, wn 120 rad/s, zeta 1
-    angle   = complementary filter of each IMU: rate + kp (seen - angle) + ki ∫(seen - angle); yaw: rate alone, it drifts
+    angle   = complementary filter of each IMU: ∫ gyro + kp (seen - angle) + ki ∫(seen - angle); yaw: ∫ gyro, it drifts
     feedback: mean of both IMUs
 
     v         = slope of a second-order low-pass of the cameras' pose, wn 50 rad/s

@@ -13,7 +13,7 @@ import numpy as np
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import RIGID, STAGES, derivative, support
 from sitl_plant.physics.jit import cached, inline, jit, source_digest
-from sitl_plant.physics.kernel import Model, Noise, Rows, Scratch, State, copy_row, move, obey, record
+from sitl_plant.physics.kernel import Model, Noise, Rows, Scratch, State, move, obey, record
 from sitl_plant.physics.mocap import deliver_pose, observe
 from sitl_plant.physics.recorded_control import Feedback, Loop, LoopState, decide, estimate_attitude, thrust_of
 from sitl_plant.physics.recorded_log import FIXED_COLUMNS
@@ -45,7 +45,10 @@ class OwnModel(NamedTuple):
 
 
 class OwnState(NamedTuple):
-    """What it remembers beside `State`. queue: (delay + 1, n) duties under way. esc: (n,) reported [rad/s], NaN at first."""
+    """What it remembers beside `State`.
+
+    queue: (delay + 1, n) duties under way. esc: (n,) reported speeds [rad/s], NaN before the first frame.
+    """
 
     imus: TwinImuState
     loop: LoopState

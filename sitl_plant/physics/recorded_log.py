@@ -50,7 +50,18 @@ class RecordedLog:
         """From `PlantSamples.log`. Raises UsageError where the vehicle keeps none."""
         if log.shape[1] <= FIXED_COLUMNS:
             raise UsageError("this vehicle keeps no such log: fly qdrone2-recorded, or one with a [recorded] table")
-        twins = [log[:, at : at + 6].reshape(-1, 2, 3) for at in range(0, 30, 6)]
+        angle, rate, acceleration, gyro, accel = (log[:, at : at + 6].reshape(-1, 2, 3) for at in range(0, 30, 6))
         return RecordedLog(
-            *twins, log[:, 30:33], log[:, 33:36], log[:, 36], log[:, 37:41], log[:, 41:45], log[:, 45:49], log[:, 49:]
+            angle=angle,
+            rate=rate,
+            acceleration=acceleration,
+            gyro=gyro,
+            accel=accel,
+            torque_asked=log[:, 30:33],
+            torque=log[:, 33:36],
+            thrust=log[:, 36],
+            pid=log[:, 37:41],
+            desired=log[:, 41:45],
+            pose=log[:, 45:FIXED_COLUMNS],
+            esc=log[:, FIXED_COLUMNS:],
         )

@@ -94,7 +94,7 @@ def _vibration(
         first = imu.line[k, i, 0, r, 0] * c + imu.line[k, i, 0, r, 1] * s
         second = imu.line[k, i, 1, r, 0] * (c * c - s * s) + imu.line[k, i, 1, r, 1] * 2.0 * s * c
         value += share * share * (first + second)
-    return value
+    return float(value)
 
 
 @jit
@@ -105,7 +105,7 @@ def _low_pass(state: TwinImuState, imu: TwinImu, k: int, i: int, value: float) -
     result = imu.filters[i, 2] * middle + state.memory[k, i, 1]
     state.memory[k, i, 1] = imu.filters[i, 3] * middle - imu.filters[i, 5] * result + state.memory[k, i, 2]
     state.memory[k, i, 2] = imu.filters[i, 4] * middle - imu.filters[i, 6] * result
-    return result
+    return float(result)
 
 
 @jit

@@ -28,6 +28,7 @@ __all__ = ["RecordedFlight", "recorded_flight", "specimen_of"]
 
 NORMALS = 2 * IMUS * CHANNELS
 SPECIMEN_STREAM, FLIGHT_STREAM = 0x5EC, 0xF17  # our choice: which random streams these are
+LEVELS, BIAS, LINE = 0, 1, 2  # what a specimen's streams are for
 BAND_HZ = (50.0, 100.0)  # in which the broad level is given
 
 
@@ -111,14 +112,14 @@ def specimen_of(airframe: Airframe, recorded: Recorded) -> Specimen:
     known = {one.name: one for one in recorded.specimens}
     if airframe.name in known:
         return known[airframe.name]
-    rng, levels = _specimen_stream(airframe), recorded.vibration
+    rng, levels = _specimen_stream(airframe, LEVELS), recorded.vibration
     line, broad = (float(np.exp(rng.uniform(*np.log(extremes)))) for extremes in (levels.gyro_line, levels.gyro_broad))
     bias = (recorded.sensors.gyro_bias_rms_rad_s * rng.standard_normal(IMUS)).tolist()
     return Specimen(airframe.name, line, broad, (bias[0], bias[1]), levels.second_harmonic)
 
 
-def _specimen_stream(airframe: Airframe) -> np.random.Generator:
-    return np.random.default_rng([SPECIMEN_STREAM, zlib.crc32(airframe.thrust_coefficient_n_s2.tobytes())])
+def _specimen_stream(airframe: Airframe, purpose: int) -> np.random.Generator:
+    return np.random.default_rng([SPECIMEN_STREAM, purpose, zlib.crc32(airframe.thrust_coefficient_n_s2.tobytes())])
 
 
 def _map(motors: Motors, volts: float) -> float:
@@ -126,12 +127,13 @@ def _map(motors: Motors, volts: float) -> float:
     return a * volts * volts + b * volts + c
 
 
-def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: bool) -> FloatArray:
-    """Gain of the on-chip low-pass, and of the hold over two steps where there is one."""
+def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -> FloatArray:
+    """Gain of the on-chip low-pass and of the hold over `held` steps, sin(N x) / (N sin x) with x = pi f dt."""
     w = np.exp(-2j * np.pi * frequency_hz * dt)
     b, a, b0, b1, b2, a1, a2 = filters
     gain = np.abs(b * (1 + w) / (1 + a * w) * (b0 + b1 * w + b2 * w * w) / (1 + a1 * w + a2 * w * w))
-    return gain * np.abs(np.cos(np.pi * frequency_hz * dt)) if held else gain
+    x = np.pi * frequency_hz * dt
+    return np.asarray(gain * np.abs(np.sin(held * x) / (held * np.sin(x))))
 
 
 def _filters(sensors: Sensors, dt: float) -> FloatArray:
@@ -142,35 +144,35 @@ def _filters(sensors: Sensors, dt: float) -> FloatArray:
 def _imus(airframe: Airframe, recorded: Recorded, model: Model, session: float) -> TwinImu:
     """Both IMUs of a specimen in one flight. session: factor of the line."""
     sensors, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
-    centre = -model.mocap.centre
-    hover = math.sqrt(GRAVITY * model.body.mass / model.rotors.thrust_coefficient.sum())
+    body, propulsion, chip = airframe.vehicle.body, airframe.vehicle.propulsion, airframe.vehicle.imu
+    hover = math.sqrt(GRAVITY * body.mass_kg / len(airframe.vehicle.rotors) / propulsion.thrust_coefficient_n_s2)
+    period = max(1, round(sensors.gyro_period_s / model.dt))
     filters, shape = _filters(sensors, model.dt), high_pass(levels.broad_corner_hz, model.dt)
+    chips = list(zip(filters, [period] * 3 + [1] * 3, strict=True))
     line = np.concatenate([specimen.gyro_line * np.array(levels.gyro_axes), levels.accel_axes])
     broad = np.concatenate([specimen.gyro_broad * np.array(levels.gyro_axes), np.full(3, levels.accel_broad)])
-    kept = np.array([_kept(row, np.array([hover / (2 * np.pi)]), model.dt, i < 3)[0] for i, row in enumerate(filters)])
+    line /= [_kept(one, np.array([hover / (2.0 * np.pi)]), model.dt, held)[0] for one, held in chips]
+    broad /= [_broad_kept(one, shape, model.dt, held) for one, held in chips]
+    ratio, drawn = np.array([1.0, levels.second_imu]), _specimen_stream(airframe, BIAS).standard_normal((IMUS, 2))
     bias = np.zeros((IMUS, CHANNELS))
-    bias[:, 0] = specimen.gyro_bias_roll
-    bias[:, 1:3] = sensors.gyro_bias_rms_rad_s * _specimen_stream(airframe).standard_normal((IMUS, 2))
-    ratio = np.array([1.0, levels.second_imu])
-    white = math.sqrt(0.5 / model.dt) * np.repeat(
-        [airframe.vehicle.imu.gyro_noise_density, airframe.vehicle.imu.accel_noise_density], 3
-    )
+    bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, sensors.gyro_bias_rms_rad_s * drawn
+    white = math.sqrt(0.5 / model.dt) * np.repeat([chip.gyro_noise_density, chip.accel_noise_density], 3)
     return TwinImu(
-        position=np.array(sensors.positions_m) - centre,
+        position=np.array(sensors.positions_m) + model.mocap.centre,
         bias=bias,
         white=np.array([white] * IMUS),
-        broad=np.outer(ratio, broad / [_broad_kept(row, shape, model.dt, i < 3) for i, row in enumerate(filters)]),
-        line=_line(airframe, ratio[:, None] * session * line / kept, specimen.second_harmonic),
+        broad=np.outer(ratio, broad),
+        line=_line(airframe, session * np.outer(ratio, line), specimen.second_harmonic),
         hover=hover,
         shape=shape,
         filters=filters,
         span=np.repeat([sensors.gyro_range_rad_s, sensors.accel_range_m_s2], 3),
         lsb=np.repeat([sensors.gyro_lsb_rad_s, sensors.accel_lsb_m_s2], 3),
-        gyro_period=max(1, round(sensors.gyro_period_s / model.dt)),
+        gyro_period=period,
     )
 
 
-def _broad_kept(filters: FloatArray, shape: tuple[float, ...], dt: float, held: bool) -> float:
+def _broad_kept(filters: FloatArray, shape: tuple[float, ...], dt: float, held: int) -> float:
     """Share of unit white noise, rms, that is left between 50 and 100 Hz behind high-pass, low-pass and hold."""
     frequency_hz = np.linspace(*BAND_HZ, 101)
     w = np.exp(-2j * np.pi * frequency_hz * dt)
@@ -181,7 +183,7 @@ def _broad_kept(filters: FloatArray, shape: tuple[float, ...], dt: float, held: 
 
 def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
     """(2, 6, 2, n, 2) amplitudes of the specimen's rotors; their squares sum to 2 level^2, (2, 6)."""
-    n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe)
+    n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe, LINE)
     share = rng.uniform(0.5, 1.5, (IMUS, CHANNELS, HARMONICS, n))
     share /= np.sqrt((share**2).sum(axis=-1, keepdims=True))
     phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
@@ -191,8 +193,13 @@ def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
 
 def _feedback(recorded: Recorded, dt: float) -> Feedback:
     given = recorded.feedback
-    filters = (second_order(*one, dt) for one in (given.rate, given.accel, given.velocity))
-    return Feedback(*filters, given.complementary_p, given.complementary_i)
+    return Feedback(
+        rate=second_order(*given.rate, dt),
+        accel=second_order(*given.accel, dt),
+        velocity=second_order(*given.velocity, dt),
+        correction_p=given.complementary_p,
+        correction_i=given.complementary_i,
+    )
 
 
 def _loop(vehicle: Vehicle, recorded: Recorded) -> Loop:

@@ -1,9 +1,10 @@
 """Reference paths: square (T 5.2, Fig 5.3), hover, circle, figure-8, the recorded t1 to t5; take-off and landing.
 
-A path is a function of time: position and velocity in the horizontal plane, constant speed along the path (the
-figure-8 and the recorded set-points of `waypoints` excepted), then turned by the heading. Before t = 0 the vehicle hovers at the first point of the path, or it
-stands there on the ground: then it arms, idles, climbs and begins the path at `Path.start`. At `Path.land` it stops
-where it is and descends. The figures of take-off and landing, and of the turning nose, are our choice.
+A path is a function of time: position and velocity in the horizontal plane, constant speed along the path, then turned
+by the heading. The figure-8 and the set-points of `waypoints` have their own speeds. Before t = 0 the vehicle hovers at
+the first point of the path, or it stands there on the ground: then it arms, idles, climbs and begins the path at
+`Path.start`. At `Path.land` it stops where it is and descends. The figures of take-off and landing, and of the turning
+nose, are our choice.
 """
 
 from enum import StrEnum
