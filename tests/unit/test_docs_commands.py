@@ -12,7 +12,10 @@ from detector.__main__ import app as detector
 from mavdiag.cli import app as mavdiag
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/operating.md", "docs/detector.md", "docs/airframe.md", "docs/results.md", "docs/theory.md")
+PAGES = (
+    "README.md",
+    *(f"docs/{name}.md" for name in ("operating", "detector", "airframe", "qdrone2-recorded", "results", "theory")),
+)
 COMMAND = re.compile(r"(?:^|`|\$ )((?:mavdiag-detector|mavdiag|sitl-plant) [^`\n]*)", re.MULTILINE)
 
 
