@@ -52,12 +52,16 @@ class TwinImu(NamedTuple):
 
 
 class TwinImuState(NamedTuple):
-    """Memory of high-pass (2, 6, 2) and low-pass (2, 6, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
+    """Memory of high-pass (2, 6, 2) and low-pass (2, 6, 3), drift of IMU 0 (6,), latest readings (2, 6).
+
+    turns: (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2.
+    """
 
     shaped: FloatArray
     memory: FloatArray
     drifted: FloatArray
     reading: FloatArray
+    turns: FloatArray
 
 
 def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
@@ -79,21 +83,29 @@ def high_pass(corner_hz: float, dt_s: float) -> tuple[float, float, float, float
 
 
 @jit
-def _vibration(
-    state: TwinImuState, imu: TwinImu, rotors: RotorState, k: int, i: int, white: float, power: float
-) -> float:
+def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
+    """Write what the lines of each rotor follow into state.turns; returns the mean of (w / w_hover)^2."""
+    mean, n = 0.0, len(rotors.speed)
+    for r in range(n):
+        power = (rotors.speed[r] / imu.hover) ** 2
+        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
+        state.turns[0, r, 0], state.turns[0, r, 1] = power * c, power * s
+        state.turns[1, r, 0], state.turns[1, r, 1] = power * (c * c - s * s), power * 2.0 * s * c
+        mean += power / n
+    return mean
+
+
+@jit
+def _vibration(state: TwinImuState, imu: TwinImu, k: int, i: int, white: float, power: float) -> float:
     """Line and broad part of channel i of IMU k. power: mean of (w / w_hover)^2."""
     b0, b1, b2, a1, a2 = imu.shape
     broad = b0 * white + state.shaped[k, i, 0]
     state.shaped[k, i, 0] = b1 * white - a1 * broad + state.shaped[k, i, 1]
     state.shaped[k, i, 1] = b2 * white - a2 * broad
     value = imu.broad[k, i] * broad * power
-    for r in range(len(rotors.speed)):
-        share = rotors.speed[r] / imu.hover
-        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
-        first = imu.line[k, i, 0, r, 0] * c + imu.line[k, i, 0, r, 1] * s
-        second = imu.line[k, i, 1, r, 0] * (c * c - s * s) + imu.line[k, i, 1, r, 1] * 2.0 * s * c
-        value += share * share * (first + second)
+    for h in range(HARMONICS):
+        for r in range(state.turns.shape[1]):
+            value += imu.line[k, i, h, r, 0] * state.turns[h, r, 0] + imu.line[k, i, h, r, 1] * state.turns[h, r, 1]
     return float(value)
 
 
@@ -124,9 +136,7 @@ def advance_imus(
 
     truth: (2, 6), what ideal sensors read. normals: (steps, 24): white and broad noise of IMU 0, then of IMU 1.
     """
-    power = 0.0
-    for r in range(len(rotors.speed)):
-        power += (rotors.speed[r] / imu.hover) ** 2 / len(rotors.speed)
+    power = _turn(state, imu, rotors)
     for k in range(IMUS):
         for i in range(CHANNELS):
             at = 2 * CHANNELS * k + i
@@ -136,8 +146,8 @@ def advance_imus(
                 value = condition.scale[i] * value + condition.offset[i] + state.drifted[i]
                 noise = math.sqrt(noise * noise + condition.noise[i] * condition.noise[i])
             value += imu.bias[k, i] + noise * normals[row, at]
-            value += _vibration(state, imu, rotors, k, i, normals[row, at + CHANNELS], power)
+            value += _vibration(state, imu, k, i, normals[row, at + CHANNELS], power)
             result = _low_pass(state, imu, k, i, value)
             if i >= 3 or step % imu.gyro_period == 0:
                 held = min(max(result, -imu.span[i]), imu.span[i])
-                state.reading[k, i] = imu.lsb[i] * round(held / imu.lsb[i])
+                state.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])

@@ -240,7 +240,11 @@ def _initial(own: OwnModel, recorded: Recorded, state: State) -> OwnState:
         queue[:] = voltage_of(own.loop.thrust_map, thrust / n) / state.battery[0]
     return OwnState(
         imus=TwinImuState(
-            np.zeros((IMUS, CHANNELS, 2)), np.zeros((IMUS, CHANNELS, 3)), np.zeros(CHANNELS), reading.copy()
+            shaped=np.zeros((IMUS, CHANNELS, 2)),
+            memory=np.zeros((IMUS, CHANNELS, 3)),
+            drifted=np.zeros(CHANNELS),
+            reading=reading.copy(),
+            turns=np.zeros((HARMONICS, n, 2)),
         ),
         loop=LoopState(
             angle=angle,

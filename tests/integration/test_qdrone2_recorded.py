@@ -170,7 +170,8 @@ def test_rate_command_and_torque_are_the_printed_formulas_of_the_recorded_signal
     reference = np.clip(log.pid[flown, :2], -math.pi / 4, math.pi / 4)
     command = np.column_stack([12 * (reference - angle[:, :2]) - 0.1 * rate[:, :2], 2 * log.pid[flown, 3]])
     np.testing.assert_allclose(samples.rate_setpoint[flown], command, atol=1e-12)
-    torque = [0.1876, 0.1544, 0.079] * (command - rate) - [0.0032, 0.0026, 0.010] * acceleration
+    gain, brake = np.array([0.1876, 0.1544, 0.079]), np.array([0.0032, 0.0026, 0.010])
+    torque = gain * (command - rate) - brake * acceleration
     np.testing.assert_allclose(log.torque_asked[flown], torque, atol=1e-12)
     limit = [1.0915, 0.8984, 0.0984]
     np.testing.assert_allclose(log.torque[flown], np.clip(torque, -np.array(limit), limit), atol=1e-12)

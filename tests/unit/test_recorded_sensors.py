@@ -38,9 +38,8 @@ def plain() -> TwinImu:
 
 def read(truth: FloatArray) -> FloatArray:
     """Readings (n, 2, 6) while both IMUs feel truth (n,) on every channel."""
-    state = TwinImuState(
-        np.zeros((IMUS, CHANNELS, 2)), np.zeros((IMUS, CHANNELS, 3)), np.zeros(CHANNELS), np.zeros((IMUS, CHANNELS))
-    )
+    shapes = (IMUS, CHANNELS, 2), (IMUS, CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
+    state = TwinImuState(*(np.zeros(shape) for shape in shapes))
     still, imu, healthy = RotorState(*(np.zeros(4) for _ in range(5))), plain(), sensor_condition(())
     out, normals = np.empty((len(truth), IMUS, CHANNELS)), np.zeros((1, 24))
     for step, value in enumerate(truth):
