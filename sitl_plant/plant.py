@@ -214,7 +214,8 @@ class Plant:
             raise UsageError(f"{self.rotors} motor commands are needed for {steps} steps, not an array of {held.shape}")
         if not np.all((held >= 0.0) & (held <= 1.0)):
             raise UsageError("motor commands must be 0 to 1")
-        return self._run(steps, np.ascontiguousarray(np.broadcast_to(held, (max(steps, 0), self.rotors))))
+        # a copy that can be written to: for a read-only array the loop would be compiled once more
+        return self._run(steps, np.array(np.broadcast_to(held, (max(steps, 0), self.rotors)), order="C"))
 
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:

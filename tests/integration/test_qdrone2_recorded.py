@@ -233,6 +233,15 @@ def test_equal_seeds_give_equal_bits_however_the_flight_is_cut() -> None:
     assert digest((6000,)) != digest((6000,), seed=80)
 
 
+def test_driving_with_the_duties_of_a_flight_flies_it_again() -> None:
+    """The delay of the motors and the telemetry go on with commands from outside."""
+    config = PlantConfig(vehicle=VEHICLE, trajectory="t4-sp1", seed=83)
+    flown, plant = Plant(config).advance(3000), Plant(config)
+    driven = [plant.drive(flown.duty[first:end], end - first) for first, end in ((0, 7), (7, 1500), (1500, 3000))]
+    for name in ("gyro", "accel", "attitude", "position", "rotor_speed", "esc_speed"):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in driven]), getattr(flown, name))
+
+
 def test_a_link_carries_the_telemetry_of_the_motors_as_it_is() -> None:
     config = PlantConfig(vehicle=VEHICLE, trajectory="hover", seed=81)
     samples = Plant(config).advance(3000)
