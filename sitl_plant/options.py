@@ -29,6 +29,7 @@ TruthFile: TypeAlias = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
 ]
 PICKUP_BELOW_M = 0.05  # as the payload
+RECORDED = "qdrone2-recorded"
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
 
 
@@ -48,6 +49,9 @@ class FlightPlan:
 
 def flight_plan(
     vehicle: VehicleName = "qdrone2",
+    as_recorded: Annotated[
+        bool, typer.Option("--as-recorded", help="Controller and sensors of the QDrone 2's public recordings.")
+    ] = False,
     drone: Annotated[int, typer.Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")] = 1,
     trajectory: Annotated[Shape, typer.Option(help="Path to fly.")] = Shape.SQUARE,
     nose: Annotated[Nose, typer.Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
@@ -96,7 +100,9 @@ def flight_plan(
         raise UsageError(f"--onset must be zero or more, not {onset:g}")
     if duration is not None and not duration > 0.0:
         raise UsageError(f"duration must be positive, not {duration:g}")
-    kind = vehicle_from(vehicle)
+    if as_recorded and vehicle not in ("qdrone2", RECORDED):
+        raise UsageError(f"--as-recorded is the QDrone 2's: leave --vehicle {vehicle} out")
+    kind = vehicle_from(RECORDED if as_recorded else vehicle)
     taken = None
     if pickup:
         beside = Payload(pickup, (0.0, 1e-3 * pickup_beside, PICKUP_BELOW_M))

@@ -23,9 +23,11 @@ from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sen
 from sitl_plant.physics.kernel import Model, Rows, fly
 from sitl_plant.physics.loading import PickUp, carried, reload
 from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
+from sitl_plant.physics.recorded_log import RecordedLog
+from sitl_plant.physics.recorded_set import recorded_flight
 from sitl_plant.physics.sessions import Wear
 from sitl_plant.physics.streams import MOST_OUTAGES_PER_MIN, Streams
-from sitl_plant.physics.trajectory import Nose, Path, Shape, landing_time, path
+from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Nose, Path, Shape, landing_time, path
 from sitl_plant.physics.turbulence import Dryden, dryden
 from sitl_plant.vehicle import Vehicle, qdrone2
 
@@ -124,15 +126,21 @@ class PlantConfig:
             raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
         flight = self.path()
         if self.start == "ground" and flight.land < flight.start:
-            shortest = flight.start + landing_time(self.altitude_m)
+            shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
             raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
 
     def path(self) -> Path:
         """What the cascade follows."""
-        form = self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m
-        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m)
-        ground = self.start == "ground"
-        return path(Shape(self.trajectory), *form, Nose(self.nose), ground, land_s if ground else math.inf)
+        shape, form = Shape(self.trajectory), (self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m)
+        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m, shape)
+        recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
+        ground_s = (recorded.ground.arm_s, recorded.ground.lift_s) if recorded else (ARM_S, LIFT_S)
+        return path(shape, *form, Nose(self.nose), ground, land_s if ground else math.inf, ground_s)
+
+    @property
+    def flown_vehicle(self) -> Vehicle:
+        """The type of the specimen that flies."""
+        return self.vehicle if self.airframe is None else self.airframe.vehicle
 
     def all_injections(self) -> tuple[Injection, ...]:
         """The fault by code, if any, and the other injections."""
@@ -163,6 +171,8 @@ class PlantSamples:
     velocity: (n, 3) truth, of the centre of gravity.
     omega: (n, 3) truth, body rates [rad/s].
     rotor_speed: (n, r) truth [rad/s].
+    esc_speed: (n, r) as the motors' telemetry reports it [rad/s]: the truth, but for a vehicle as it was recorded.
+    log: (n, k) for `sitl_plant.physics.recorded_log.RecordedLog`; k is 0 for a vehicle that keeps none.
     """
 
     t_ns: IntArray
@@ -180,6 +190,8 @@ class PlantSamples:
     velocity: FloatArray
     omega: FloatArray
     rotor_speed: FloatArray
+    esc_speed: FloatArray
+    log: FloatArray
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -208,6 +220,9 @@ class Plant:
         self._model = _model(config, self.airframe)
         self._loaded = False
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
+        self._recorded = recorded_flight(self.airframe, self._model, self._state, config.seed)
+        if self._recorded is not None:
+            self._model = self._recorded.model
         self._step = -SETTLING_STEPS
         self._renew_condition()
         self.advance(SETTLING_STEPS)
@@ -232,26 +247,30 @@ class Plant:
             raise UsageError(f"{self.rotors} motor commands are needed for {steps} steps, not an array of {held.shape}")
         if not np.all((held >= 0.0) & (held <= 1.0)):
             raise UsageError("motor commands must be 0 to 1")
-        return self._run(steps, np.ascontiguousarray(np.broadcast_to(held, (max(steps, 0), self.rotors))))
+        # a copy that can be written to: for a read-only array the loop would be compiled once more
+        return self._run(steps, np.array(np.broadcast_to(held, (max(steps, 0), self.rotors)), order="C"))
 
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows = _empty_rows(steps, self.rotors)
+        rows, log = _empty_rows(steps, self.rotors), np.empty((steps, self._recorded.columns if self._recorded else 0))
         done = 0
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
-            self._fly(count, commands[done : done + count], part)
+            self._fly(count, commands[done : done + count], part, log[done : done + count])
             done += count
-        return _samples(rows, self._step - steps, self._model)
+        return _samples(rows, log, self._step - steps, self._model)
 
-    def _fly(self, count: int, commands: FloatArray, rows: Rows) -> None:
+    def _fly(self, count: int, commands: FloatArray, rows: Rows, log: FloatArray) -> None:
         """Fly `count` steps, over which the condition stays the same."""
-        noise = self._streams.draw(self._step, count, self._model)
-        fly(self._step, count, self._model, self._rotors, self._sensors, self._state, noise, commands, rows)
+        noise, condition = self._streams.draw(self._step, count, self._model), (self._rotors, self._sensors)
+        if self._recorded is None:
+            fly(self._step, count, self._model, *condition, self._state, noise, commands, rows)
+        else:
+            self._recorded.fly(self._step, count, *condition, self._state, noise, commands, rows, log)
         self._step += count
 
     def _renew_condition(self) -> None:
@@ -278,6 +297,8 @@ class Plant:
         if hangs != self._loaded:
             payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
             self._model = reload(self._model, self._state, self.airframe, payloads, pickup if hangs else None)
+            if self._recorded is not None:
+                self._recorded.model = self._model
             self._loaded = hangs
 
 
@@ -305,7 +326,7 @@ def _empty_rows(steps: int, rotors: int) -> Rows:
     return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
 
 
-def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
+def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamples:
     full = model.controller.full_thrust * len(model.rotors.sign)
     return PlantSamples(
         t_ns=(first + np.arange(len(rows.thrust), dtype=np.int64)) * STEP_NS,
@@ -323,4 +344,6 @@ def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
         velocity=rows.rigid[:, 3:6],
         omega=rows.rigid[:, 10:13],
         rotor_speed=rows.rotor_speed,
+        esc_speed=RecordedLog.of(log).esc if log.shape[1] else rows.rotor_speed,
+        log=log,
     )

@@ -10,7 +10,7 @@ import tomllib
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -22,6 +22,8 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
+from sitl_plant.fields import STRICT, Finite, NotNegative, Positive, PositiveVector, Share, Vector
+from sitl_plant.vehicle_recorded import Recorded
 
 __all__ = [
     "Battery",
@@ -46,15 +48,7 @@ __all__ = [
     "vehicle_named",
 ]
 
-Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share: TypeAlias = Annotated[float, Field(ge=0, lt=1)]
-Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
-Vector: TypeAlias = tuple[Finite, Finite, Finite]
-PositiveVector: TypeAlias = tuple[Positive, Positive, Positive]
-
 _FOLDER = resources.files("sitl_plant")
-STRICT: Literal["forbid"] = "forbid"  # a misspelt key in the file is an error, not a default
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
@@ -215,7 +209,10 @@ class Wind:
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Vehicle:
-    """A type of multirotor, as its file describes it."""
+    """A type of multirotor, as its file describes it.
+
+    recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
+    """
 
     name: str
     body: Body
@@ -228,6 +225,7 @@ class Vehicle:
     control: Control
     spread: Spread
     wind: Wind
+    recorded: Recorded | None = None
 
     @model_validator(mode="after")
     def _can_fly(self) -> Self:

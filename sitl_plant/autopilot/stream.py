@@ -221,8 +221,13 @@ def _actuator_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect
     }
 
 
+def _reported(filtered: FilteredSamples, rows: IntArray) -> FloatArray:
+    """Rotor speeds by the motors' telemetry; zero before its first frame."""
+    return np.nan_to_num(filtered.samples.esc_speed[rows], nan=0.0)
+
+
 def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    rpm = _groups(_integers(filtered.samples.rotor_speed[rows] / RPM, 32))
+    rpm = _groups(_integers(_reported(filtered, rows) / RPM, 32))
     groups = len(rpm) // len(rows)
     return {
         "time_usec": np.repeat(_boot_us(filtered, rows), groups),
@@ -234,7 +239,7 @@ def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> 
 
 def _esc_telemetry(first: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     """Four rotors from `first` on; the places of rotors that are not there stay zero."""
-    rpm = _integers(filtered.samples.rotor_speed[rows, first : first + ESC_GROUP] / RPM, 17)
+    rpm = _integers(_reported(filtered, rows)[:, first : first + ESC_GROUP] / RPM, 17)
     volts = _integers(100.0 * filtered.samples.battery_v[rows], 17)
     return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
 

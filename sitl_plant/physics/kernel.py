@@ -22,7 +22,7 @@ from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition,
 from sitl_plant.physics.supply import Air, Battery, advance_battery, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
 
-__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly"]
+__all__ = ["Fly", "Model", "Noise", "Rows", "Scratch", "State", "fly", "move", "obey", "record"]
 
 
 class Model(NamedTuple):
@@ -115,7 +115,7 @@ def _decide(state: State, model: Model, commands: FloatArray, row: int, step: in
         state.estimate, state.accel_filtered, model.estimator, state.imu.reading, state.mocap.pose[3], model.dt
     )
     if len(commands) > 0:
-        _obey(state.control, commands, row)
+        obey(state.control, commands, row)
         return
     reference(model.path, step * model.dt, scratch.path)
     hold_if_lost(state.mocap, model.mocap, step, scratch.path)
@@ -125,7 +125,7 @@ def _decide(state: State, model: Model, commands: FloatArray, row: int, step: in
 
 
 @jit
-def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
+def obey(state: ControlState, commands: FloatArray, row: int) -> None:
     """Take the duties of one row of commands. Nobody commands an attitude."""
     state.motors[0] = DISARMED
     for i in range(len(state.duty)):
@@ -145,7 +145,8 @@ def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
 
 
 @inline
-def _record(state: State, row: int, rows: Rows) -> None:
+def record(state: State, row: int, rows: Rows) -> None:
+    """Write what is known at this instant into one row."""
     _copy(state.control.setpoint, rows.setpoint, row)
     _copy(state.control.rate, rows.rate_setpoint, row)
     _copy(state.imu.reading, rows.imu, row)
@@ -159,13 +160,18 @@ def _record(state: State, row: int, rows: Rows) -> None:
 
 
 @inline
-def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
-    """Advance wind, noise, rotors, body and battery by one step under the new command."""
-    advance_wind(state.wind, model.air, noise.wind, row)
-    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
+def _command(state: State, model: Model, condition: Condition, scratch: Scratch) -> None:
+    """The speeds that the duties ask for (T Eq 2.10)."""
     for i in range(len(scratch.command)):
         full = model.battery.speed_per_volt * state.battery[0]
         scratch.command[i] = full * state.control.duty[i] * condition.speed_gain[i]
+
+
+@inline
+def move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: Scratch) -> None:
+    """Advance wind, noise, rotors, body and battery by one step under the speeds in scratch.command."""
+    advance_wind(state.wind, model.air, noise.wind, row)
+    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
     advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
     rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, scratch.work, model.dt)
     grip(state.rigid, model.ground)
@@ -201,8 +207,9 @@ def _compiled_for(digest: int) -> Fly:
                 frame += 1
             _sense(state, model, sensors, noise, row, step, scratch)
             _decide(state, model, commands, row, step, scratch)
-            _record(state, row, rows)
-            _move(state, model, condition, noise, row, scratch)
+            record(state, row, rows)
+            _command(state, model, condition, scratch)
+            move(state, model, condition, noise, row, scratch)
         return digest
 
     return fly

@@ -1,9 +1,10 @@
-"""Reference paths at constant altitude: square (T 5.2, Fig 5.3), hover, circle, figure-8; take-off and landing.
+"""Reference paths: square (T 5.2, Fig 5.3), hover, circle, figure-8, the recorded t1 to t5; take-off and landing.
 
-A path is a function of time: position and velocity in the horizontal plane, constant speed along the path (the
-figure-8 excepted), then turned by the heading. Before t = 0 the vehicle hovers at the first point of the path, or it
-stands there on the ground: then it arms, idles, climbs and begins the path at `Path.start`. At `Path.land` it stops
-where it is and descends. The figures of take-off and landing, and of the turning nose, are our choice.
+A path is a function of time: position and velocity in the horizontal plane, constant speed along the path, then turned
+by the heading. The figure-8 and the set-points of `waypoints` have their own speeds. Before t = 0 the vehicle hovers at
+the first point of the path, or it stands there on the ground: then it arms, idles, climbs and begins the path at
+`Path.start`. At `Path.land` it stops where it is and descends. The figures of take-off and landing, and of the turning
+nose, are our choice.
 """
 
 from enum import StrEnum
@@ -14,8 +15,9 @@ import numpy as np
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.attitude import wrapped
 from sitl_plant.physics.jit import jit
+from sitl_plant.physics.waypoints import LIMITS, RECORDED, heights_of, waypoint
 
-__all__ = ["REFERENCE", "Nose", "Path", "Shape", "landing_time", "path", "reference"]
+__all__ = ["ARM_S", "LIFT_S", "REFERENCE", "Nose", "Path", "Shape", "landing_time", "path", "reference"]
 
 HOVER, SQUARE, CIRCLE, FIGURE8 = 0, 1, 2, 3
 FIXED, ALONG, SPIN = 0, 1, 2
@@ -36,9 +38,20 @@ class Shape(StrEnum):
     HOVER = "hover"
     CIRCLE = "circle"
     FIGURE8 = "figure8"
+    T1_SP1, T1_SP2 = "t1-sp1", "t1-sp2"
+    T2_SP1, T2_SP2 = "t2-sp1", "t2-sp2"
+    T3_SP1, T3_SP2 = "t3-sp1", "t3-sp2"
+    T4_SP1, T4_SP2 = "t4-sp1", "t4-sp2"
+    T5_SP1, T5_SP2 = "t5-sp1", "t5-sp2"
+
+    @property
+    def recorded(self) -> tuple[int, int] | None:
+        """Number and speed level of a recorded trajectory: (2, 1) is t2 at SP1. None for the others."""
+        return (int(self[1]), int(self[-1])) if "-sp" in self else None
 
 
 _CODES = {Shape.HOVER: HOVER, Shape.SQUARE: SQUARE, Shape.CIRCLE: CIRCLE, Shape.FIGURE8: FIGURE8}
+_CODES |= {shape: RECORDED + shape.recorded[0] - 1 for shape in Shape if shape.recorded}
 
 
 class Nose(StrEnum):
@@ -55,11 +68,14 @@ _NOSES = {Nose.FIXED: FIXED, Nose.PATH: ALONG, Nose.SPIN: SPIN}
 class Path(NamedTuple):
     """A path for the compiled loop.
 
-    size: side or diameter [m].
+    size: side or diameter [m]; of t1 and t2 half the side.
     speed: along the path [m/s].
-    altitude: above the origin, up [m].
+    altitude: above the origin, up [m]; of t3 and t4 that of the first set-point.
     start: flight time at which the path begins [s]; above 0 for a start on the ground.
     land: flight time at which the descent begins [s].
+    arm: flight time at which the motors start, if it begins on the ground [s].
+    lift: flight time at which they lift [s].
+    turn: speed of the nose on t5 [rad/s].
     """
 
     shape: int
@@ -70,6 +86,9 @@ class Path(NamedTuple):
     nose: int = FIXED
     start: float = 0.0
     land: float = np.inf
+    arm: float = ARM_S
+    lift: float = LIFT_S
+    turn: float = 0.0
 
 
 def path(
@@ -81,15 +100,26 @@ def path(
     nose: Nose = Nose.FIXED,
     takeoff: bool = False,
     land_s: float = np.inf,
+    ground_s: tuple[float, float] = (ARM_S, LIFT_S),
 ) -> Path:
-    """Make a path. `speed_m_s` is the speed along it; on the figure-8 it is the speed at the crossing."""
+    """Make a path. `speed_m_s` is the speed along it; on the figure-8 it is the speed at the crossing.
+
+    A recorded trajectory has its own speed, and t3 and t4 their own heights. ground_s: when the motors start and lift.
+    """
+    turn = 0.0
+    if shape.recorded is not None:
+        altitude_m, _ = heights_of(shape.recorded[0], altitude_m)
+        speed_m_s, turn = LIMITS[shape.recorded[1]]
     numbers = float(size_m), float(speed_m_s), float(heading_rad), float(altitude_m)
-    start = LIFT_S + altitude_m / CLIMB_M_S + SETTLE_S if takeoff else 0.0
-    return Path(_CODES[shape], *numbers, _NOSES[nose], float(start), float(land_s))
+    arm, lift = ground_s
+    start = lift + altitude_m / CLIMB_M_S + SETTLE_S if takeoff else 0.0
+    return Path(_CODES[shape], *numbers, _NOSES[nose], float(start), float(land_s), float(arm), float(lift), turn)
 
 
-def landing_time(altitude_m: float) -> float:
+def landing_time(altitude_m: float, shape: Shape = Shape.HOVER) -> float:
     """How long before the end of a flight the descent must begin for the motors to be disarmed at the end [s]."""
+    if shape.recorded is not None:
+        _, altitude_m = heights_of(shape.recorded[0], altitude_m)
     return (altitude_m + BELOW_M) / DESCENT_M_S + IDLE_S + 1.0
 
 
@@ -97,6 +127,11 @@ def landing_time(altitude_m: float) -> float:
 def reference(path: Path, t: float, out: FloatArray) -> None:
     """Write the reference at time t [s] into out: (9,) = position_N, velocity_N, yaw, yaw rate, motors."""
     now = max(min(t, path.land) - path.start, 0.0)
+    if path.shape >= RECORDED:
+        _setpoint(path, now, t < path.start or t >= path.land, out)
+        if path.start > 0.0:
+            _vertical(path, t, out)
+        return
     x, y, u, v = _along(path, 0.0 if path.shape == HOVER else now)
     yaw, turn = path.heading, 0.0
     if path.nose != FIXED:
@@ -114,14 +149,27 @@ def reference(path: Path, t: float, out: FloatArray) -> None:
 
 
 @jit
+def _setpoint(path: Path, now: float, holds: bool, out: FloatArray) -> None:
+    """The recorded set-point `now` seconds along its path. holds: it does not move."""
+    waypoint(path.shape - RECORDED + 1, path.size, path.speed, path.turn, now, out)
+    c, s = np.cos(path.heading), np.sin(path.heading)
+    x, y, up, u, v, w = out[0], out[1], out[2], out[3], out[4], out[5]
+    out[0], out[1], out[2] = c * x - s * y, s * x + c * y, -(up if up > 0.0 else path.altitude)
+    out[3], out[4], out[5] = c * u - s * v, s * u + c * v, -w
+    out[6], out[8] = wrapped(path.heading + out[6]), FLYING
+    if holds:
+        out[3] = out[4] = out[5] = out[7] = 0.0
+
+
+@jit
 def _vertical(path: Path, t: float, out: FloatArray) -> None:
     """Height and motors of a flight from the ground: disarmed, idle, climb, path, descent, idle, disarmed."""
-    if t < LIFT_S:
-        out[2], out[8] = 0.0, DISARMED if t < ARM_S else IDLE
-    elif t < LIFT_S + path.altitude / CLIMB_M_S:
-        out[2], out[5] = -CLIMB_M_S * (t - LIFT_S), -CLIMB_M_S
+    if t < path.lift:
+        out[2], out[8] = 0.0, DISARMED if t < path.arm else IDLE
+    elif t < path.lift + path.altitude / CLIMB_M_S:
+        out[2], out[5] = -CLIMB_M_S * (t - path.lift), -CLIMB_M_S
     elif t >= path.land:
-        below = DESCENT_M_S * (t - path.land) - path.altitude
+        below = DESCENT_M_S * (t - path.land) + out[2]
         out[2], out[5] = below, DESCENT_M_S
         if below > BELOW_M:
             out[8] = LANDING if below < BELOW_M + DESCENT_M_S * IDLE_S else SHUTDOWN

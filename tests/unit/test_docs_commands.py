@@ -13,9 +13,9 @@ from mavdiag.cli import app as mavdiag
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
-    "README.md", "docs/operating.md", "docs/detector.md", "docs/airframe.md", "docs/droneprop.md", "docs/results.md",
-    "docs/theory.md",
-)  # fmt: skip
+    "README.md",
+    *(f"docs/{name}.md" for name in ("operating", "detector", "airframe", "droneprop", "qdrone2-recorded", "results", "theory")),
+)
 COMMAND = re.compile(r"(?:^|`|\$ )((?:mavdiag-detector|mavdiag|sitl-plant) [^`\n]*)", re.MULTILINE)
 
 
