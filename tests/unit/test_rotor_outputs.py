@@ -84,6 +84,34 @@ def test_another_order_is_found_where_yaw_is_seen(name: str) -> None:
     assert still.layout is None
 
 
+@pytest.mark.parametrize("name", ["plus", "hexa-x", "octo-x", "octo-plus"])
+def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None:
+    """Under noise an emulated octo was named a quad: four of its motors hardly followed, and were left out."""
+    layout, found = layout_named(name), []
+    for noise in (0.005, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2):
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            torque = rng.normal(0, 0.02, (2000, 3)) * (1.0, 1.0, 0.1)
+            outputs = 0.5 * (1 + torque @ layout.mixing.T + rng.normal(0, noise, (2000, layout.rotors)))
+            found.append(detect_layout([example_rows(2000, actuator=outputs, torque=torque).block]).layout)
+    assert set(found) == {layout, None}
+
+
+@pytest.mark.parametrize("name", ["x", "octo-x", "octo-plus"])
+def test_axes_that_move_together_name_no_other_layout(name: str) -> None:
+    """An emulated octo x round a square with its nose along the path was named octo plus."""
+    layout, named = layout_named(name), []
+    for apart in (0.5, 0.2, 0.1, 0.05, 0.02, 0.01):
+        rng = np.random.default_rng(6)
+        torque = rng.normal(0, 0.02, (4000, 3))
+        torque[:, 1] = torque[:, 0] + apart * torque[:, 1]
+        answered = torque + 0.2 * np.roll(torque, 12, axis=0) * (-1.0, 1.0, 1.0)  # what the drivers do not show
+        outputs = 0.5 * (1 + answered @ layout.mixing.T) + rng.normal(0, 0.0005, (4000, layout.rotors))
+        named.append(detect_layout([example_rows(4000, actuator=outputs, torque=torque).block]).layout)
+    assert named[0] is layout
+    assert set(named) <= {layout, None}
+
+
 def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
     flight = made_flight(layout_named("x"), 9)
     gimbal = 0.5 - 2.0 * flight.torque[:, :1]
