@@ -52,8 +52,8 @@ def flight(vehicle: Vehicle, link: LinkSpec, case: Case, seed: int, seconds: flo
     damage = RotorDamage(unbalance_g_mm=case.unbalance_g_mm)
     shaken = tuple(Injection(damage, rotor) for rotor in range(1, len(vehicle.rotors) + 1))
     config = PlantConfig(
-        drone=1 if case.aged else 2 + seed % 2, vehicle=vehicle, seed=seed, wind_m_s=1.0, nose=nose, trajectory=trajectory,
-        injections=shaken if case.unbalance_g_mm else (),
+        drone=1 if case.aged else 2 + seed % 2, vehicle=vehicle, seed=seed, wind_m_s=1.0,
+        nose=nose, trajectory=trajectory, injections=shaken if case.unbalance_g_mm else (),
     )  # fmt: skip
     telemetry, _ = flight_telemetry(config, seconds, link)
     return Log(f"{vehicle.name} seed {seed}", "", link.profile, telemetry)
