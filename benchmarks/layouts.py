@@ -4,8 +4,8 @@
 
 Emulated: the shipped quad x, quad plus, hexa x and octo x, as a new and an aged specimen, with unbalances of 3 and of
 10 g mm on every rotor (the thesis's worst propeller has 5.5, T Table 3.2), on links of 1 kHz and 100 Hz. The outputs
-are also moved: behind four idle ones, between servos of a camera, and, where the nose follows the path, into another
-order, which needs yaw.
+are also moved: behind four idle ones, between servos of a camera, and, in a figure of eight with the nose along the
+path, into another order, which needs yaw. Round a square with the nose along the path roll and pitch move together.
 """
 
 import argparse
@@ -30,7 +30,8 @@ from sitl_plant.vehicle import Vehicle, vehicle_named
 
 VEHICLES = {"qdrone2": "qdrone2", "quad-plus": "plus", "hexa-x": "hexa-x", "octo-x": "octo-x"}
 LINKS = {"1 kHz": LinkSpec("qdrone2"), "100 Hz": LinkSpec("ardupilot", 100.0)}
-ARRANGEMENTS = ("as they are", "behind 4 idle", "between servos", "another order")
+TURNING = "as they are, nose along the path"
+ARRANGEMENTS = ("as they are", TURNING, "behind 4 idle", "between servos", "another order")
 WINDOW_S = 0.1
 
 
@@ -46,13 +47,13 @@ class Case:
 CASES = (Case("new", False, 0.0), Case("aged", True, 0.0), Case("3 g mm", True, 3.0), Case("10 g mm", True, 10.0))
 
 
-def flight(vehicle: Vehicle, link: LinkSpec, case: Case, seed: int, seconds: float, nose: str) -> Log:
-    """A flight round a square in some wind. nose: "fixed", or along the "path", which moves yaw."""
+def flight(vehicle: Vehicle, link: LinkSpec, case: Case, seed: int, seconds: float, nose: str, trajectory: str) -> Log:
+    """A flight in some wind. nose: "fixed", or along the "path", which moves yaw."""
     damage = RotorDamage(unbalance_g_mm=case.unbalance_g_mm)
     shaken = tuple(Injection(damage, rotor) for rotor in range(1, len(vehicle.rotors) + 1))
     config = PlantConfig(
-        drone=1 if case.aged else 2 + seed % 2, vehicle=vehicle, seed=seed, wind_m_s=1.0, nose=nose,
-        injections=shaken if case.unbalance_g_mm else (),
+        drone=1 if case.aged else 2 + seed % 2, vehicle=vehicle, seed=seed, wind_m_s=1.0,
+        nose=nose, trajectory=trajectory, injections=shaken if case.unbalance_g_mm else (),
     )  # fmt: skip
     telemetry, _ = flight_telemetry(config, seconds, link)
     return Log(f"{vehicle.name} seed {seed}", "", link.profile, telemetry)
@@ -60,7 +61,7 @@ def flight(vehicle: Vehicle, link: LinkSpec, case: Case, seed: int, seconds: flo
 
 def rearranged(log: Log, arrangement: str, rotors: int) -> tuple[Log, tuple[int, ...]]:
     """The log with its motors on other outputs, and those outputs, by rotor."""
-    if arrangement == "as they are":
+    if arrangement in ("as they are", TURNING):
         return log, tuple(range(1, rotors + 1))
     series = log.telemetry.need(Signal.ACTUATOR)
     motors, n = series.values[:, :rotors], len(series)
@@ -128,9 +129,10 @@ def cell(
 ) -> str:
     """Right of all; in brackets how many were wrong instead of unknown, and the least likeness of the right ones."""
     right, wrong, least = 0, 0, 1.0
-    nose = "path" if arrangement == ARRANGEMENTS[-1] else "fixed"
+    nose = "path" if arrangement in (TURNING, ARRANGEMENTS[-1]) else "fixed"
+    trajectory = "figure8" if arrangement == ARRANGEMENTS[-1] else "square"
     for seed in seeds:
-        flown = flight(vehicle, link, case, seed, seconds, nose)
+        flown = flight(vehicle, link, case, seed, seconds, nose, trajectory)
         log, places = rearranged(flown, arrangement, len(vehicle.rotors))
         found = finding(log)
         if is_right(found, layout_named(expected), places, name=arrangement != ARRANGEMENTS[-1]):

@@ -20,6 +20,8 @@ MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must expla
 MIN_F = 10.0  # F value above which a driver counts as excited, and an output as a motor (our choice)
 MIN_LIKENESS = 0.85  # below it no layout is named; x and plus are 0.71 like each other (our choice)
 MAX_MISFIT = 0.5  # and 1 - likeness must be less than this share of the next layout's (our choice)
+MAX_TOGETHER = 10.0  # variance inflation factor above which drivers are not told apart (a textbooks' rule of thumb)
+MIN_GAP = 4.0  # how many times more the least of the motors must follow than any output left out (our choice)
 FEWEST = 3  # rotors that can command roll, pitch and yaw, with the thrust left over
 NUMBERED = ("x", "plus", "hexa-x", "hexa-plus", "octo-x", "octo-plus")  # whose order names the rotors of another one
 
@@ -61,12 +63,15 @@ def detect_layout(
 
     e_k: the energy that driver k explains, 0 if it is not excited (F < 10). A layout of which an excited column
     points the other way gets that column's cosine instead. The lag is the one that explains most. A layout is named if
-    its likeness reaches 0.85 and lacks half as much to 1 as the next one.
+    its likeness reaches 0.85 and lacks half as much to 1 as the next one. Drivers that move together leave B_fit open
+    in one direction. So a layout must besides, with the best gains of its axes, lose at most half as much of the
+    explained energy as any other.
 
     An output is a motor if its mean in flight is above 0.05, it moves, and the drivers move it (F >= 10). All that move
     are tried first; then the one that follows the drivers least is left out, again and again, while it does not follow
-    them. The motors are the rotors in rising order of their outputs. If no layout reaches 0.85 so, and yaw is excited
-    too, that order is sought in which one of `NUMBERED` fits best; its likeness must meet the same limits.
+    them. The motors must follow four times as much (F) as any output left out; they are the rotors in rising order of
+    their outputs. If no layout reaches 0.85 so, yaw is excited too and the drivers do not move together, that order is
+    sought in which one of `NUMBERED` fits best; it must meet the same limits.
 
     Any cut of the rows into blocks gives the same answer. Blind spots: servos that follow the drivers as motors do; a
     vehicle that hardly turns.
@@ -79,13 +84,18 @@ def detect_layout(
         return LayoutFinding(None, "the data carry no rotor outputs that move")
     fit = fit_outputs(stretches, moving)
     found = first = _found(fit, moving, known)
+    left_out = 0.0
     while found.layout is None and fit is not None and fit.followed.min() < MIN_F:
         if len(moving) == FEWEST:
             return first
         worst = int(fit.followed.argmin())
+        left_out = max(left_out, float(fit.followed[worst]))
         moving = [one for i, one in enumerate(moving) if i != worst]
         fit = fit_outputs(stretches, moving)
         found = _found(fit, moving, known)
+    if fit is not None and fit.followed.min() < MIN_GAP * left_out:
+        reason = f"which outputs are motors is not clear, they hardly follow the {fit.driver}; fly turns"
+        return LayoutFinding(None, reason, (), first.outputs)
     if found.layout is None and fit is not None and max((one for _, one in found.likeness), default=-1) < MIN_LIKENESS:
         found = _reordered(fit, moving, known) or found
     return found
@@ -145,6 +155,10 @@ def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
     if best < MIN_LIKENESS or (second is not None and 1 - best > MAX_MISFIT * (1 - second[1])):
         return LayoutFinding(None, f"no known layout fits clearly ({scores})", tuple(ranked))
     layout = next(one for one in candidates if one.name == name)
+    rivals = [fit.lost(one.mixing) for one in candidates if one.name != name]
+    if fit.lost(layout.mixing) > MAX_MISFIT * min(rivals, default=1.0):
+        reason = f"roll, pitch and yaw moved together, so that several layouts fit ({scores}); fly them apart"
+        return LayoutFinding(None, reason, tuple(ranked))
     unseen = "" if fit.F[2] >= MIN_F else "; the senses of rotation were not seen, for the flights hardly yaw"
     return LayoutFinding(layout, f"found from outputs and {fit.driver} ({scores}){unseen}", tuple(ranked))
 
@@ -152,7 +166,7 @@ def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
 def _reordered(fit: Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:
     """The layout that fits in another order of the outputs; None if none does, or an axis is not excited."""
     candidates = [one for one in known if one.name in NUMBERED and one.rotors == len(columns)]
-    if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F:
+    if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F or fit.together > MAX_TOGETHER:
         return None
     orders = {one.name: _order(fit.effects, one) for one in candidates}
     turned = [RotorLayout(one.name, tuple(one.signs[i] for i in orders[one.name])) for one in candidates]

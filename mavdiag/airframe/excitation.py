@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import BoolArray, FloatArray
@@ -26,6 +27,7 @@ class Fit:
     F: (3,) of roll, pitch and yaw: over all outputs, how far the driver's effect stands out of the noise.
     followed: (outputs,) of each output: how far the effect of all drivers stands out of its noise, an F value too.
     explained: share of the outputs' changes.
+    spread: (3, 3) mean products of the drivers' changes, each over its standard deviation.
     """
 
     driver: str
@@ -33,6 +35,25 @@ class Fit:
     F: FloatArray
     followed: FloatArray
     explained: float
+    spread: FloatArray
+
+    @property
+    def together(self) -> float:
+        """The largest variance inflation factor: how much less is known of a driver for moving with the others."""
+        return float(np.diag(np.linalg.pinv(self.spread)).max())
+
+    def lost(self, mixing: FloatArray) -> float:
+        """How much of the explained energy a layout cannot explain, 0..1, whatever gains its axes have.
+
+        mixing: (outputs, 3), see `RotorLayout.mixing`.
+        """
+        # least g >= 0 of  tr (E - diag(g) B')' S (E - diag(g) B'),  E effects, B mixing, S spread: a normal equation
+        S, E, B = self.spread, self.effects, mixing
+        total = float(np.einsum("kr,kl,lr->", E, S, E))
+        M, v = S * (B.T @ B), np.einsum("kl,lr,rk->k", S, E, B)
+        root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(3))
+        g, _ = nnls(root.T, np.linalg.solve(root, v))
+        return float((total - 2 * g @ v + g @ M @ g) / total) if total > 0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,4 +155,5 @@ def _regression(relative: Sequence[FloatArray], stretches: Sequence[Stretch], i:
         np.asarray(F, dtype=np.float64),
         np.asarray(followed, dtype=np.float64),
         1 - float(left.sum()) / total,
+        np.asarray(X.T @ X / len(X), dtype=np.float64),
     )

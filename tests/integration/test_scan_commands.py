@@ -65,7 +65,7 @@ def baseline(mavdiag: Any, folder: Path, healthy: list[Path]) -> Path:
         code, out, err = mavdiag("identify", *healthy[1:], "-o", path, "--airframe", "qdrone2", "--name", "drone 1")
         assert (code, err) == (0, "")
         assert out.endswith(f"written to {path}\n")
-        assert "drone 1 (airframe), rotor layout qdrone2" in out
+        assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
         assert "vibration_level not judgeable: " in out
     return path
 
@@ -84,7 +84,7 @@ def test_the_json_line_has_the_fields_of_the_contract(mavdiag: Any, baseline: Pa
     code, out, _ = mavdiag("scan", crack, "--baseline", baseline, "--json")
     assert code == 1
     found = json.loads(out)
-    assert {*found} == {"log", "verdict", "reason", "judged_s", "profile", "rate_hz", "monitors", "events"}
+    assert {*found} == {"log", "verdict", "reason", "judged_s", "profile", "rate_hz", "monitors", "events", "notes"}
     assert (found["log"], found["verdict"], found["profile"]) == (str(crack), "fault", "qdrone2")  # R1
     assert found["rate_hz"] == pytest.approx(1000, rel=0.01)
     assert 10 < found["judged_s"] < 17.5

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import contradicts, detect_layout
+from mavdiag.airframe.excitation import Fit
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.airframe.load import load_airframe, with_layout
 from mavdiag.baseline import Baseline, dump, parse
@@ -82,6 +83,36 @@ def test_another_order_is_found_where_yaw_is_seen(name: str) -> None:
             np.testing.assert_allclose(said[output], layout.signs[motor], atol=1e-6)
     still = detect_layout([wide(unyawed(layout, 40), *(one + 1 for one in order))])
     assert still.layout is None
+
+
+@pytest.mark.parametrize("name", ["plus", "hexa-x", "octo-x", "octo-plus"])
+def test_what_the_flights_hardly_show_is_never_another_layout(name: str) -> None:
+    """Under noise an emulated octo was named a quad: four of its motors hardly followed, and were left out."""
+    layout, found = layout_named(name), []
+    for noise in (0.005, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2):
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            torque = rng.normal(0, 0.02, (2000, 3)) * (1.0, 1.0, 0.1)
+            outputs = 0.5 * (1 + torque @ layout.mixing.T + rng.normal(0, noise, (2000, layout.rotors)))
+            found.append(detect_layout([example_rows(2000, actuator=outputs, torque=torque).block]).layout)
+    assert set(found) == {layout, None}
+
+
+def test_axes_that_move_together_leave_the_layout_open() -> None:
+    """The effects of an emulated octo x that was named octo plus: roll and pitch moved together, 0.98 correlated."""
+    true, other = layout_named("octo-x"), layout_named("octo-plus")
+    leak = np.array([[0.84, 0.53, 0.0], [-0.1, 0.99, 0.0], [0.0, 0.0, 1.0]])
+    apart, together = np.eye(3), np.array([[1.0, 0.98, 0.0], [0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+    def fit(effects: FloatArray, spread: FloatArray) -> Fit:
+        return Fit("rate error", effects, np.full(3, 100.0), np.full(8, 100.0), 0.97, spread)
+
+    assert fit(true.mixing.T, apart).lost(true.mixing) == pytest.approx(0.0, abs=1e-6)
+    assert fit(true.mixing.T, apart).lost(other.mixing) > 0.05
+    open_ = fit(leak @ true.mixing.T, together)
+    assert open_.lost(true.mixing) > 0.5 * open_.lost(other.mixing)
+    assert fit(-true.mixing.T, apart).lost(true.mixing) == pytest.approx(1.0)
+    assert (fit(true.mixing.T, apart).together, open_.together) == pytest.approx((1.0, 1 / (1 - 0.98**2)))
 
 
 def test_a_servo_that_follows_as_a_motor_does_leaves_the_layout_unknown() -> None:
