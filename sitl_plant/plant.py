@@ -100,6 +100,8 @@ class PlantConfig:
         for name in ("heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
             if not math.isfinite(getattr(self, name)):
                 raise UsageError(f"{name} must be a finite number")
+        if self.outages_per_min and self.flown_vehicle.recorded is not None:
+            raise UsageError("the recorded QDrone 2 does not fly through outages of motion capture; leave them out")
         if self.seed < 0:
             raise UsageError(f"seed must be zero or more, not {self.seed}")
         self.all_injections()  # refuses a fault that does not exist
@@ -107,13 +109,8 @@ class PlantConfig:
         if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
             most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
             raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
-        if self.wear is not None and len(self.wear.loss_per_h) != len(self.type.rotors):
-            raise UsageError(f"wear needs a loss for each of {len(self.type.rotors)} rotors")
-
-    @property
-    def type(self) -> Vehicle:
-        """The vehicle that flies."""
-        return self.vehicle if self.airframe is None else self.airframe.vehicle
+        if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
+            raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
 
     def gusts(self) -> Dryden | None:
         """The turbulence at the height of the path, None if it was not asked for."""
