@@ -15,9 +15,9 @@ from mavdiag.baseline import Baseline, HealthyScores, MonitorEntry, Provenance, 
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import LearntFlight, airborne, sessions_of
-from mavdiag.learning.upsets import upsets
 from mavdiag.learning.learn import plain_scores, sources
 from mavdiag.learning.teaching import refuse
+from mavdiag.learning.upsets import upsets
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.healthy import Three, three
