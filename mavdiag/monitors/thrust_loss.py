@@ -26,8 +26,10 @@ WINDOW_S = 0.1  # our choice: four time constants of a motor
 MEMORY_S = 3.0  # of what the command gives: battery and payload change it more slowly (our choice)
 MIN_THRUST = 0.05  # collective command below which nothing flies (our choice)
 PER_RAD_S = 0.1  # share of thrust that a rate of 1 rad/s lets count: at 3 rad/s a loss of 0.3 (our choice)
-LEAST_SHARE = (
-    0.3  # of the thrust: more than a quarter, since the controller gives up the opposite rotor too (our choice)
+# Share of the thrust: a quarter, and more as the controller gives up the opposite rotor (our choice).
+LEAST_SHARE = 0.3
+TUMBLING_RAD_S = (
+    8.0  # beyond it the accelerometer feels the rotation, and propellers the air from the side (our choice)
 )
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
@@ -70,8 +72,8 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     cosine between the mean of p, q and what a loss of rotor j alone turns, -(its roll and pitch effects).
 
     Warm-up: 0.1 s. Latency: 0.2 s. False alarms: see `thresholds`; the threshold is never less than 0.3. Blind spots:
-    a vehicle of six or more rotors that flies on without one; a weak propeller (see rotor_trim); links without
-    collective command or accelerometer.
+    a vehicle that tumbles, above 8 rad/s; one of six or more rotors that flies on without one; a weak propeller (see
+    rotor_trim); links without collective command or accelerometer.
 
     >>> from mavdiag.airframe.layout import layout_named
     >>> from mavdiag.testing import example_rows
@@ -128,6 +130,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
         loss = 1.0 - mean[:, 0] / expected
         value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
+        value = np.where(mean[:, 4] < TUMBLING_RAD_S, value, 0.0)
         rotors = np.empty((len(block), 0)) if spec.layout is None else _towards(spec.layout, mean[:, 2:4])
         state = replace(state, usual=usual, mean=mean_state)
         return state, Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
