@@ -40,6 +40,7 @@ from mavdiag.link.codec import message_name
 from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.telemetry import Instant
+from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics  # brings prometheus_client with it
@@ -159,7 +160,8 @@ class Daemon:
         return Instant(self._host.now_ns())
 
     def _spec(self, profile: Profile) -> SessionSpec:
-        return SessionSpec(profile, self._baseline, self._settings)
+        offset_ns = round(self._host.utc().timestamp() * NS_PER_S) - self._host.now_ns()
+        return SessionSpec(profile, self._baseline, self._settings, offset_ns)
 
     def _chunks(self) -> list[Chunk]:
         chunks: list[Chunk] = []

@@ -64,7 +64,12 @@ def fit_baseline(job: FittingJob) -> Outcome:
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     log = Log(
-        f"vehicle {job.vehicle}, live, {created}", "", job.profile, job.telemetry, parameters=dict(job.parameters)
+        f"vehicle {job.vehicle}, live, {created}",
+        "",
+        job.profile,
+        job.telemetry,
+        started_ns=time.time_ns(),
+        parameters=dict(job.parameters),
     )
     try:
         return learn([log], LearnOptions(airframe=job.airframe), created=created)

@@ -217,7 +217,7 @@ class Session:
         if state.baseline is not None and (state.judge is None or state.judge.baseline is not state.baseline):
             try:
                 check_link(state.baseline, profile=self.spec.profile.name, dt_s=state.baseline.link.dt_s)
-                chain = chain_of(state.baseline)
+                chain = chain_of(state.baseline, self.spec.unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(), now))

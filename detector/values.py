@@ -38,11 +38,17 @@ class SessionSpec:
     profile: the vehicle's link profile.
     baseline: what it judges by; None to learn one.
     settings: how it works.
+    unix_offset_ns: wall clock less the host's clock [ns]; 0 if the wall clock is not known.
     """
 
     profile: Profile
     baseline: Baseline | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
+    unix_offset_ns: int = 0
+
+    def unix_ns(self, now: Instant) -> int:
+        """Wall-clock time, unix epoch [ns]; 0 if it is not known."""
+        return now.ns + self.unix_offset_ns if self.unix_offset_ns else 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ and calls the part that does the work.
 """
 
 import datetime
+import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -112,7 +113,7 @@ class Watch:
     """
 
     def __init__(self, baseline: Baseline | str | Path) -> None:
-        self._chain = chain_of(_loaded(baseline))
+        self._chain = chain_of(_loaded(baseline), time.time_ns())
         self._state = self._chain.start()
         #: Everything that the last step brought, with the latest value of each monitor.
         self.output = ChainOutput()

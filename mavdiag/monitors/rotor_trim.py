@@ -88,9 +88,10 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
     depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
     # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
-    # trim changes from one to the next, 0.06 more with one session, nothing more from five on. And a shift of less
+    # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
+    # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a shift of less
     # than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD section 3).
-    guard = Guard(few_sessions=0.06, enough_sessions=5, least=0.02)
+    guard = Guard(few_sessions=0.06, few_flights=12.0, least=0.02)
     evidence = RotorEvidence(
         10.0, relative=True, direct=False
     )  # of 35 recorded cuts a lead of 0.12 was right each time

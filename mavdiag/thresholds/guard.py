@@ -13,6 +13,8 @@ class Guard:
 
     few_sessions: added with flights of one session, and linearly less up to `enough_sessions`, where it is zero.
     enough_sessions: from so many sessions on nothing is added.
+    few_flights: added with one flight, in scales (beta) of the healthy maxima, and linearly less up to `enough_flights`.
+    enough_flights: from so many flights on nothing is added for them.
     above_mean: least distance from the mean healthy maximum.
     least: least threshold at all.
     scale_share: least beta as a share of the mean maximum.
@@ -21,13 +23,20 @@ class Guard:
 
     few_sessions: float = 0.0
     enough_sessions: int = 5
+    few_flights: float = 0.0
+    enough_flights: int = 5
     above_mean: float = 0.0
     least: float = 0.0
     scale_share: float = 0.1
 
     def __post_init__(self) -> None:
-        if min(self.few_sessions, self.above_mean, self.least, self.scale_share) < 0 or self.enough_sessions < 2:
-            raise UsageError("a guard's figures must not be negative, and enough sessions are at least 2")
+        figures = (self.few_sessions, self.few_flights, self.above_mean, self.least, self.scale_share)
+        if min(figures) < 0 or min(self.enough_sessions, self.enough_flights) < 2:
+            raise UsageError("a guard's figures must not be negative, and enough sessions or flights are at least 2")
+
+    def scales(self, flights: int) -> float:
+        """How many scales are added for having only that many flights."""
+        return self.few_flights * max(0, self.enough_flights - flights) / (self.enough_flights - 1)
 
     def allowance(self, sessions: int) -> float:
         """What is added for knowing only that many sessions."""

@@ -153,7 +153,8 @@ def threshold_of(
         level = location - scale * math.log(rate)
     sessions = flights if sessions is None else sessions
     least = max(float(np.mean(x)) + guard.above_mean, guard.least)
-    within, value = max(level, least), max(level + guard.allowance(sessions), least)
+    few = level + guard.scales(flights) * scale
+    within, value = max(few, least), max(few + guard.allowance(sessions), least)
     hours, exceeding = scores.judged_s / S_PER_H, int(np.count_nonzero(x > value))
     return Threshold(
         value=value,
