@@ -11,7 +11,7 @@ from mavdiag.decision.alarm import Change, Event
 from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import Profile
 from mavdiag.link.vehicles import Ack
-from mavdiag.telemetry import Telemetry
+from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = [
     "AskInterval",

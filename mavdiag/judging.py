@@ -217,11 +217,8 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     axis = f" on {worst.axis}" if worst.axis is not None else ""
     count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
     evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
-    doubt = (
-        f"; {DOUBT}"
-        if {event.monitor for event in events if event.monitor != RunLength.name} == {RotorTrim.name}
-        else ""
-    )
+    alone = {event.monitor for event in events} - {RunLength.name} == {RotorTrim.name}
+    doubt = f"; {DOUBT}" if alone else ""
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
     return f"{what}{evidence}{rotor}{graded}{doubt}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
 

@@ -41,6 +41,15 @@ class RotorReading:
             raise UsageError(f"a threshold must be positive, not {self.threshold}")
 
 
+def _sure(one: RotorReading) -> bool:
+    """Whether a monitor names a rotor by itself."""
+    if not one.rotors or not all(math.isfinite(x) for x in one.rotors):
+        return False
+    unit = one.how.weight / (one.threshold if one.how.relative else 1.0)
+    highest = max(one.rotors)
+    return math.fsum(math.exp(unit * (x - highest)) for x in one.rotors) <= 1.0 / NAME_AT
+
+
 @dataclass(frozen=True, slots=True)
 class Isolation:
     """The answer.
@@ -64,7 +73,7 @@ def isolate(readings: Sequence[RotorReading]) -> Isolation:
     (2, 0.998, None)
     """
     logits: list[float] = []
-    observed = any(one.ratio > 1 and one.rotors and one.how.direct for one in readings)
+    observed = any(one.ratio > 1 and one.how.direct and _sure(one) for one in readings)
     for one in readings:
         gate = min(max((one.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
         if (observed and not one.how.direct) or gate == 0.0 or not all(math.isfinite(x) for x in one.rotors):

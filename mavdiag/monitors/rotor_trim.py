@@ -64,7 +64,7 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
     vehicle tilted tips the rotor discs too: the spread of roll and pitch has 0.3 times the commanded tilt of the same
-    5 s added in squares. `level` is the same amplitude, which grades the damage; `signal` is the yaw trim's shift;
+    5 s added in squares, but not where a rotor is named. `level` is the same amplitude, which grades the damage; `signal` is the yaw trim's shift;
     `rotors` are the a_j. In a session of the healthy flights the threshold is lower (`Threshold.session_allowance`).
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; two flights from two
@@ -89,8 +89,8 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
     # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
     # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
-    # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a shift of less
-    # than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD section 3).
+    # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a
+    # shift of less than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD 3).
     guard = Guard(few_sessions=0.06, few_flights=12.0, least=0.02)
     evidence = RotorEvidence(
         10.0, relative=True, direct=False
@@ -144,8 +144,8 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         both = np.concatenate((trim, tilt_of(block)), axis=1)
         state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
         shift = mean[:, :3] - np.array(spec.mean)
-        rotors = rises(shift, mean[:, 3:], spec.layout, spec.spread)
-        rise = rotors.max(axis=1)
+        rise = rises(shift, spec.layout, spec.spread, mean[:, 3:]).max(axis=1)
+        rotors = rises(shift, spec.layout, spec.spread)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
 
 

@@ -25,6 +25,7 @@ LEVEL_RATIO = 3.0  # least spread of roll and pitch over that of yaw; METHOD sec
 TILT_TRIM = (
     0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated flights have 0.28)
 )
+NO_TILT = np.zeros((1, 2))
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]
@@ -78,11 +79,12 @@ def spread_of(shifts: FloatArray) -> Three:
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
 
 
-def rises(shift: FloatArray, tilt: FloatArray, layout: RotorLayout, spread: Three) -> FloatArray:
+def rises(shift: FloatArray, layout: RotorLayout, spread: Three, tilt: FloatArray = NO_TILT) -> FloatArray:
     """The rise of each rotor that explains a shift of the trim alone, (n, 3) -> (n, rotors) [fraction of hover].
 
     tilt: (n, 2) by how much the commanded tilt differs [rad]: wind that holds a vehicle tilted tips the rotor discs
-    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch.
+    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
+    full, which tells rotors of one sense of rotation apart.
     """
     variance = np.empty(shift.shape)
     variance[:, :2] = np.square(spread[:2]) + np.square(TILT_TRIM * np.linalg.norm(tilt, axis=1, keepdims=True))

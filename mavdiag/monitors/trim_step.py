@@ -28,6 +28,7 @@ TICK_S = 0.5  # a value twice a second (our choice)
 WINDOW_S = 5.0  # as the rotor-trim monitor's
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
+HOLD = 0.006  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
 UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 
@@ -79,7 +80,7 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
-        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)
+        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.006
 
     m_ref begins as the first 5 s of a flight. What was there from the start, and what comes slower than 0.0003 a
     second, does not count: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw
@@ -154,8 +155,8 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         """The best single-rotor rise twice a second."""
         block = rows.block
         state, t_ns, shift, tilt, valid = self._shifts(state, block)
-        rotors = rises(shift, tilt, self.spec.layout, self.spec.spread)
-        rise = rotors.max(axis=1)
+        rise = rises(shift, self.spec.layout, self.spec.spread, tilt).max(axis=1)
+        rotors = rises(shift, self.spec.layout, self.spec.spread)
         period_s = self._tick(block) * block.dt_s
         return state, Statistic(t_ns, period_s, rise, valid, rise, shift[:, 2], rotors)
 
@@ -177,32 +178,25 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         means = rows[:used].reshape(count, tick, 5).mean(axis=1)
         shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
         ticks, reference = state.ticks, state.reference
+        tick_s = tick * block.dt_s
+        window = max(1, round(self.spec.window_s / tick_s))
         for i in range(count):
-            ticks, reference = self._add(ticks, reference, means[i], bool(whole[i]), tick * block.dt_s)
-            window = self._window(tick * block.dt_s)
-            if reference is not None and len(ticks) >= 2 * window:
-                shift[i], valid[i] = ticks[-window:].mean(axis=0) - reference, True
+            ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1])) if whole[i] else ticks[:0]
+            if len(ticks) < 2 * window:
+                continue
+            before = ticks[:window].mean(axis=0)
+            reference = before if reference is None else reference
+            shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
+            reference = self._followed(reference, before, shift[i], tick_s)
         state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
         return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
 
-    def _window(self, tick_s: float) -> int:
-        """Ticks of a window."""
-        return max(1, round(self.spec.window_s / tick_s))
-
-    def _add(
-        self, ticks: FloatArray, reference: FloatArray | None, mean: FloatArray, whole: bool, tick_s: float
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """The ticks with one more, and the reference with the window that lies one window back."""
-        if not whole:
-            return ticks[:0], reference
-        window = self._window(tick_s)
-        ticks = np.concatenate((ticks[-(2 * window - 1) :], mean[None]))
-        if len(ticks) < 2 * window:
-            return ticks, reference
-        before = ticks[:window].mean(axis=0)
-        if reference is None:
-            return ticks, before
+    def _followed(self, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float) -> FloatArray:
+        """The reference a tick later. before: (5,) mean of the window that lies one window back."""
+        both = np.stack((shift, before - reference))
+        if rises(both[:, :3], self.spec.layout, self.spec.spread, both[:, 3:]).max() > HOLD:
+            return reference
         step = (before - reference) * (tick_s / self.spec.memory_s)
         most = self.spec.drift_per_s * tick_s
         step[:3] = np.clip(step[:3], -most, most)
-        return ticks, reference + step
+        return np.asarray(reference + step, dtype=np.float64)

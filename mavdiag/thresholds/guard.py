@@ -13,7 +13,7 @@ class Guard:
 
     few_sessions: added with flights of one session, and linearly less up to `enough_sessions`, where it is zero.
     enough_sessions: from so many sessions on nothing is added.
-    few_flights: added with one flight, in scales (beta) of the healthy maxima, and linearly less up to `enough_flights`.
+    few_flights: added with one flight, in scales (beta) of the healthy maxima; linearly less up to `enough_flights`.
     enough_flights: from so many flights on nothing is added for them.
     above_mean: least distance from the mean healthy maximum.
     least: least threshold at all.
