@@ -81,9 +81,9 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
         m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)
 
-    m_ref begins as the first 5 s of a flight. What was there from the start, and what comes slower than 0.0003 a
-    second, does not count: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw
-    trim's shift, `rotors` are the a_j.
+    m_ref begins as the first 5 s of a flight. What was there from the start does not count, and of a rise of r a second
+    only 37 r is seen: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw trim's
+    shift, `rotors` are the a_j.
 
     Warm-up: 10 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; a payload that is
     picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the rotor-trim
