@@ -16,7 +16,7 @@ from mavdiag.errors import BaselineError, UsageError
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.thresholds.rule import ThresholdRule
 
-FSD, TRIM = 0, -1  # places in the list of the monitors
+FSD, TRIM = 0, 5  # places in the list of the monitors
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,8 @@ def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | Non
 
 
 def test_it_says_what_it_is_in_a_notebook(baseline: Baseline) -> None:
-    assert repr(baseline) == ("<Baseline of made: fsd, innovation, rotor_signature, vibration_level, rotor_trim>")
+    names = "fsd, innovation, rotor_signature, vibration_level, rotor_trim, trim_step"
+    assert repr(baseline) == f"<Baseline of made: {names}, sensor_noise, sensor_drift, control_loss, thrust_loss>"
     text = str(baseline)
     for word in (
         "made (airframe)",
