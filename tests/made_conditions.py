@@ -84,7 +84,9 @@ def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:
         known = [i for i in turned if rates.commanded[i]]
         tilts.append((_mean([block.setpoint[i, 0] for i in aimed]), _mean([block.setpoint[i, 1] for i in aimed])))
         out[Condition.TILT].append(
-            math.hypot(*(sum(one[axis] for one in tilts[-50:]) / 50 for axis in (0, 1))) if len(tilts) >= 50 else math.nan
+            math.hypot(*(sum(one[axis] for one in tilts[-50:]) / 50 for axis in (0, 1)))
+            if len(tilts) >= 50
+            else math.nan
         )
         out[Condition.THROTTLE].append(_mean([block.thrust[i] for i in inside]))
         out[Condition.VOLTAGE].append(_mean([block.voltage[i] for i in inside]))

@@ -46,7 +46,9 @@ def test_tilt_is_that_of_the_mean_set_point_of_five_seconds() -> None:
 def test_throttle_and_voltage_are_means_of_what_is_known() -> None:
     half = np.where(np.arange(800) % 2, 0.4, np.nan)
     np.testing.assert_allclose(seen(Condition.THROTTLE, thrust=half), 0.4)
-    np.testing.assert_allclose(seen(Condition.VOLTAGE, voltage=np.linspace(12, 11.2, 800))[[0, 9]], [11.9955, 11.9055], atol=0.01)
+    np.testing.assert_allclose(
+        seen(Condition.VOLTAGE, voltage=np.linspace(12, 11.2, 800))[[0, 9]], [11.9955, 11.9055], atol=0.01
+    )
 
 
 def test_a_commanded_turn_is_a_rate_and_an_acceleration() -> None:

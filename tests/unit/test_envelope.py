@@ -41,7 +41,11 @@ def test_every_condition_has_a_rule_with_room_and_a_remedy(condition: Condition)
         (YAW, [0.0, 0.4, 0.5, 0.6, 0.8], [0.0, 0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.COMMANDED_RATE, 0.0, 1.0), [1.0, 1.5, 2.0, 3.0], [0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.HEIGHT, 0.4, 9.0), [20.0, 0.4, 0.3, 0.2, 0.0], [0.0, 0.0, 0.5, 1.0, 2.0]),
-        (Covered(Condition.VOLTAGE, 10.0, 12.0), [10.0, 12.0, 12.5, 13.0, 9.5, 9.0, 8.0], [0, 0, 0.5, 1.0, 0.5, 1.0, 2]),
+        (
+            Covered(Condition.VOLTAGE, 10.0, 12.0),
+            [10.0, 12.0, 12.5, 13.0, 9.5, 9.0, 8.0],
+            [0, 0, 0.5, 1.0, 0.5, 1.0, 2],
+        ),
     ],
     ids=["upper", "with a room of its own", "lower", "both"],
 )

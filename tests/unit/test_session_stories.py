@@ -252,8 +252,8 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
     assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
     notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
     assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_trim, trim_step, rotor_signature do not judge, and no rotor is named; "
-        "name it with --layout or --airframe"
+        "rotor layout unknown: 5 outputs move; rotor_trim, trim_step, rotor_signature do not judge, "
+        "and no rotor is named; name it with --layout or --airframe"
     ]
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
 

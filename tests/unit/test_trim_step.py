@@ -50,7 +50,7 @@ def test_a_step_of_each_rotor_of_each_layout_is_found_and_named(frame: str, roto
 
 def test_an_offset_that_was_there_from_the_start_does_not_count() -> None:
     """A session's own trim, and a rotor that was weak at take-off: the rotor-trim monitor sees that one."""
-    found = read(level(60) + [0.06, -0.02, 0.01, 0.0])
+    found = read(level(60) + np.array([0.06, -0.02, 0.01, 0.0]))
     assert found.valid.any()
     assert found.value[found.valid].max() < LEAST
 

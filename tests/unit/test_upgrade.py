@@ -149,7 +149,7 @@ def test_a_signature_that_was_not_judgeable_before_is_named_once() -> None:
 def test_a_file_of_the_signature_alone_has_nothing_left_and_is_refused() -> None:
     raw = copy.deepcopy(SECOND)
     raw["monitors"] = [one for one in raw["monitors"] if one["spec"]["kind"] == CHANGED]
-    with pytest.raises(BaselineError, match="monitors: .*at least 1 item"):
+    with pytest.raises(BaselineError, match=r"monitors: .*at least 1 item"):
         upgrade(raw)
 
 
