@@ -7,17 +7,26 @@ import pytest
 from made_conditions import column, made_block, measured, rows_of, slowly, spoilt
 
 from mavdiag.rows.conditions import BIN_S, TILT_BINS, Condition
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray
 from mavdiag.testing import example_rows
 
 RATES_HZ = (10, 12.5, 20, 33, 50, 100, 400, 1000)
 
 
-def seen(condition: Condition, n: int = 800, dt_s: float = 0.01, **signals: FloatArray) -> FloatArray:
-    """A condition of rows with these signals; `height` and `voltage` too."""
-    slow = {name: signals.pop(name) for name in ("height", "voltage") if name in signals}
-    block = replace(example_rows(n, dt_s, **signals).block, **slow)  # type: ignore[arg-type]  # of one type each
-    return column(measured(rows_of(block)), condition)
+def seen(
+    condition: Condition,
+    *,
+    setpoint: FloatArray | None = None,
+    setpoint_valid: BoolArray | None = None,
+    rate: FloatArray | None = None,
+    thrust: FloatArray | None = None,
+    height: FloatArray | None = None,
+    voltage: FloatArray | None = None,
+) -> FloatArray:
+    """A condition of 8 s at 100 Hz with these signals."""
+    block = example_rows(800, 0.01, setpoint=setpoint, setpoint_valid=setpoint_valid, rate=rate, thrust=thrust).block
+    block = block if height is None else replace(block, height=height)
+    return column(measured(rows_of(block if voltage is None else replace(block, voltage=voltage))), condition)
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
@@ -77,7 +86,7 @@ def test_without_a_heading_the_gyro_tells_the_yaw_rate() -> None:
 
 
 def test_height_is_the_least_of_a_bin_and_climbing_its_change() -> None:
-    height = 2.0 + 1.5 * 0.01 * np.arange(800)
+    height: FloatArray = np.linspace(2.0, 2.0 + 1.5 * 7.99, 800)
     np.testing.assert_allclose(seen(Condition.HEIGHT, height=height)[:3], [2.0, 2.15, 2.3])
     np.testing.assert_allclose(seen(Condition.CLIMB_RATE, height=height)[1:], 1.5)
     np.testing.assert_allclose(seen(Condition.CLIMB_RATE, height=height[::-1].copy())[1:], 1.5)  # down counts alike

@@ -1,5 +1,7 @@
 """The trim and the rotor whose rise explains it, against numpy's least squares."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,9 +28,9 @@ def by_lstsq(shift: FloatArray, effect: FloatArray, spread: FloatArray) -> float
 @given(frame=frames, shift=shifts, lean=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=2))
 def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], lean: list[float]) -> None:
     layout = layout_named(frame)
-    effects = np.linalg.pinv(layout.mixing)  # (3, rotors)
-    wind = TILT_TRIM * np.hypot(*lean)
-    spread = np.array([np.hypot(CALM[0], wind), np.hypot(CALM[1], wind), CALM[2]])
+    effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
+    wind = TILT_TRIM * math.hypot(*lean)
+    spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
     found = rises(np.array([shift]), np.array([lean]), layout, CALM)
     expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
     np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
@@ -81,9 +83,9 @@ def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
 
 def test_outputs_are_preferred_to_commands() -> None:
     frame, outputs = layout_named("crazyflie"), np.full((9, 4), 0.5)
-    commands = {"torque": np.zeros((9, 3)), "thrust": np.full(9, 0.5)}
-    assert source_of([[example_rows(9, **commands, actuator=outputs)]], frame) == "actuator"
-    assert source_of([[example_rows(9, **commands)]], frame) == "torque"
+    torque, thrust = np.zeros((9, 3)), np.full(9, 0.5)
+    assert source_of([[example_rows(9, torque=torque, thrust=thrust, actuator=outputs)]], frame) == "actuator"
+    assert source_of([[example_rows(9, torque=torque, thrust=thrust)]], frame) == "torque"
     with pytest.raises(InputError, match="outputs of 4 motors above idle"):
         source_of([[example_rows(9)]], frame)
 

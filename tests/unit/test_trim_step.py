@@ -25,10 +25,10 @@ TICK = round(TICK_S / DT_S)
 ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
 
 
-def read(outputs: FloatArray, frame: str = "x", **signals: FloatArray) -> Statistic:
+def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None) -> Statistic:
     spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=CALM)
     monitor = TrimStep(spec)
-    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, **signals))[1]
+    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
 
 
 def level(seconds: float, rotors: int = 4, seed: int = 1) -> FloatArray:
