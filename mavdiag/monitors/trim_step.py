@@ -96,7 +96,7 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
     >>> monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=(0.03, 0.03, 0.01)))
     >>> _, found = monitor.step(monitor.start(), example_rows(4000, 0.01, actuator=outputs))
     >>> [float(x.round(2)) for x in (found.value[20:40].max(), found.value[60])], int(found.rotors[60].argmax()) + 1
-    ([0.01, 0.09], 2)
+    ([0.01, 0.1], 2)
     """
 
     name = "trim_step"
