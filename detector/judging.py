@@ -111,7 +111,10 @@ def records_of(output: ChainOutput) -> tuple[Record, ...]:
 
 
 def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
-    """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged."""
+    """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged.
+
+    A condition outside of the envelope is named without its figures: these move, and a text that moves is news.
+    """
     if streams.began is None or now - streams.began < STREAM_S:
         return ()
     found: dict[str, str] = {}
@@ -119,8 +122,11 @@ def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str,
         missing = [one for one in METERED if one in slot.monitor.signals and streams.meter(one).latest is None]
         if missing:
             found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
-        elif judge.flight_s > WARM_S and not account.judged_s and (reasons := account.not_judged):
-            found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
+        elif judge.flight_s > WARM_S and not account.judged_s:
+            outside = {f"{condition} not learnt": one.span_s for condition, one in account.outside.items()}
+            reasons = {**account.not_judged, **outside}
+            if reasons:
+                found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
     return tuple(found.items())
 
 

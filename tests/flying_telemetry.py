@@ -31,15 +31,23 @@ def body_rates(angle: FloatArray) -> FloatArray:
     return np.stack((roll - np.sin(theta) * yaw, q, r), axis=1)
 
 
-def flying(n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: float = 0.3) -> Telemetry:
-    """n samples at 100 Hz of an X frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output."""
+def flying(
+    n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: float = 0.3, turn: FloatArray | None = None
+) -> Telemetry:
+    """n samples at 100 Hz of an X frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output.
+
+    turn: (n,) yaw rate that the nose turns with besides [rad/s]; drag asks for a yaw trim of 0.02 for each rad/s.
+    """
     rng = np.random.default_rng(seed)
     t_ns = START_NS + DT_NS * np.arange(n, dtype=np.int64)
     setpoint = setpoints(n, seed)
+    turn = np.zeros(n) if turn is None else turn
+    setpoint[:, 2] += DT_S * np.cumsum(turn)
     wanted = body_rates(setpoint)
     rate = np.asarray(lfilter([0.3], [1, -0.7], wanted, axis=0)) + 0.02 * rng.standard_normal((n, 3))
     attitude = np.asarray(lfilter([0.3], [1, -0.7], setpoint, axis=0))
     torque = 0.05 * (wanted - rate) + 0.002 * rng.standard_normal((n, 3))
+    torque[:, 2] += 0.02 * turn
     outputs = 0.5 * (1.0 + torque @ layout_named("x").mixing.T)
     if weak_rotor:
         outputs[:, weak_rotor - 1] += 0.5 * rise

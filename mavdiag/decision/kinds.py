@@ -8,7 +8,7 @@ because what a sensor does to the propeller monitors shows before the slow check
 A rotor is named while that is certain, and only then:
 
     a sensor is at fault                   no rotor, and a name that was given is withdrawn
-    a sensor's check is at 0.7 or above    no new name: what the propeller monitors see may be the sensor
+    a sensor's check is at 0.85 or above    no new name: what the propeller monitors see may be the sensor
     an upset, or the loss of control       no new name: the one that was given before it is kept
     a gross loss of thrust                 the name that was given, else the one that the loss itself shows
 
@@ -26,7 +26,7 @@ from mavdiag.units import NS_PER_S
 __all__ = ["KindReading", "grown", "named", "upset"]
 
 SENSOR_WITHIN_NS = 10 * NS_PER_S  # of a declaration (our choice: the slower half of the sensors' checks takes so long)
-DOUBTFUL_FROM = 0.7  # of a sensor monitor's threshold: what counts as not calm (our choice)
+DOUBTFUL_FROM = 0.85  # of a sensor monitor's threshold: what counts as not calm (our choice)
 UPSET_FROM = 0.5  # of the threshold of a loss (our choice)
 NOBODY = Isolation(None, 0.0)
 LOSSES = (FaultKind.LOSS_OF_CONTROL, FaultKind.GROSS_LOSS)

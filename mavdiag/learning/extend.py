@@ -10,14 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavdiag.airframe.fingerprint import Fingerprint, fingerprint_of, merged
-from mavdiag.baseline import Baseline, HealthyScores, MonitorEntry, Provenance, check_link, sealed
+from mavdiag.airframe.fingerprint import Fingerprint, Outcome, compare, fingerprint_of, merged
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, check_link, sealed
+from mavdiag.baseline_parts import HealthyScores, MonitorEntry
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
 from mavdiag.learning.flights import LearntFlight, airborne, sessions_of
+from mavdiag.learning.guards import repeated, upsets
 from mavdiag.learning.learn import plain_scores, sources
 from mavdiag.learning.teaching import refuse
-from mavdiag.learning.upsets import upsets
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.healthy import Three, three
@@ -39,8 +40,9 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
     """The baseline with more healthy flights of its airframe. created: time stamp to record, ISO 8601 UTC.
 
     new_propellers: they were flown with a new set; one hover of 15 s is enough.
-    Raises InputError, naming the flight, for one that is in it already or never flies, or for a baseline of an older
-    schema; BaselineError for a flight over another link.
+    Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or for a
+    baseline of an older schema; BaselineError for a flight over another link; IdentificationError for one that is too
+    short for a monitor.
     """
     if not flights:
         raise InputError("no healthy flight to add; name one or more logs")
@@ -48,6 +50,8 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
     front = front_of(baseline)
     learnt = [airborne(front, flight) for flight in flights]
     refuse(upsets(learnt))
+    if baseline.fingerprint is not None and not new_propellers:
+        _check_vehicle(baseline, baseline.fingerprint, learnt)
     old = baseline.provenance.logs
     propellers = max(one.propellers for one in old) + new_propellers
     sessions = _sessions(baseline, flights)
@@ -66,7 +70,7 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
                 "envelope": envelope,
                 "fingerprint": _fingerprint(baseline, learnt, new_propellers),
                 "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
-                "provenance": Provenance(logs=logs, created=created, tool=baseline.provenance.tool),
+                "provenance": baseline.provenance.model_copy(update={"logs": logs, "created": created}),
             }
         )
     )
@@ -78,18 +82,20 @@ def _check(baseline: Baseline, flights: Sequence[Log]) -> None:
         if flight.sha256 in known:
             raise InputError(f"{flight.name}: is in the baseline already; leave it out")
         check_link(baseline, profile=flight.profile, dt_s=measure_grid(flight.telemetry)[0])
+    refuse(repeated(flights))
     if any(entry.scores is None for entry in baseline.monitors):
         raise InputError("the baseline is of an older schema and holds no scores; make it anew with `mavdiag identify`")
 
 
 def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
-    """The session of each new flight: one of the baseline's if the wall clock says so, else a new one."""
+    """The session of each new flight: that of the nearest flight of the baseline within an hour, else a new one."""
     logs = baseline.provenance.logs
     first = max(one.session for one in logs) + 1
     numbers = [first + number for number in sessions_of(flights)]
     for i, flight in enumerate(flights):
-        near = [one.session for one in logs if baseline.same_session(flight.started_ns) and one.started_ns]
-        numbers[i] = near[-1] if near else numbers[i]
+        apart = [(abs(one.started_ns - flight.started_ns), one.session) for one in logs if one.started_ns]
+        if flight.started_ns and apart and min(apart)[0] <= SESSION_GAP_NS:
+            numbers[i] = min(apart)[1]
     return numbers
 
 
@@ -144,6 +150,14 @@ def _moved(baseline: Baseline, entry: MonitorEntry, flights: Sequence[LearntFlig
 def _trim(spec: RotorTrimSpec, flights: Sequence[LearntFlight]) -> Three:
     """Healthy trim of these flights alone."""
     return RotorTrim(spec).mean_of([one.rows for one in flights])
+
+
+def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[LearntFlight]) -> None:
+    """Raise InputError for a flight of another vehicle."""
+    for one in flights:
+        likeness = compare(known, one.rows, baseline.airframe.layout)
+        if likeness.outcome is Outcome.FAR:
+            raise InputError(f"{one.flight.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
 
 
 def _fingerprint(baseline: Baseline, flights: Sequence[LearntFlight], new_propellers: bool) -> Fingerprint | None:

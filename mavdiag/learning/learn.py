@@ -10,17 +10,8 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import fingerprint_of
 from mavdiag.airframe.load import airframe_named
-from mavdiag.baseline import (
-    Baseline,
-    HealthyScores,
-    Link,
-    MonitorEntry,
-    Provenance,
-    Refusal,
-    SourceLog,
-    Window,
-    sealed,
-)
+from mavdiag.baseline import Baseline, sealed
+from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
 from mavdiag.learning.flights import LearntFlight, sessions_of

@@ -67,8 +67,8 @@ class RotorEvidence:
     weight: logits per unit of evidence.
     relative: the evidence counts in units of the monitor's threshold.
     direct: it observes the damaged rotor itself. Evidence that is not direct counts only while no direct monitor that
-    is above its threshold is sure of a rotor: a trim shows which rotor is commanded more, and a blade with more drag has the others
-    commanded more.
+    is above its threshold is sure of a rotor: a trim shows which rotor is commanded more, and a blade with more drag
+    has the others commanded more.
     """
 
     weight: float

@@ -123,7 +123,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     >>> monitor = RotorSignature(*RotorSignature.fit([[fly(0.0)]], example_context("qdrone2")))
     >>> calm, faulty = (monitor.step(monitor.start(), fly(fault))[1] for fault in (0.0, 1.0))
     >>> [float(one.value[one.valid].max().round(1)) for one in (calm, faulty)], int(faulty.rotors[-1].argmax()) + 1
-    ([1.9, 4.5], 2)
+    ([1.9, 8.2], 2)
     """
 
     name = "rotor_signature"

@@ -64,8 +64,9 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
     vehicle tilted tips the rotor discs too: the spread of roll and pitch has 0.3 times the commanded tilt of the same
-    5 s added in squares, but not where a rotor is named. `level` is the same amplitude, which grades the damage; `signal` is the yaw trim's shift;
-    `rotors` are the a_j. In a session of the healthy flights the threshold is lower (`Threshold.session_allowance`).
+    5 s added in squares, but not where a rotor is named. `level` is the same amplitude, which grades the damage;
+    `signal` is the yaw trim's shift; `rotors` are the a_j. In a session of the healthy flights the
+    threshold is lower (`Threshold.session_allowance`).
 
     Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; two flights from two
     sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss of thrust; all rotors

@@ -29,6 +29,7 @@ WINDOW_S = 5.0  # as the rotor-trim monitor's
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
 HOLD = 0.006  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
+STRAIGHT_RAD_S = 0.15  # mean yaw rate of a tick from which on it is a turn, whose trim says nothing (our choice)
 UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 
@@ -64,7 +65,7 @@ class TrimStepSpec:
 class TrimStepState:
     """What the next rows need.
 
-    t_ns, rows, known: (h,), (h, 5) and (h,) rows of an unfinished tick: trim and commanded roll and pitch.
+    t_ns, rows, known: (h,), (h, 6) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
     ticks: (k, 5) means of the last unbroken ticks, at most two windows of them.
     reference: (5,) what the present window is compared with; None before there is one.
     """
@@ -82,12 +83,12 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
         m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.006
 
-    m_ref begins as the first 5 s of a flight. What was there from the start, and what comes slower than 0.0003 a
-    second, does not count: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw
-    trim's shift, `rotors` are the a_j.
+    m_ref begins as the first 5 s of a flight. What was there from the start does not count, and of a rise of r a second
+    only 37 r is seen: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw trim's
+    shift, `rotors` are the a_j.
 
-    Warm-up: 10 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; a payload that is
-    picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the rotor-trim
+    Warm-up: 10 s of unbroken valid flight without a turn of the nose. Latency: up to 5 s. False alarms: see
+    `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the rotor-trim
     monitor sees it) or grows slowly, and hops shorter than 10 s.
 
     >>> from mavdiag.airframe.layout import layout_named
@@ -97,7 +98,7 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
     >>> monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=(0.03, 0.03, 0.01)))
     >>> _, found = monitor.step(monitor.start(), example_rows(4000, 0.01, actuator=outputs))
     >>> [float(x.round(2)) for x in (found.value[20:40].max(), found.value[60])], int(found.rotors[60].argmax()) + 1
-    ([0.01, 0.09], 2)
+    ([0.01, 0.1], 2)
     """
 
     name = "trim_step"
@@ -148,8 +149,8 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
 
     def start(self) -> TrimStepState:
         """No row yet."""
-        none = np.empty((0, 5))
-        return TrimStepState(np.empty(0, dtype=np.int64), none, np.empty(0, dtype=np.bool_), none, None)
+        waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
+        return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
 
     def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
@@ -171,17 +172,18 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         tick = self._tick(block)
         trim, flown = trim_of(block, self.spec.layout, self.spec.source)
         t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-        rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block)), axis=1)))
+        rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
         count = len(t_ns) // tick
         used = count * tick
         whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
-        means = rows[:used].reshape(count, tick, 5).mean(axis=1)
+        means = rows[:used].reshape(count, tick, 6).mean(axis=1)
+        straight = whole & (np.abs(means[:, 5]) < STRAIGHT_RAD_S)
         shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
         ticks, reference = state.ticks, state.reference
         tick_s = tick * block.dt_s
         window = max(1, round(self.spec.window_s / tick_s))
         for i in range(count):
-            ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1])) if whole[i] else ticks[:0]
+            ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
             if len(ticks) < 2 * window:
                 continue
             before = ticks[:window].mean(axis=0)

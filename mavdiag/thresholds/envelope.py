@@ -92,7 +92,7 @@ class Covered:
         """
         rule = RULES[self.condition]
         unit = f" {rule.unit}" if rule.unit else ""
-        return f"{self.condition} {value:{'.3g' if rule.side == 'both' else '.2g'}}{unit}, learnt {self._span()}"
+        return f"{self.condition} {_figure(value, 3 if rule.side == 'both' else 2)}{unit}, learnt {self._span()}"
 
     def __str__(self) -> str:
         unit = RULES[self.condition].unit
@@ -108,13 +108,9 @@ class Covered:
 
     def _span(self) -> str:
         side, (low, high) = RULES[self.condition].side, self._limits()
-        return (
-            f"{low:.3g} to {high:.3g}"
-            if side == "both"
-            else f"up to {high:.2g}"
-            if side == "upper"
-            else f"from {low:.2g}"
-        )
+        if side == "both":
+            return f"{_figure(low, 3)} to {_figure(high, 3)}"
+        return f"up to {_figure(high, 2)}" if side == "upper" else f"from {_figure(low, 2)}"
 
     def _limits(self) -> tuple[float, float]:
         """What counts as covered."""
@@ -129,6 +125,11 @@ class Covered:
     @property
     def _middle(self) -> float:
         return 0.5 * (self.low + self.high)
+
+
+def _figure(value: float, digits: int) -> str:
+    """A value to so many digits, and never with an exponent for a large one."""
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 
 def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:

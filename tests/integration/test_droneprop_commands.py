@@ -16,7 +16,7 @@ from droneprop_table import Line, Name, main, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
 FLIGHT_S = 25.0
-RISE = 0.16  # of the command of the front right rotor
+RISE = 0.3  # of the command of the front right rotor
 OWN = tuple(f"F0_SV0_SP1_t2_D1_R{number}.mat" for number in (1, 2, 3))
 
 

@@ -8,14 +8,18 @@ import pytest
 
 from mavdiag import cli
 from mavdiag.demo.subprocesses import run_child
+from mavdiag.monitors import BY_NAME
 
 Ran = tuple[int, str, str]
 OLD = Path(__file__).parents[1] / "unit" / "baseline_1.json"
 EVENT_KEYS = {
     "t_s", "end_s", "monitor", "axis", "statistic", "threshold", "fsd_s", "fml_s", "rotor", "fault_type", "severity",
-    "confidence",
+    "confidence", "fault_kind",
 }  # fmt: skip
-MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", "axis"}
+VERDICT_KEYS = {
+    "log", "verdict", "fault_kind", "reason", "judged_s", "profile", "rate_hz", "monitors", "events", "notes",
+}  # fmt: skip
+MONITOR_KEYS = {"max", "threshold", "unit", "alarms", "judged_s", "not_judged", "outside_s", "axis"}
 
 
 def recorded(folder: Path, name: str, *options: str) -> Path:
@@ -84,11 +88,11 @@ def test_the_json_line_has_the_fields_of_the_contract(mavdiag: Any, baseline: Pa
     code, out, _ = mavdiag("scan", crack, "--baseline", baseline, "--json")
     assert code == 1
     found = json.loads(out)
-    assert {*found} == {"log", "verdict", "reason", "judged_s", "profile", "rate_hz", "monitors", "events", "notes"}
+    assert {*found} == VERDICT_KEYS
     assert (found["log"], found["verdict"], found["profile"]) == (str(crack), "fault", "qdrone2")  # R1
     assert found["rate_hz"] == pytest.approx(1000, rel=0.01)
     assert 10 < found["judged_s"] < 17.5
-    assert {*found["monitors"]} == {"fsd", "innovation", "rotor_signature", "unbalance", "rotor_trim"}
+    assert {*found["monitors"]} == set(BY_NAME) - {"vibration_level"}
     assert all({*one} == MONITOR_KEYS for one in found["monitors"].values())
     assert found["events"]
     for event in found["events"]:
@@ -137,6 +141,8 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     code, out, _ = mavdiag("baseline", "show", baseline)
     assert code == 0
     assert "rotor_trim      threshold" in out
+    assert "in a session of these flights: others may shift the trim" in out
+    assert "\nenvelope        yaw rate up to " in out
     code, out, _ = mavdiag("baseline", "show", baseline, "--json")
     assert json.loads(out) == json.loads(baseline.read_text())
     code, out, _ = mavdiag("baseline", "check", baseline)
@@ -148,12 +154,25 @@ def test_show_and_check(mavdiag: Any, baseline: Path, tmp_path: Path) -> None:
     assert f"{spoilt}: digest: " in err
 
 
+def test_extend(mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, tmp_path: Path) -> None:
+    """On recordings of the emulator, with their own times; `tests/unit/test_extend.py` has the cases."""
+    new = tmp_path / "new.json"
+    code, out, err = mavdiag("baseline", "extend", baseline, healthy[0], "-o", new)
+    assert (code, err) == (0, "")
+    assert "support    4 flights" in out
+    assert mavdiag("baseline", "check", new)[0] == 0
+    code, out, err = mavdiag("baseline", "extend", new, healthy[0], "-o", tmp_path / "x.json")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"{healthy[0]}: is in the baseline already" in err
+    assert mavdiag("scan", crack, "--baseline", new)[0] == 1
+
+
 def test_upgrade(mavdiag: Any, crack: Path, tmp_path: Path) -> None:
     new = tmp_path / "new.json"
     code, _, err = mavdiag("scan", crack, "--baseline", OLD)
     assert (code, "mavdiag baseline upgrade" in err) == (2, True)
     code, out, _ = mavdiag("baseline", "upgrade", OLD, "-o", new)
-    assert (code, out) == (0, f"{new}: drone 1, 6 monitors\n")
+    assert (code, out) == (0, f"{new}: drone 1, 5 monitors\n")
     assert mavdiag("baseline", "check", new)[0] == 0
     code, out, _ = mavdiag("scan", crack, "--baseline", new)
     assert code == 1

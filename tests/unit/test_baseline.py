@@ -159,10 +159,8 @@ def test_a_file_that_cannot_be_read_says_so(tmp_path: Path, content: bytes | Non
 
 
 def test_it_says_what_it_is_in_a_notebook(baseline: Baseline) -> None:
-    assert repr(baseline) == (
-        "<Baseline of made: fsd, innovation, rotor_signature, vibration_level, rotor_trim, sensor_noise, sensor_drift, "
-        "control_loss, thrust_loss>"
-    )
+    names = "fsd, innovation, rotor_signature, vibration_level, rotor_trim, trim_step"
+    assert repr(baseline) == f"<Baseline of made: {names}, sensor_noise, sensor_drift, control_loss, thrust_loss>"
     text = str(baseline)
     for word in (
         "made (airframe)",

@@ -2,9 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
+from flying_telemetry import flying
+from made_baselines import trim
+
 from detector.alerts import Kind
-from detector.judging import Alert, alert_after
-from mavdiag.chain import ChainOutput
+from detector.judging import Alert, Judge, alert_after, not_judged
+from detector.streams import Streams, observe
+from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Diagnosis, Stage
 from mavdiag.telemetry import Instant
 
@@ -60,3 +65,12 @@ def test_a_monitor_named_as_suspect_only_raises_a_suspicion() -> None:
 def test_without_new_rows_nothing_changes() -> None:
     alert = after(FAULT)
     assert alert_after(alert, replace(ROWS, now_ns=None), FAULT, frozenset(), Instant(10**10)) is alert
+
+
+def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() -> None:
+    """And not that it waits for unbroken flight, nor a figure that changes with every look."""
+    for rate, said in ((2.0, (("rotor trim", "yaw rate not learnt"),)), (0.0, ())):
+        telemetry, chain = flying(3000, 5, turn=np.full(3000, rate)), chain_of(trim())
+        judge, _ = Judge(trim(), chain, chain.start(), Instant(0)).step(telemetry, Instant(0))
+        streams = observe(Streams(), telemetry, Instant(0))
+        assert not_judged(judge, streams, Instant(30 * 10**9)) == said

@@ -90,6 +90,7 @@ def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
         "alarms": 0,
         "judged_s": 0.0,
         "not_judged": "no vibration",
+        "outside_s": 0.0,
         "axis": None,
     }
     assert found["rotor_trim"]["max"] > 0

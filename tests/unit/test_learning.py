@@ -142,8 +142,8 @@ def test_b27_the_budget_is_shared_by_those_that_decide_and_could_be_fitted() -> 
     assert deciding == pytest.approx(expected)
     assert sum(deciding.values()) == pytest.approx(LearnOptions().alarms_per_hour)
     assert {*deciding} == {*ALL_MONITORS} - {"fsd", "unbalance"}
-    alone = learn(plain(2), LearnOptions(airframe=UNKNOWN, monitors=("fsd",)), created=NOW)
-    assert sum(e.threshold.budget_per_hour for e in alone.monitors) == pytest.approx(LearnOptions().alarms_per_hour)
+    single = learn(plain(2), LearnOptions(airframe=UNKNOWN, monitors=("fsd",)), created=NOW)
+    assert sum(e.threshold.budget_per_hour for e in single.monitors) == pytest.approx(LearnOptions().alarms_per_hour)
 
 
 def test_b5_the_hours_of_a_threshold_are_the_judged_time_of_its_values() -> None:

@@ -24,7 +24,8 @@ from detector.values import (
 )
 from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.baseline import Baseline, Refusal
+from mavdiag.baseline import Baseline
+from mavdiag.baseline_parts import Refusal
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
@@ -249,11 +250,11 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
     story = without_layout(layout_basis="5 outputs move")
     effects = story.fly(20.0)
     said = [one for one in effects if isinstance(one, SendText) and "layout" in one.text]
-    assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 2 monitors off")]
+    assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
     notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
     assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_trim and rotor_signature do not judge, and no rotor is named; "
-        "name it with --layout or --airframe"
+        "rotor layout unknown: 5 outputs move; rotor_trim, trim_step, rotor_signature do not judge, "
+        "and no rotor is named; name it with --layout or --airframe"
     ]
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
 

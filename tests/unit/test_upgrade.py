@@ -1,4 +1,7 @@
-"""Baselines of schema /1 are brought to the present one. `baseline_1.json` was made by the version before it."""
+"""Baselines of schema /1 and /2 are brought to the present one; each file was made by the version that wrote it.
+
+`baseline_2.json` rests on two flights of `flying_telemetry`.
+"""
 
 import copy
 import json
@@ -6,15 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flying_telemetry import flying
+from made_baselines import logged
 
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.chain import chain_of
-from mavdiag.errors import BaselineError
+from mavdiag.errors import BaselineError, InputError
+from mavdiag.judging import Verdict, judge
+from mavdiag.learning.extend import extend
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.upgrade import KINDS, upgrade
+from mavdiag.upgrade import CHANGED, KINDS, upgrade
 
 OLD: dict[str, Any] = json.loads((Path(__file__).parent / "baseline_1.json").read_text())
+SECOND: dict[str, Any] = json.loads((Path(__file__).parent / "baseline_2.json").read_text())
 
 
 def with_all_kinds() -> dict[str, Any]:
@@ -32,9 +40,9 @@ def upgraded() -> Baseline:
 
 
 def test_every_kind_is_there_under_its_present_name(upgraded: Baseline) -> None:
-    assert {entry.spec.kind for entry in upgraded.monitors} == {*KINDS.values()}
-    assert [one.monitor for one in upgraded.not_judgeable] == ["rotor_trim"]
-    assert len(chain_of(upgraded).slots) == 7
+    assert {entry.spec.kind for entry in upgraded.monitors} == {*KINDS.values()} - {CHANGED}
+    assert [one.monitor for one in upgraded.not_judgeable] == ["rotor_trim", CHANGED]
+    assert len(chain_of(upgraded).slots) == 6
     assert upgraded.airframe.layout is not None
     assert upgraded.airframe.layout.name == OLD["airframe"]["frame"]
 
@@ -46,7 +54,8 @@ def test_it_is_a_sound_baseline_that_says_it_was_upgraded(upgraded: Baseline) ->
 
 
 def test_thresholds_margins_and_models_are_kept(upgraded: Baseline) -> None:
-    for entry, old in zip(upgraded.monitors, with_all_kinds()["monitors"], strict=True):
+    kept = [one for one in with_all_kinds()["monitors"] if KINDS[one["spec"]["kind"]] != CHANGED]
+    for entry, old in zip(upgraded.monitors, kept, strict=True):
         assert entry.threshold.value == old["threshold"]["value"]
     spec, _ = upgraded.fsd[0]
     (model,) = (one for one in OLD["models"] if one["axis"] == spec.axis)
@@ -98,7 +107,73 @@ def test_damaged_values_are_refused_in_one_line(place: tuple[str | int, ...], va
 
 
 def test_only_the_old_schema_is_upgraded(upgraded: Baseline) -> None:
-    with pytest.raises(BaselineError, match="only that one can be upgraded"):
+    with pytest.raises(BaselineError, match="only these can be upgraded"):
         upgrade(json.loads(dump(upgraded)))
     with pytest.raises(BaselineError, match="mavdiag baseline upgrade"):
         parse(json.dumps(OLD))
+
+
+def test_a_second_schema_keeps_all_but_the_rotor_signature() -> None:
+    found = upgrade(copy.deepcopy(SECOND))
+    old = {one["spec"]["kind"]: one for one in SECOND["monitors"]}
+    assert CHANGED in old
+    assert [entry.spec.kind for entry in found.monitors] == [
+        one["spec"]["kind"] for one in SECOND["monitors"] if one["spec"]["kind"] != CHANGED
+    ]
+    for entry in found.monitors:
+        threshold = old[entry.spec.kind]["threshold"]
+        if entry.spec.kind != "fsd":
+            assert (entry.threshold.value, entry.threshold.hours) == (threshold["value"], threshold["hours"])
+        assert (entry.threshold.session_allowance, entry.threshold.sessions) == (0.0, 2)
+        assert entry.scores is None
+    assert found.provenance.tool == f"{SECOND['provenance']['tool']}, upgraded from schema /2"
+    assert parse(dump(found)) == found
+
+
+@pytest.mark.parametrize("raw", [with_all_kinds(), SECOND], ids=["first", "second"])
+def test_the_rotor_signature_is_left_out_with_its_reason(raw: dict[str, Any]) -> None:
+    found = upgrade(copy.deepcopy(raw))
+    (refusal,) = (one for one in found.not_judgeable if one.monitor == CHANGED)
+    assert refusal.reason == "its statistic has changed since; learn a baseline anew"
+    assert f"{CHANGED} not judgeable: its statistic has changed since" in str(found)
+    assert CHANGED not in {slot.monitor.name for slot in chain_of(found).slots}
+
+
+def test_a_signature_that_was_not_judgeable_before_is_named_once() -> None:
+    raw = copy.deepcopy(SECOND)
+    raw["monitors"] = [one for one in raw["monitors"] if one["spec"]["kind"] != CHANGED]
+    raw["not_judgeable"] = [{"monitor": CHANGED, "reason": "why"}]
+    assert [(one.monitor, one.reason) for one in upgrade(raw).not_judgeable] == [(CHANGED, "why")]
+
+
+def test_a_file_of_the_signature_alone_has_nothing_left_and_is_refused() -> None:
+    raw = copy.deepcopy(SECOND)
+    raw["monitors"] = [one for one in raw["monitors"] if one["spec"]["kind"] == CHANGED]
+    with pytest.raises(BaselineError, match=r"monitors: .*at least 1 item"):
+        upgrade(raw)
+
+
+def test_what_neither_old_schema_knew_stays_unknown(upgraded: Baseline) -> None:
+    for found in (upgraded, upgrade(copy.deepcopy(SECOND))):
+        assert (found.envelope, found.fingerprint) == ((), None)
+        assert {(one.started_ns, one.propellers) for one in found.provenance.logs} == {(0, 0)}
+        assert not found.same_session(1_777_600_000 * 10**9)
+
+
+def test_an_upgraded_baseline_judges_and_cannot_be_extended() -> None:
+    found = upgrade(copy.deepcopy(SECOND))
+    assert judge(logged(flying(3000, 11)), found).verdict is Verdict.HEALTHY
+    weak = judge(logged(flying(3000, 12, weak_rotor=3, rise=0.3)), found)
+    assert (weak.verdict, "rotor 3" in weak.reason) == (Verdict.FAULT, True)
+    with pytest.raises(InputError, match="of an older schema and holds no scores"):
+        extend(found, [logged(flying(3000, 13))], created="")
+
+
+@pytest.mark.parametrize("name", [key for key in SECOND if key not in ("schema", "digest")])
+def test_a_second_schema_that_lacks_a_part_is_refused_in_one_line(name: str) -> None:
+    raw = copy.deepcopy(SECOND)
+    del raw[name]
+    with pytest.raises(BaselineError) as refused:
+        upgrade(raw)
+    assert name in str(refused.value)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,120 @@
+"""Conditions of flight: each by its definition, on fast and slow links, with unknown signals and gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_conditions import column, made_block, measured, rows_of, slowly, spoilt
+
+from mavdiag.rows.conditions import BIN_S, TILT_BINS, Condition
+from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.testing import example_rows
+
+RATES_HZ = (10, 12.5, 20, 33, 50, 100, 400, 1000)
+
+
+def seen(
+    condition: Condition,
+    *,
+    setpoint: FloatArray | None = None,
+    setpoint_valid: BoolArray | None = None,
+    rate: FloatArray | None = None,
+    thrust: FloatArray | None = None,
+    height: FloatArray | None = None,
+    voltage: FloatArray | None = None,
+) -> FloatArray:
+    """A condition of 8 s at 100 Hz with these signals."""
+    block = example_rows(800, 0.01, setpoint=setpoint, setpoint_valid=setpoint_valid, rate=rate, thrust=thrust).block
+    block = block if height is None else replace(block, height=height)
+    return column(measured(rows_of(block if voltage is None else replace(block, voltage=voltage))), condition)
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("broken", [False, True])
+def test_every_condition_is_what_its_definition_says(rate_hz: float, broken: bool) -> None:
+    block = made_block(round(9 * rate_hz), 1 / rate_hz, seed=round(rate_hz))
+    block = spoilt(block, seed=3) if broken else block
+    found, (ends, expected) = measured(rows_of(block)), slowly(block)
+    assert found.end_ns.tolist() == ends
+    assert len(ends) > 70
+    for condition in Condition:
+        values = column(found, condition)
+        np.testing.assert_allclose(values, expected[condition], rtol=1e-9, atol=1e-12, err_msg=condition)
+        assert np.isfinite(values).any(), condition
+
+
+def test_tilt_is_that_of_the_mean_set_point_of_five_seconds() -> None:
+    lean = np.tile([0.03, -0.04, 0.0], (800, 1))
+    lean[::2] += [0.2, 0.0, 0.0]  # what swings about the mean is no tilt
+    lean[1::2] -= [0.2, 0.0, 0.0]
+    found = seen(Condition.TILT, setpoint=lean)
+    assert np.isnan(found[: TILT_BINS - 1]).all()
+    np.testing.assert_allclose(found[TILT_BINS - 1 :], 0.05, rtol=1e-9)
+
+
+def test_throttle_and_voltage_are_means_of_what_is_known() -> None:
+    half = np.where(np.arange(800) % 2, 0.4, np.nan)
+    np.testing.assert_allclose(seen(Condition.THROTTLE, thrust=half), 0.4)
+    np.testing.assert_allclose(
+        seen(Condition.VOLTAGE, voltage=np.linspace(12, 11.2, 800))[[0, 9]], [11.9955, 11.9055], atol=0.01
+    )
+
+
+def test_a_commanded_turn_is_a_rate_and_an_acceleration() -> None:
+    t = 0.01 * np.arange(800)
+    swing = np.stack((0.2 * np.sin(4 * t), np.zeros(800), np.zeros(800)), axis=1)
+    rate = seen(Condition.COMMANDED_RATE, setpoint=swing)
+    acceleration = seen(Condition.COMMANDED_ACCELERATION, setpoint=swing)
+    assert rate.max() == pytest.approx(0.8, rel=0.01)
+    assert np.nanmax(acceleration) == pytest.approx(3.2, rel=0.03)
+    assert np.isnan(acceleration[0])  # nothing lies before the first bin
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_yaw_is_taken_from_the_commanded_heading(sign: float) -> None:
+    t = 0.01 * np.arange(800)
+    nose = np.stack((0 * t, 0 * t, sign * 0.7 * t), axis=1)
+    found = seen(Condition.YAW_RATE, setpoint=nose, rate=np.tile([0.0, 0.0, 5.0], (800, 1)))
+    np.testing.assert_allclose(found[1:], 0.7, rtol=1e-6)
+    assert found[0] == 5.0  # before there is a step the gyro tells
+
+
+def test_without_a_heading_the_gyro_tells_the_yaw_rate() -> None:
+    unknown = np.zeros(800, dtype=np.bool_)
+    found = seen(Condition.YAW_RATE, setpoint_valid=unknown, rate=np.tile([0.0, 0.0, -0.4], (800, 1)))
+    np.testing.assert_allclose(found, 0.4)
+
+
+def test_height_is_the_least_of_a_bin_and_climbing_its_change() -> None:
+    height: FloatArray = np.linspace(2.0, 2.0 + 1.5 * 7.99, 800)
+    np.testing.assert_allclose(seen(Condition.HEIGHT, height=height)[:3], [2.0, 2.15, 2.3])
+    np.testing.assert_allclose(seen(Condition.CLIMB_RATE, height=height)[1:], 1.5)
+    np.testing.assert_allclose(seen(Condition.CLIMB_RATE, height=height[::-1].copy())[1:], 1.5)  # down counts alike
+
+
+def test_what_the_link_does_not_carry_is_nan() -> None:
+    nothing = {c: seen(c) for c in (Condition.THROTTLE, Condition.VOLTAGE, Condition.HEIGHT, Condition.CLIMB_RATE)}
+    assert all(np.isnan(values).all() for values in nothing.values())
+    silent = np.zeros(800, dtype=np.bool_)
+    for condition in (Condition.TILT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION):
+        assert np.isnan(seen(condition, setpoint_valid=silent)).all()
+        assert np.isfinite(seen(condition)).any()
+
+
+def test_a_gap_is_not_known_and_leaves_no_trace() -> None:
+    block = made_block(1500, 0.01, seed=2)
+    valid = np.ones(1500, dtype=np.bool_)
+    valid[600:700] = False
+    whole, broken = measured(rows_of(block)), measured(rows_of(replace(block, valid=valid)))
+    np.testing.assert_array_equal(whole.end_ns, broken.end_ns)
+    inside = (broken.end_ns > block.t_ns[610]) & (broken.end_ns <= block.t_ns[690])
+    assert inside.any()
+    assert np.isnan(broken.values[inside]).all()
+    after = broken.end_ns > block.t_ns[700] + (TILT_BINS + 3) * BIN_S * 1e9
+    assert after.any()
+    np.testing.assert_array_equal(broken.values[after], whole.values[after])
+
+
+def test_no_bin_comes_before_it_is_whole() -> None:
+    assert len(measured(rows_of(example_rows(8, 0.01).block)).end_ns) == 0
+    assert len(measured(rows_of(example_rows(13, 0.01).block)).end_ns) == 1  # ten rows, two for the rates, one beyond

@@ -1,0 +1,277 @@
+"""The envelope of conditions: inside, near and outside, its sentences, and a chain that judges by it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from flying_telemetry import flying
+from made_baselines import FRAME, NOW, healthy, logged
+from made_conditions import column, made_block, measured, rows_of
+
+from mavdiag.baseline import Baseline, dump, parse
+from mavdiag.errors import InputError
+from mavdiag.judging import LogVerdict, Verdict, judge
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.monitors import MONITORS
+from mavdiag.report import verdict_json
+from mavdiag.rows.conditions import Condition
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+from mavdiag.thresholds.envelope import RULES, Covered, Dependence, Envelope, Outside, covered_by
+
+YAW = Covered(Condition.YAW_RATE, 0.0, 0.4)  # near up to 0.6: its room is a half
+TURN_S = 20.0
+
+
+@pytest.mark.parametrize("condition", list(Condition))
+def test_every_condition_has_a_rule_with_room_and_a_remedy(condition: Condition) -> None:
+    rule = RULES[condition]
+    assert rule.room > 0
+    assert rule.least > 0
+    assert rule.remedy
+
+
+@pytest.mark.parametrize(
+    ("covered", "values", "excess"),
+    [
+        (YAW, [0.0, 0.4, 0.5, 0.6, 0.8], [0.0, 0.0, 0.5, 1.0, 2.0]),
+        (Covered(Condition.COMMANDED_RATE, 0.0, 1.0), [1.0, 1.5, 2.0, 3.0], [0.0, 0.5, 1.0, 2.0]),
+        (Covered(Condition.HEIGHT, 0.4, 9.0), [20.0, 0.4, 0.3, 0.2, 0.0], [0.0, 0.0, 0.5, 1.0, 2.0]),
+        (
+            Covered(Condition.VOLTAGE, 10.0, 12.0),
+            [10.0, 12.0, 12.5, 13.0, 9.5, 9.0, 8.0],
+            [0, 0, 0.5, 1.0, 0.5, 1.0, 2],
+        ),
+    ],
+    ids=["upper", "with a room of its own", "lower", "both"],
+)
+def test_each_side_is_limited_as_its_rule_says(covered: Covered, values: list[float], excess: list[float]) -> None:
+    np.testing.assert_allclose(covered.excess(np.array(values)), excess, atol=1e-12)
+
+
+def test_what_counts_as_nothing_is_covered_anyway() -> None:
+    still = Covered(Condition.YAW_RATE, 0.0, 0.01)
+    assert still.excess(np.array([0.15, 0.225])).tolist() == pytest.approx([0.0, 1.0])
+    high = Covered(Condition.HEIGHT, 3.0, 9.0)
+    assert high.excess(np.array([0.5, 0.0])).tolist() == pytest.approx([0.0, 2.0])
+    full = Covered(Condition.VOLTAGE, 12.0, 12.0)  # 5 % about it, and room for as much as the half of the span again
+    assert full.excess(np.array([11.4, 12.6, 10.8])).tolist() == pytest.approx([0.0, 0.0, 1.0])
+
+
+def test_a_vehicle_that_was_on_the_ground_is_limited_by_no_height() -> None:
+    assert Covered(Condition.HEIGHT, -0.1, 5.0).excess(np.array([-1.0, 0.0])).tolist() == [0.0, 0.0]
+
+
+def test_what_is_unknown_restricts_nothing() -> None:
+    for condition in Condition:
+        assert Covered(condition, 0.5, 1.0).excess(np.array([np.nan])).tolist() == [0.0]
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 0.5), (np.nan, 1.0), (0.0, np.inf)])
+def test_what_is_no_span_is_refused(low: float, high: float) -> None:
+    with pytest.raises(InputError, match="envelope: yaw rate from"):
+        Covered(Condition.YAW_RATE, low, high)
+
+
+@pytest.mark.parametrize(
+    ("covered", "value", "sentence"),
+    [
+        (Covered(Condition.YAW_RATE, 0.0, 0.3), 1.81, "yaw rate 1.8 rad/s, learnt up to 0.3"),
+        (Covered(Condition.HEIGHT, 0.4, 5.0), 0.05, "height 0.05 m, learnt from 0.4"),
+        (Covered(Condition.VOLTAGE, 10.05, 12.31), 8.76, "battery voltage 8.76 V, learnt 10.1 to 12.3"),
+        (Covered(Condition.THROTTLE, 0.3, 0.7), 0.98, "throttle 0.98, learnt 0.3 to 0.7"),
+        (Covered(Condition.COMMANDED_ACCELERATION, 0.0, 84.2), 213.4,
+         "commanded angular acceleration 213 rad/s^2, learnt up to 84"),
+    ],
+)  # fmt: skip
+def test_the_sentence_says_what_was_flown_and_what_was_learnt(covered: Covered, value: float, sentence: str) -> None:
+    assert covered.sentence(value) == sentence
+
+
+def test_it_says_what_to_fly_where_the_flights_covered_nothing() -> None:
+    assert Covered(Condition.YAW_RATE, 0.0, 0.1).advice() == "turn the nose, steadily and along the path"
+    assert Covered(Condition.YAW_RATE, 0.0, 0.4).advice() is None
+    assert Covered(Condition.TILT, 0.0, 0.2).advice() == "fly in steady wind"
+    assert Covered(Condition.VOLTAGE, 11.9, 12.1).advice() == "fly a battery from full to empty"
+    assert Covered(Condition.VOLTAGE, 10.0, 12.5).advice() is None
+    assert Covered(Condition.HEIGHT, 3.0, 9.0).advice() is None  # to fly low is nobody's wish
+    assert str(Covered(Condition.YAW_RATE, 0.0, 0.4)) == "yaw rate up to 0.4 rad/s"
+
+
+def test_the_span_is_that_of_all_flights_and_of_what_they_carry() -> None:
+    flights = [rows_of(made_block(900, 0.01, seed), [333]) for seed in (1, 2)]
+    covered = {one.condition: one for one in covered_by(flights)}
+    assert set(covered) == set(Condition)
+    for condition, one in covered.items():
+        values = np.concatenate([column(measured(flight), condition) for flight in flights])
+        assert (one.low, one.high) == (np.nanmin(values), np.nanmax(values))
+    bare = {one.condition for one in covered_by([rows_of(example_rows(900, 0.01).block)])}
+    assert bare == set(Condition) - {Condition.THROTTLE, Condition.VOLTAGE, Condition.HEIGHT, Condition.CLIMB_RATE}
+    assert covered_by([]) == ()
+
+
+def test_a_new_segment_does_not_go_on_from_the_old_one() -> None:
+    """Else the step from one heading to another would be a turn."""
+    north, south = np.zeros((300, 3)), np.tile([0.0, 0.0, 3.0], (300, 1))
+    flight = [example_rows(300, setpoint=north), example_rows(300, segment=1, setpoint=south)]
+    (yaw,) = (one for one in covered_by([flight]) if one.condition is Condition.YAW_RATE)
+    assert yaw.high == 0.0
+
+
+def ones(rows: Rows, value: float = 1.0) -> Statistic:
+    level = np.full(len(rows.block), value)
+    return Statistic(rows.block.t_ns, rows.block.dt_s, level, level > 0, level, level, np.empty((0, 0)))
+
+
+def turned(yaw_rate: FloatArray) -> list[Rows]:
+    """Rows at 100 Hz of a nose that turns."""
+    nose = np.zeros((len(yaw_rate), 3))
+    nose[:, 2] = 0.01 * np.cumsum(yaw_rate)
+    return rows_of(example_rows(len(yaw_rate), 0.01, setpoint=nose).block)
+
+
+def applied(envelope: Envelope, rows: Sequence[Rows]) -> tuple[Statistic, dict[Condition, Outside]]:
+    (one,) = rows
+    return envelope.apply(0, ones(one), envelope.step(envelope.start(), one))
+
+
+def envelope(memory_s: float = 1.0, *conditions: Condition) -> Envelope:
+    return Envelope((YAW,), (Dependence(frozenset(conditions or (Condition.YAW_RATE,)), memory_s),), 0.02)
+
+
+@pytest.mark.parametrize(("rate", "factor"), [(0.3, 1.0), (0.4, 1.0), (0.5, 1.25), (0.59, 1.475)])
+def test_near_the_envelope_the_threshold_grows_with_the_condition(rate: float, factor: float) -> None:
+    """c/C, written as a statistic that is divided by it."""
+    found, outside = applied(envelope(), turned(np.full(400, rate)))
+    assert found.valid.all()
+    assert outside == {}
+    np.testing.assert_allclose(found.value[200:], 1.0 / factor, rtol=1e-6)
+    assert found.level.tolist() == [1.0] * 400  # severity stays what was measured
+
+
+@pytest.mark.parametrize("rate", [0.61, 1.8, 30.0])
+def test_outside_nothing_is_judged_and_it_is_said(rate: float) -> None:
+    found, outside = applied(envelope(), turned(np.full(400, rate)))
+    assert not found.valid[100:].any()
+    assert set(outside) == {Condition.YAW_RATE}
+    told = outside[Condition.YAW_RATE]
+    assert told.value == pytest.approx(rate)
+    assert told.span_s == pytest.approx(0.01 * np.count_nonzero(~found.valid))
+
+
+def test_a_slot_that_does_not_depend_on_it_is_left_alone() -> None:
+    found, outside = applied(envelope(1.0, Condition.TILT), turned(np.full(400, 5.0)))
+    assert found.valid.all()
+    assert (found.value == 1.0).all()
+    assert outside == {}
+    no_envelope = Envelope((), (Dependence(frozenset(Condition), 1.0),), 0.02)
+    assert applied(no_envelope, turned(np.full(400, 5.0)))[0].valid.all()
+
+
+@pytest.mark.parametrize("memory_s", [0.5, 1.0, 2.5])
+def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) -> None:
+    rate = np.zeros(800)
+    rate[300:350] = 2.0
+    found, outside = applied(envelope(memory_s), turned(rate))
+    silent = np.flatnonzero(~found.valid)
+    assert 300 <= silent[0] <= 300 + 25  # a bin, the delay of the rates, and a bin of reserve
+    assert 350 + 100 * memory_s - 10 <= silent[-1] + 1 <= 350 + 100 * memory_s + 10
+    assert (np.diff(silent) == 1).all()
+    assert outside[Condition.YAW_RATE].span_s == pytest.approx(0.01 * len(silent))
+
+
+def test_times_outside_add_up_and_the_farthest_value_is_kept() -> None:
+    one, other = Outside(2.0, 0.7, 1.5), Outside(3.0, 1.9, 7.5)
+    assert one.plus(other) == other.plus(one) == Outside(5.0, 1.9, 7.5)
+
+
+def test_of_several_conditions_the_farthest_is_named() -> None:
+    tilt = Covered(Condition.TILT, 0.0, 0.2)
+    both = Envelope((tilt, YAW), (Dependence(frozenset({Condition.TILT, Condition.YAW_RATE}), 1.0),), 0.02)
+    nose = np.zeros((1200, 3))
+    nose[:, 0] = 0.8  # e = 6 from 5 s on
+    nose[:, 2] = 0.01 * np.arange(1200) * 0.7  # e = 1.5
+    _, outside = applied(both, rows_of(example_rows(1200, 0.01, setpoint=nose).block))
+    assert {condition: one.excess for condition, one in outside.items()} == pytest.approx(
+        {Condition.YAW_RATE: 1.5, Condition.TILT: 6.0}
+    )
+    assert both.sentence(Condition.TILT, 0.8) == "tilt 0.8 rad, learnt up to 0.2"
+
+
+def test_every_monitor_that_depends_on_conditions_names_its_memory() -> None:
+    dependent = [one for one in MONITORS if one.depends]
+    assert len(dependent) >= 5
+    assert all(one.depends <= set(Condition) for one in MONITORS)
+
+
+@cache
+def straight() -> Baseline:
+    """Learnt from flights that hardly turn the nose."""
+    options = LearnOptions(airframe=FRAME, monitors=("fsd", "innovation", "rotor_signature", "rotor_trim", "trim_step"))
+    return learn(healthy(3), options, created=NOW)
+
+
+def flight(seed: int, turn: float, weak_rotor: int = 0) -> LogVerdict:
+    """The verdict on 50 s; the nose begins to turn after 20 s, and gets to `turn` [rad/s] within 2 s."""
+    at_s = 0.01 * np.arange(5000) - TURN_S
+    made = flying(5000, seed, turn=np.clip(0.5 * turn * at_s, 0.0, turn), weak_rotor=weak_rotor, rise=0.3)
+    return judge(logged(made), straight())
+
+
+@pytest.mark.parametrize("seed", range(60, 64))
+def test_a_turn_that_was_not_learnt_is_not_judged_and_never_an_alarm(seed: int) -> None:
+    found = flight(seed, 1.8)
+    assert found.verdict is Verdict.HEALTHY, found.reason
+    assert found.events == ()
+    for name, told in verdict_json(found)["monitors"].items():
+        assert told["not_judged"].startswith("yaw rate "), name
+        assert told["not_judged"].endswith(" rad/s, learnt up to 0.51"), name
+        assert 26 < told["outside_s"] < 31, name
+        assert told["outside_s"] + told["judged_s"] < 50, name
+
+
+@pytest.mark.parametrize("seed", range(60, 64))
+def test_without_the_envelope_the_same_turn_is_an_alarm(seed: int) -> None:
+    bare = straight().model_copy(update={"envelope": ()})
+    at_s = 0.01 * np.arange(5000) - TURN_S
+    turning = logged(flying(5000, seed, turn=np.clip(0.9 * at_s, 0.0, 1.8)))
+    assert judge(turning, bare).verdict is Verdict.FAULT
+    told = verdict_json(judge(turning, bare))["monitors"]
+    assert {one["outside_s"] for one in told.values()} == {0.0}
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_damaged_rotor_inside_the_envelope_is_found_and_named(rotor: int) -> None:
+    found = flight(70 + rotor, 0.0, weak_rotor=rotor)
+    assert found.verdict is Verdict.FAULT
+    assert f"rotor {rotor}" in found.reason
+    assert {one.outside_s for one in found.monitors} == {0.0}
+
+
+def test_a_damaged_rotor_is_found_before_the_turn_though_nothing_is_judged_in_it() -> None:
+    found = flight(75, 1.8, weak_rotor=2)
+    assert found.verdict is Verdict.FAULT
+    assert "rotor 2" in found.reason
+    assert min(one.t_s for one in found.events) < TURN_S
+
+
+def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -> None:
+    """A condition of the baseline that the link does not tell now restricts nothing."""
+    high = (*straight().envelope, Covered(Condition.HEIGHT, 0.4, 3.0), Covered(Condition.VOLTAGE, 11.0, 12.0))
+    found = judge(logged(flying(3000, 80)), straight().model_copy(update={"envelope": high}))
+    assert found.verdict is Verdict.HEALTHY
+    assert {one.outside_s for one in found.monitors} == {0.0}
+
+
+def test_the_envelope_is_part_of_the_file() -> None:
+    made = straight()
+    assert parse(dump(made)).envelope == made.envelope
+    assert "envelope        yaw rate up to 0.51 rad/s" in str(made)
+    narrow = replace(made.envelope[-1], low=0.0, high=0.01)
+    assert "; turn the nose, steadily and along the path to widen it" in str(
+        made.model_copy(update={"envelope": (narrow,)})
+    )

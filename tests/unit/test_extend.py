@@ -1,0 +1,305 @@
+"""More healthy flights for a baseline: a new session, new propellers, and what is refused."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, without
+from made_baselines import FRAME, NOW
+from made_telemetry import flight
+
+from mavdiag import cli
+from mavdiag.airframe.layout import layout_named
+from mavdiag.baseline import Baseline, dump, parse, sealed
+from mavdiag.baseline_parts import MonitorEntry
+from mavdiag.errors import BaselineError, IdentificationError, InputError
+from mavdiag.judging import Verdict, judge
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.learning.extend import extend
+from mavdiag.rows.conditions import Condition
+from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
+from mavdiag.units import NS_PER_S
+
+MONDAY = 1_777_600_000 * NS_PER_S
+DAY = 24 * 3600 * NS_PER_S
+LATER = "2026-02-02T00:00:00+00:00"
+OPTIONS = LearnOptions(
+    airframe=FRAME, monitors=("innovation", "rotor_signature", "vibration_level", "rotor_trim", "trim_step")
+)
+YAW = layout_named("x").mixing[:, 2]  # what each rotor does to yaw
+OTHER_SET = 0.03 * YAW  # of the hover command: thrusts within 3 %, all of them for yaw
+
+
+def changed(telemetry: Telemetry, signal: Signal, *, add: float | FloatArray = 0.0, times: float = 1.0) -> Telemetry:
+    """The flight with one signal multiplied and shifted."""
+    return Telemetry(
+        tuple(
+            dataclasses.replace(one, values=times * one.values + add) if one.signal is signal else one
+            for one in telemetry.series
+        )
+    )
+
+
+def flown(seed: int, started_ns: int = 0, telemetry: Telemetry | None = None) -> Log:
+    made = flying(2500, seed) if telemetry is None else telemetry
+    return Log(f"f{seed}", f"{seed:064x}", "px4", made, started_ns=started_ns)
+
+
+def reset(seed: int, n: int = 2500, weak_rotor: int = 0) -> Telemetry:
+    """A flight with the other propellers: another trim, and a fifth more vibration."""
+    made = flying(n, seed, weak_rotor=weak_rotor, rise=0.3 if weak_rotor else 0.0)
+    return changed(changed(made, Signal.ACTUATOR, add=0.5 * OTHER_SET), Signal.VIBRATION, times=1.2)
+
+
+@cache
+def monday() -> Baseline:
+    return learn([flown(i, MONDAY + i * 600 * NS_PER_S) for i in range(3)], OPTIONS, created=NOW)
+
+
+@cache
+def tuesday() -> Baseline:
+    return extend(monday(), [flown(i, MONDAY + DAY + i * 600 * NS_PER_S) for i in (10, 11)], created=LATER)
+
+
+def turned(seed: int, n: int = 2500) -> Telemetry:
+    """A flight whose nose turns all the time, and which takes no trim for it."""
+    made = flying(n, seed, turn=np.full(n, 0.9))
+    return changed(made, Signal.ACTUATOR, add=-0.5 * 0.02 * 0.9 * YAW)
+
+
+def entry(baseline: Baseline, kind: str) -> MonitorEntry:
+    return next(one for one in baseline.monitors if one.spec.kind == kind)
+
+
+def test_a_new_session_is_added_to_what_supports_the_thresholds() -> None:
+    before, after = monday(), tuesday()
+    assert [one.session for one in after.provenance.logs] == [0, 0, 0, 1, 1]
+    assert after.provenance.logs[:3] == before.provenance.logs
+    assert after.healthy_hours > before.healthy_hours
+    for old, new in zip(before.monitors, after.monitors, strict=True):
+        assert (old.threshold.sessions, new.threshold.sessions) == (1, 2)
+        assert (old.threshold.flights, new.threshold.flights) == (3, 5)
+        assert new.threshold.hours > old.threshold.hours
+        assert new.threshold.budget_per_hour == old.threshold.budget_per_hour
+        assert old.scores is not None
+        assert new.scores is not None
+        assert new.scores.maxima[: len(old.scores.maxima)] == old.scores.maxima
+
+
+def test_it_widens_the_envelope() -> None:
+    wider = extend(monday(), [flown(12, MONDAY + DAY, turned(12))], created=NOW)
+    (old,), (new,) = (
+        [one for one in made.envelope if one.condition is Condition.YAW_RATE] for made in (monday(), wider)
+    )
+    assert new.high > 0.9 > 1.5 * old.high
+    assert {one.condition for one in wider.envelope} == {one.condition for one in monday().envelope}
+    turning = Log("t", "", "px4", turned(30, 3000))
+    silent = {one.name for one in judge(turning, monday()).monitors if one.outside_s > 10}
+    assert {"innovation", "rotor_trim", "trim_step"} <= silent
+    found = judge(turning, wider)
+    assert found.verdict is Verdict.HEALTHY
+    assert not any(one.outside_s for one in found.monitors)
+
+
+def test_it_lowers_what_is_allowed_for_other_sessions() -> None:
+    old, new = (entry(made, "rotor_trim").threshold for made in (monday(), tuesday()))
+    assert new.session_allowance < old.session_allowance
+    assert new.value < old.value
+
+
+def test_the_healthy_trim_becomes_the_mean_over_sessions() -> None:
+    shifted = changed(flying(2500, 12), Signal.ACTUATOR, add=0.5 * 0.02 * YAW)
+    before = np.array(entry(monday(), "rotor_trim").spec.mean)
+    after = np.array(entry(extend(monday(), [flown(12, MONDAY + DAY, shifted)], created=NOW), "rotor_trim").spec.mean)
+    assert abs(before[2]) < 0.001
+    assert after[2] == pytest.approx(0.01, abs=0.001)  # half of 0.02
+    np.testing.assert_allclose(after[:2], before[:2], atol=0.001)
+
+
+def test_the_result_is_a_sound_baseline_and_says_when_it_was_made() -> None:
+    made = tuesday()
+    assert parse(dump(made)) == made
+    assert made.provenance.created == LATER
+    assert made.fingerprint is not None
+    assert monday().fingerprint is not None
+    assert judge(Log("h", "", "px4", flying(3000, 31)), made).verdict is Verdict.HEALTHY
+    weak = judge(Log("w", "", "px4", flying(3000, 32, weak_rotor=4, rise=0.3)), made)
+    assert (weak.verdict, "rotor 4" in weak.reason) == (Verdict.FAULT, True)
+
+
+def test_what_was_left_out_and_noted_before_is_kept() -> None:
+    told = monday().provenance.model_copy(update={"left_out": ("bad.bin, all of it: fell",), "notes": ("odd",)})
+    made = extend(sealed(monday().model_copy(update={"provenance": told})), [flown(10)], created=NOW)
+    assert (made.provenance.left_out, made.provenance.notes) == (("bad.bin, all of it: fell",), ("odd",))
+
+
+def test_a_flight_of_a_session_that_is_in_already_joins_that_one() -> None:
+    """And not the last one of the baseline."""
+    made = extend(tuesday(), [flown(13, MONDAY + 1800 * NS_PER_S), flown(14), flown(15, MONDAY + 9 * DAY)], created=NOW)
+    first, unknown, new = (one.session for one in made.provenance.logs[-3:])
+    assert first == 0
+    assert len({0, 1, unknown, new}) == 4
+    assert entry(made, "rotor_trim").threshold.sessions == 4
+
+
+def refusal(baseline: Baseline, *flights: Log) -> str:
+    with pytest.raises((InputError, BaselineError)) as error:
+        extend(baseline, flights, created=NOW)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_no_flight_is_refused() -> None:
+    assert "no healthy flight to add" in refusal(monday())
+
+
+def test_a_flight_that_is_in_it_already_is_refused() -> None:
+    assert refusal(monday(), flown(10), flown(2)) == "f2: is in the baseline already; leave it out"
+
+
+def test_the_same_new_flight_twice_is_refused() -> None:
+    copy = dataclasses.replace(flown(10), name="copy", sha256="f" * 64)
+    assert "copy" in refusal(monday(), flown(10), copy)
+
+
+def test_another_link_is_refused() -> None:
+    other = dataclasses.replace(flown(10), profile="ardupilot")
+    assert "link.profile: the baseline is for 'px4', the data are 'ardupilot'" in refusal(monday(), other)
+    fast = dataclasses.replace(flown(10), telemetry=flight(8000, 1))
+    assert "link.dt_s: the baseline is for 100.0 Hz, the data have 1000.0 Hz" in refusal(monday(), fast)
+
+
+def test_a_baseline_without_scores_is_refused() -> None:
+    old = tuple(one.model_copy(update={"scores": None}) for one in monday().monitors)
+    assert "of an older schema" in refusal(monday().model_copy(update={"monitors": old}), flown(10))
+
+
+def test_a_crash_is_refused() -> None:
+    made, parts = flying(2500, 10), []
+    for one in made.series:
+        values = one.values.copy()
+        if one.signal is Signal.SPECIFIC_FORCE:
+            values[2200:] *= 0.05
+        parts.append(dataclasses.replace(one, values=values))
+    assert "f10: the flight ends in an upset" in refusal(monday(), flown(10, 0, Telemetry(tuple(parts))))
+
+
+def test_a_flight_that_never_flies_is_refused() -> None:
+    ground = changed(flying(2500, 10), Signal.ARMED, times=0.0)
+    assert "f10: only 0.0 s of airborne flight" in refusal(monday(), flown(10, 0, ground))
+
+
+@cache
+def refitted() -> Baseline:
+    """With new propellers, after a hover of 16 s."""
+    hover = flown(40, MONDAY + DAY, reset(40, 1600))
+    return extend(monday(), [hover], new_propellers=True, created=LATER)
+
+
+@pytest.mark.parametrize("seed", range(41, 45))
+def test_new_propellers_are_healthy_after_one_short_hover(seed: int) -> None:
+    healthy = Log("h", "", "px4", reset(seed, 3000), started_ns=MONDAY + 3 * DAY)
+    assert judge(healthy, monday()).verdict is not Verdict.HEALTHY  # or there is nothing to show
+    found = judge(healthy, refitted())
+    assert found.verdict is Verdict.HEALTHY, found.reason
+    assert {"rotor_trim", "vibration_level"} <= {one.name for one in found.monitors if one.judged_s > 10}
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_weak_motor_is_still_found_with_them(rotor: int) -> None:
+    found = judge(Log("w", "", "px4", reset(50 + rotor, 3000, rotor), started_ns=MONDAY + 3 * DAY), refitted())
+    assert found.verdict is Verdict.FAULT
+    assert f"rotor {rotor}" in found.reason
+
+
+def test_new_propellers_change_the_level_and_nothing_else() -> None:
+    old, new = monday(), refitted()
+    assert [one.propellers for one in new.provenance.logs] == [0, 0, 0, 1]
+    assert not new.same_session(MONDAY)
+    assert new.same_session(MONDAY + DAY)
+    moved = np.array(entry(new, "rotor_trim").spec.mean) - np.array(entry(old, "rotor_trim").spec.mean)
+    np.testing.assert_allclose(moved, [0.0, 0.0, 0.03], atol=0.003)
+    assert entry(new, "rotor_trim").spec.spread == entry(old, "rotor_trim").spec.spread
+    ratio = entry(new, "vibration_level").spec.healthy / entry(old, "vibration_level").spec.healthy
+    assert ratio == pytest.approx(1.2, rel=0.05)
+    for kind in ("innovation", "rotor_signature", "trim_step"):
+        assert entry(new, kind).spec == entry(old, kind).spec
+    assert parse(dump(new)) == new
+
+
+def test_the_scores_of_the_old_propellers_move_along() -> None:
+    old, new = (entry(made, "vibration_level") for made in (monday(), refitted()))
+    ratio = new.spec.healthy / old.spec.healthy
+    assert old.scores is not None
+    assert new.scores is not None
+    moved = new.scores.maxima[: len(old.scores.maxima)]
+    assert moved == pytest.approx([ratio * x for x in old.scores.maxima], rel=1e-5)
+
+
+def test_a_hover_that_is_too_short_for_a_trim_is_refused() -> None:
+    hops = without(reset(40, 1600), *((float(at), at + 1.5) for at in range(3, 16, 4)))
+    with pytest.raises(IdentificationError, match="no unbroken 5 s of flight to average the trim over; fly longer"):
+        extend(monday(), [flown(40, 0, hops)], new_propellers=True, created=NOW)
+
+
+Ran = tuple[int, str, str]
+
+
+@pytest.fixture
+def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+    """The program on files whose content is made here: a log's name says which flight it holds."""
+
+    def read(path: Path, *_: object) -> Log:
+        seed = int(path.stem.removeprefix("f"))
+        return flown(seed, MONDAY + DAY, reset(seed, 1600) if path.suffix == ".hover" else None)
+
+    def run(*arguments: object) -> Ran:
+        monkeypatch.setattr("mavdiag.commands.baseline.read_part", read)
+        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(str(caught.value.code)), out, err
+
+    return run
+
+
+def test_the_command_adds_flights(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    monday().save(old)
+    code, out, err = mavdiag("baseline", "extend", old, "f10.tlog", "f11.tlog", "-o", new)
+    assert (code, err) == (0, "")
+    assert out.endswith(f"written to {new}\n")
+    assert "from 5 flights in 2 sessions" in out
+    assert "support    5 flights" in out
+    made = Baseline.load(new)
+    assert [one.name for one in made.provenance.logs] == ["f0", "f1", "f2", "f10", "f11"]
+    assert Baseline.load(old) == monday()
+
+
+def test_the_command_takes_new_propellers(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    monday().save(old)
+    code, _, err = mavdiag("baseline", "extend", "--new-propellers", old, "f40.hover", "-o", new)
+    assert (code, err) == (0, "")
+    assert Baseline.load(new).monitors == refitted().monitors
+    assert [one.propellers for one in Baseline.load(new).provenance.logs] == [0, 0, 0, 1]
+
+
+def test_the_command_refuses_in_one_line(mavdiag: Callable[..., Ran], tmp_path: Path) -> None:
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    monday().save(old)
+    second = tmp_path / "second.json"
+    second.write_text((Path(__file__).parent / "baseline_2.json").read_text())
+    for arguments, says in (
+        ((old, "f1.tlog"), "f1: is in the baseline already"),
+        ((second, "f10.tlog"), "mavdiag baseline upgrade"),
+        ((tmp_path / "absent.json", "f10.tlog"), "mavdiag identify"),
+    ):
+        code, out, err = mavdiag("baseline", "extend", *arguments, "-o", new)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert says in err
+    assert not new.exists()

@@ -1,0 +1,183 @@
+"""Sessions of healthy flights: who belongs together, folds that leave whole sessions out, and what a session allows."""
+
+import itertools
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from flying_telemetry import flying
+from made_baselines import FRAME, NOW
+
+from mavdiag.baseline import SESSION_GAP_NS, Baseline, dump, parse
+from mavdiag.chain import chain_of
+from mavdiag.errors import UsageError
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.learning.flights import sessions_of
+from mavdiag.monitors.rotor_trim import RotorTrim
+from mavdiag.telemetry import Log, Telemetry
+from mavdiag.testing import example_rows
+from mavdiag.thresholds.guard import Guard
+from mavdiag.thresholds.heldout import Flights, Scores, folds
+from mavdiag.thresholds.rule import Threshold, threshold_of
+from mavdiag.units import NS_PER_S
+
+MONDAY = 1_777_600_000 * NS_PER_S
+HOUR = 3600 * NS_PER_S
+
+
+def logs(*started_ns: int) -> list[Log]:
+    return [Log(f"f{i}", "", "px4", Telemetry(), started_ns=t) for i, t in enumerate(started_ns)]
+
+
+@pytest.mark.parametrize(
+    ("started", "sessions"),
+    [
+        ([], []),
+        ([MONDAY], [0]),
+        ([MONDAY, MONDAY + HOUR // 6, MONDAY + HOUR // 3], [0, 0, 0]),
+        ([MONDAY, MONDAY + HOUR], [0, 0]),
+        ([MONDAY, MONDAY + HOUR + 1], [0, 1]),
+        ([MONDAY, MONDAY + HOUR, MONDAY + 2 * HOUR], [0, 0, 0]),  # each an hour after the one before
+        ([MONDAY + 24 * HOUR, MONDAY, MONDAY + 25 * HOUR], [1, 0, 1]),  # numbered by time, whatever the order
+        ([0, 0, 0], [0, 1, 2]),  # unknown: each for itself
+        ([MONDAY, 0, MONDAY + 60], [1, 0, 1]),
+    ],
+)
+def test_the_wall_clock_tells_the_sessions(started: list[int], sessions: list[int]) -> None:
+    assert sessions_of(logs(*started)) == sessions
+
+
+@pytest.mark.parametrize(
+    ("flights", "told", "sessions"),
+    [(6, 2, [0, 0, 0, 1, 1, 1]), (5, 2, [0, 0, 0, 1, 1]), (3, 1, [0, 0, 0]), (3, 9, [0, 1, 2]), (4, 4, [0, 1, 2, 3])],
+)
+def test_what_is_told_counts_more_than_the_clock(flights: int, told: int, sessions: list[int]) -> None:
+    assert sessions_of(logs(*[MONDAY] * flights), told) == sessions
+
+
+def test_no_session_at_all_is_refused() -> None:
+    with pytest.raises(UsageError, match="sessions must be 1 or more, not 0"):
+        LearnOptions(sessions=0)
+
+
+def numbered(count: int) -> Flights:
+    return [[example_rows(500, segment=i)] for i in range(count)]
+
+
+def parts(flights: Flights) -> list[int]:
+    return [flight[0].block.segment for flight in flights]
+
+
+def test_with_sessions_a_fold_leaves_a_whole_session_out() -> None:
+    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(5), sessions=[0, 1, 1, 0, 7])]
+    assert found == [([0, 3], [1, 2, 4]), ([1, 2], [0, 3, 4]), ([4], [0, 1, 2, 3])]
+
+
+@pytest.mark.parametrize("sessions", [None, [3, 3, 3]])
+def test_with_one_session_a_fold_leaves_a_flight_out(sessions: list[int] | None) -> None:
+    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(3), sessions=sessions)]
+    assert found == [([0], [1, 2]), ([1], [0, 2]), ([2], [0, 1])]
+
+
+def test_with_many_sessions_the_folds_are_ten_and_still_leave_whole_ones_out() -> None:
+    sessions = [i // 2 for i in range(30)]
+    found = [(parts(out), parts(rest)) for out, rest in folds(numbered(30), sessions=sessions)]
+    assert len(found) == 10
+    assert sorted(itertools.chain.from_iterable(out for out, _ in found)) == list(range(30))
+    for out, rest in found:
+        assert not {sessions[i] for i in out} & {sessions[i] for i in rest}
+        assert sorted(out + rest) == list(range(30))
+
+
+def of(sessions: int, guard: Guard = RotorTrim.guard) -> Threshold:
+    scores = Scores(np.array([0.03, 0.031, 0.029, 0.03]), np.full(4, 10.0))
+    return threshold_of(scores, flights=4, sessions=sessions, budget_per_hour=0.36, guard=guard)
+
+
+def test_the_allowance_for_other_sessions_fades_with_them() -> None:
+    allowed = [of(n).session_allowance for n in (1, 2, 3, 4, 5, 20)]
+    assert allowed == pytest.approx([0.06, 0.045, 0.03, 0.015, 0.0, 0.0])
+    values = [of(n).value for n in (1, 5)]
+    assert values[0] - values[1] == pytest.approx(0.06)
+    assert of(1).value - of(1).session_allowance == pytest.approx(of(5).value)
+
+
+def test_within_a_session_the_least_threshold_still_holds() -> None:
+    found = of(1, Guard(few_sessions=0.06, least=0.2))
+    assert found.value == pytest.approx(0.2)
+    assert found.session_allowance == 0.0  # the least is above level and allowance
+    high = of(1, Guard(few_sessions=0.06, least=0.04))
+    assert high.value - high.session_allowance >= 0.04 - 1e-12
+
+
+def test_a_monitor_without_that_guard_allows_nothing() -> None:
+    assert of(1, Guard()).session_allowance == 0.0
+    assert of(1, Guard()).value == of(5, Guard()).value
+
+
+def test_the_statement_says_how_many_sessions_support_it() -> None:
+    assert "from 4 flights in 2 sessions (0.0111 h)" in of(2).statement()
+    assert "from 4 flights in 1 session (0.0111 h)" in of(1).statement()
+    alone = threshold_of(Scores(np.ones(1), np.full(1, 10.0)), flights=3)
+    assert alone.sessions == 3  # of which nobody told: each for itself
+
+
+def flown(seed: int, started_ns: int) -> Log:
+    return Log(f"f{seed}", f"{seed:064x}", "px4", flying(2500, seed), started_ns=started_ns)
+
+
+@cache
+def two_days() -> Baseline:
+    flights = [flown(i, MONDAY + (i // 2) * 24 * HOUR + (i % 2) * HOUR // 6) for i in range(4)]
+    return learn(flights, LearnOptions(airframe=FRAME, monitors=("rotor_trim", "trim_step")), created=NOW)
+
+
+def test_a_baseline_knows_the_sessions_of_its_flights() -> None:
+    made = two_days()
+    assert [one.session for one in made.provenance.logs] == [0, 0, 1, 1]
+    assert {entry.threshold.sessions for entry in made.monitors} == {2}
+    assert "from 4 flights in 2 sessions" in str(made)
+    assert "in a session of these flights: others may shift the trim" in str(made)
+    assert parse(dump(made)) == made
+
+
+def test_told_sessions_are_learnt_in_their_place() -> None:
+    flights = [flown(i, 0) for i in range(4)]
+    options = LearnOptions(airframe=FRAME, monitors=("rotor_trim",))
+    assert learn(flights, options, created=NOW).monitors[0].threshold.sessions == 4
+    told = learn(flights, replace(options, sessions=2), created=NOW)
+    assert told.monitors[0].threshold.sessions == 2
+    assert [one.session for one in told.provenance.logs] == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("started_ns", "same"),
+    [
+        (0, False),
+        (MONDAY, True),
+        (MONDAY - SESSION_GAP_NS, True),
+        (MONDAY - SESSION_GAP_NS - 1, False),
+        (MONDAY + HOUR // 6 + SESSION_GAP_NS, True),
+        (MONDAY + HOUR // 6 + SESSION_GAP_NS + 1, False),
+        (MONDAY + 24 * HOUR + 5, True),
+        (MONDAY + 48 * HOUR, False),
+    ],
+)
+def test_a_flight_within_an_hour_of_a_healthy_one_is_of_its_session(started_ns: int, same: bool) -> None:
+    made = two_days()
+    assert made.same_session(started_ns) is same
+    limits = {slot.monitor.name: slot.threshold for slot in chain_of(made, started_ns).slots}
+    for entry in made.monitors:
+        allowed = entry.threshold.session_allowance if same else 0.0
+        assert limits[entry.spec.kind] == pytest.approx(entry.threshold.value - allowed)
+    assert next(e for e in made.monitors if e.spec.kind == "rotor_trim").threshold.session_allowance > 0.005
+
+
+def test_only_a_session_with_the_present_propellers_counts() -> None:
+    made = two_days()
+    old, new = made.provenance.logs[:2], made.provenance.logs[2:]
+    changed = (*old, *(one.model_copy(update={"propellers": 1}) for one in new))
+    moved = made.model_copy(update={"provenance": made.provenance.model_copy(update={"logs": changed})})
+    assert not moved.same_session(MONDAY)
+    assert moved.same_session(MONDAY + 24 * HOUR)

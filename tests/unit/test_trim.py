@@ -1,0 +1,95 @@
+"""The trim and the rotor whose rise explains it, against numpy's least squares."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.errors import InputError
+from mavdiag.monitors.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_rows
+
+CALM = (0.03, 0.02, 0.01)
+LEVEL = np.zeros((1, 2))
+frames = st.sampled_from(sorted(LAYOUTS))
+shifts = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
+
+
+def by_lstsq(shift: FloatArray, effect: FloatArray, spread: FloatArray) -> float:
+    """The rise a of min || diag(1/spread) (effect a - shift) ||."""
+    found, *_ = np.linalg.lstsq((effect / spread)[:, None], shift / spread, rcond=None)
+    return float(found[0])
+
+
+@given(frame=frames, shift=shifts, lean=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=2))
+def test_the_rises_are_weighted_least_squares(frame: str, shift: list[float], lean: list[float]) -> None:
+    layout = layout_named(frame)
+    effects: FloatArray = np.asarray(np.linalg.pinv(layout.mixing), dtype=np.float64)  # (3, rotors)
+    wind = TILT_TRIM * math.hypot(*lean)
+    spread = np.array([math.hypot(CALM[0], wind), math.hypot(CALM[1], wind), CALM[2]])
+    found = rises(np.array([shift]), layout, CALM, np.array([lean]))
+    expected = [by_lstsq(np.array(shift), effects[:, j], spread) for j in range(layout.rotors)]
+    np.testing.assert_allclose(found, [expected], rtol=1e-9, atol=1e-12)
+
+
+@given(frame=frames, which=st.integers(0, 7), rise=st.floats(0.02, 0.5))
+def test_a_rise_of_one_rotor_comes_out_as_it_is(frame: str, which: int, rise: float) -> None:
+    layout = layout_named(frame)
+    rotor = which % layout.rotors
+    found = rises(rise * layout.unmixing[:, rotor][None], layout, CALM, LEVEL)[0]
+    assert int(found.argmax()) == rotor
+    assert found[rotor] == pytest.approx(rise)
+
+
+def test_in_wind_roll_and_pitch_count_less_and_yaw_as_before() -> None:
+    layout, shift = layout_named("x"), np.array([[0.05, -0.04, 0.0], [0.0, 0.0, 0.05]])
+    calm = rises(shift, layout, CALM).max(axis=1)
+    tilted = rises(shift, layout, CALM, np.tile([0.3, 0.4], (2, 1))).max(axis=1)
+    assert tilted[0] < 0.1 * calm[0]
+    assert tilted[1] > calm[1] > 0.1  # yaw alone is left to explain
+
+
+def test_the_spread_has_a_floor_for_yaw_and_a_ratio_for_the_others() -> None:
+    assert spread_of(np.zeros((5, 3))) == pytest.approx((3 * YAW_FLOOR, 3 * YAW_FLOOR, YAW_FLOOR))
+    rng = np.random.default_rng(1)
+    found = spread_of(rng.normal(0.0, [0.2, 0.01, 0.05], (20_000, 3)))
+    assert found[2] == pytest.approx(np.hypot(0.05, YAW_FLOOR), rel=0.02)
+    assert found[:2] == pytest.approx((0.2, LEVEL_RATIO * found[2]), rel=0.02)
+
+
+def test_trims_of_outputs_are_deviations_from_their_mean() -> None:
+    layout, trim = layout_named("x"), np.array([0.03, -0.02, 0.01])
+    level = np.linspace(0.2, 0.9, 50)[:, None]  # the same trim at any collective
+    found, known = trim_of(example_rows(50, actuator=level * (1 + layout.mixing @ trim)).block, layout, "actuator")
+    assert known.all()
+    np.testing.assert_allclose(found, np.tile(trim, (50, 1)), atol=1e-12)
+
+
+def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
+    layout, outputs = layout_named("x"), np.full((4, 4), 0.5)
+    outputs[1] = 0.04
+    outputs[2, 3] = np.nan
+    valid = np.array([True, True, True, False])
+    found, known = trim_of(example_rows(4, actuator=outputs, valid=valid).block, layout, "actuator")
+    assert known.tolist() == [True, False, False, False]
+    assert not found.any()
+    assert not trim_of(example_rows(4, actuator=outputs[:, :3]).block, layout, "actuator")[1].any()
+    assert not trim_of(example_rows(4, torque=np.ones((4, 3)), thrust=np.ones(4)).block, layout, "torque")[1].any()
+
+
+def test_outputs_are_preferred_to_commands() -> None:
+    frame, outputs = layout_named("crazyflie"), np.full((9, 4), 0.5)
+    torque, thrust = np.zeros((9, 3)), np.full(9, 0.5)
+    assert source_of([[example_rows(9, torque=torque, thrust=thrust, actuator=outputs)]], frame) == "actuator"
+    assert source_of([[example_rows(9, torque=torque, thrust=thrust)]], frame) == "torque"
+    with pytest.raises(InputError, match="outputs of 4 motors above idle"):
+        source_of([[example_rows(9)]], frame)
+
+
+def test_tilt_is_zero_where_no_set_point_is_known() -> None:
+    rows = example_rows(2, setpoint=np.ones((2, 3)), setpoint_valid=np.array([True, False]))
+    assert tilt_of(rows.block).tolist() == [[1.0, 1.0], [0.0, 0.0]]

@@ -1,0 +1,175 @@
+"""The trim-step monitor: a step is found and named; what was there before, or comes slowly, is not."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_thresholds import calibrated
+
+from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.errors import IdentificationError, InputError
+from mavdiag.monitors.trim_step import DRIFT_PER_S, MEMORY_S, TICK_S, WINDOW_S, TrimStep, TrimStepSpec
+from mavdiag.rows.front import Rows
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import FloatArray
+from mavdiag.testing import example_context, example_rows
+
+CALM = (0.03, 0.03, 0.01)
+LEAST = TrimStep.guard.least
+DT_S = 0.02
+TICK = round(TICK_S / DT_S)
+ROTORS = [(frame, rotor) for frame in sorted(LAYOUTS) for rotor in range(layout_named(frame).rotors)]
+
+
+def read(outputs: FloatArray, frame: str = "x", setpoint: FloatArray | None = None) -> Statistic:
+    spec = TrimStepSpec(layout=layout_named(frame), source="actuator", spread=CALM)
+    monitor = TrimStep(spec)
+    return monitor.step(monitor.start(), example_rows(len(outputs), DT_S, actuator=outputs, setpoint=setpoint))[1]
+
+
+def level(seconds: float, rotors: int = 4, seed: int = 1) -> FloatArray:
+    return np.random.default_rng(seed).normal(0.5, 0.004, (round(seconds / DT_S), rotors))
+
+
+@pytest.mark.parametrize(("frame", "rotor"), ROTORS)
+def test_a_step_of_each_rotor_of_each_layout_is_found_and_named(frame: str, rotor: int) -> None:
+    n = layout_named(frame).rotors
+    outputs = level(40, n)
+    outputs[1000:, rotor] += 0.05  # after 20 s, a tenth of hover
+    found = read(outputs, frame)
+    before, after = found.value[found.valid & (found.t_ns < 20e9)], found.value[found.t_ns >= 25.6e9]
+    assert before.max() < LEAST
+    assert after[0] == pytest.approx(0.1 / (1 + 0.1 / n), rel=0.1)
+    assert int(found.rotors[found.t_ns >= 25.6e9][0].argmax()) == rotor
+    np.testing.assert_array_equal(found.level, found.value)
+
+
+def test_an_offset_that_was_there_from_the_start_does_not_count() -> None:
+    """A session's own trim, and a rotor that was weak at take-off: the rotor-trim monitor sees that one."""
+    found = read(level(60) + np.array([0.06, -0.02, 0.01, 0.0]))
+    assert found.valid.any()
+    assert found.value[found.valid].max() < LEAST
+
+
+@pytest.mark.parametrize("per_s", [1e-5, 1e-4, 2e-4])
+def test_a_slow_drift_is_silent(per_s: float) -> None:
+    """A rise of `per_s` of hover a second lags by no more than the memory and a window and a half."""
+    outputs = level(180)
+    outputs[:, 2] += 0.5 * per_s * DT_S * np.arange(len(outputs))
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST
+    assert found.rotors[-60:, 2].mean() == pytest.approx(per_s * (MEMORY_S + 1.5 * WINDOW_S), abs=0.001)
+
+
+def test_a_step_is_forgotten_no_faster_than_the_limit_says() -> None:
+    outputs = level(100)
+    outputs[1000:, 1] += 0.05
+    found = read(outputs)
+    fresh, later = (found.rotors[found.t_ns >= at_s * 1e9][0] for at_s in (30.0, 80.0))
+    most = 4 * DRIFT_PER_S * 50  # a rise of one rotor of four is four times its part in roll, pitch and yaw
+    assert later[1] > LEAST
+    assert 0.0 < fresh[1] - later[1] <= most
+
+
+def test_a_payload_beside_the_centre_counts_little() -> None:
+    shift = np.array([0.04, 0.03, 0.0])
+    outputs = level(40)
+    outputs[1000:] *= 1 + layout_named("x").mixing @ shift
+    found = read(outputs)
+    taken = found.t_ns >= 25.6e9
+    weak = np.abs(layout_named("x").unmixing).max() ** -1 * 0.05  # the rotor whose loss shifts as much
+    assert found.value[taken][0] < 0.45 * weak
+    assert abs(found.signal[taken][0]) < 0.002  # yaw did not move
+
+
+def test_wind_that_tilts_the_vehicle_widens_what_is_expected() -> None:
+    lean = np.zeros((2000, 3))
+    lean[1000:, 0] = 0.25
+    outputs = level(40)
+    outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.3 * 0.25, 0.0, 0.0])
+    calm, windy = read(outputs).value, read(outputs, setpoint=lean).value
+    at = round(26 / TICK_S)
+    assert windy[at] < 0.4 * calm[at]
+
+
+def test_nothing_is_judged_before_there_are_two_windows_nor_after_a_gap() -> None:
+    outputs = level(40)
+    outputs[1000:1010] = np.nan
+    found = read(outputs)
+    judged = found.t_ns[found.valid] / 1e9
+    assert judged[0] == pytest.approx(2 * WINDOW_S, abs=DT_S)
+    broken = judged[(judged > 19.9) & (judged < 20 + 2 * WINDOW_S)]
+    assert len(broken) <= 1
+    assert judged[-1] > 39
+
+
+def test_after_a_gap_the_reference_is_still_that_of_the_flight() -> None:
+    outputs = level(45)
+    outputs[1000:1200] = np.nan  # it breaks while nobody looks
+    outputs[1200:, 3] += 0.05
+    found = read(outputs)
+    assert found.value[-1] > 0.08
+    assert int(found.rotors[-1].argmax()) == 3
+
+
+@settings(max_examples=40, deadline=None)
+@given(edges=st.lists(st.integers(1, 1999), max_size=30), seed=st.integers(0, 3))
+def test_any_cut_gives_the_same(edges: list[int], seed: int) -> None:
+    outputs = level(40, seed=seed)
+    outputs[900:, seed] += 0.04
+    outputs[1300:1303] = np.nan
+    expected = read(outputs)
+    monitor = TrimStep(TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM))
+    block, state, parts = example_rows(2000, DT_S, actuator=outputs).block, monitor.start(), []
+    for low, high in itertools.pairwise(sorted({0, 2000, *edges})):
+        state, part = monitor.step(state, Rows(block.rows(low, high), example_rows(0, DT_S).rates))
+        parts.append(part)
+    for name in ("t_ns", "valid"):
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(expected, name))
+    for name in ("value", "level", "signal", "rotors"):
+        found = np.concatenate([getattr(p, name) for p in parts])
+        np.testing.assert_allclose(found, getattr(expected, name), rtol=1e-12, atol=1e-14)
+
+
+def test_a_flight_that_is_too_short_is_refused() -> None:
+    short = [[example_rows(950, 0.01, actuator=np.full((950, 4), 0.5))]]
+    with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
+        TrimStep.fit(short, example_context("x"))
+    hops = [[example_rows(950, 0.01, segment=i, actuator=np.full((950, 4), 0.5)) for i in range(3)]]
+    with pytest.raises(IdentificationError, match="no unbroken 10 s"):
+        TrimStep.fit(hops, example_context("x"))
+    enough = [[example_rows(1050, 0.01, actuator=np.full((1050, 4), 0.5))]]
+    assert TrimStep.fit(enough, example_context("x"))
+
+
+def test_why_it_cannot_judge() -> None:
+    with pytest.raises(InputError, match="layout is not known"):
+        TrimStep.fit([[example_rows(2000, actuator=np.full((2000, 4), 0.5))]], example_context(None))
+    with pytest.raises(InputError, match="outputs of 4 motors"):
+        TrimStep.fit([[example_rows(2000)]], example_context("x"))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"spread": (0.0, 1.0, 1.0)}, {"window_s": 0.0}, {"memory_s": -1.0}, {"drift_per_s": float("nan")}]
+)
+def test_a_spec_that_describes_nothing_is_refused(changes: dict[str, object]) -> None:
+    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
+    with pytest.raises(InputError, match="trim_step: spread, window, memory and drift"):
+        replace(spec, **changes)  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(InputError, match="not known"):
+        replace(spec, source="torque")
+
+
+def test_healthy_flights_stay_below_the_threshold_that_they_give() -> None:
+    flights = [flying_rows(flying(3000, seed)) for seed in range(3)]
+    monitor, threshold = calibrated(TrimStep, flights, example_context("x"))
+    assert threshold.value >= LEAST
+    for seed in range(20, 24):
+        parts = list(monitor.over(flying_rows(flying(3000, seed))))
+        judged = np.concatenate([one.value[one.valid] for one in parts])
+        assert len(judged) > 30
+        assert judged.max() < threshold.value, f"seed {seed}"
