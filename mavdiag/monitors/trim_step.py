@@ -5,14 +5,14 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import Three
 from mavdiag.monitors.trim import SIGNALS, YAW_FLOOR, Source, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.rows.block import Block
@@ -28,8 +28,9 @@ TICK_S = 0.5  # a value twice a second (our choice)
 WINDOW_S = 5.0  # as the rotor-trim monitor's
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
-HOLD = 0.006  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
-STRAIGHT_RAD_S = 0.15  # mean yaw rate of a tick from which on it is a turn, whose trim says nothing (our choice)
+HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
+STRAIGHT_RAD_S = 0.15  # mean yaw rate of a tick that is no turn, whatever the healthy flights had (our choice)
+TURN_ROOM = 1.5  # as the envelope has it
 UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 
@@ -40,6 +41,7 @@ class TrimStepSpec:
     layout: where the rotors are.
     source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
     spread: of the 5 s means of roll, pitch and yaw trim about the reference [fraction of hover].
+    turn_rad_s: mean yaw rate over half a second, half more than the healthy flights had; a faster turn is left out.
     window_s, memory_s: lengths of the mean and of the reference's memory [s].
     drift_per_s: largest drift that is followed [fraction of hover a second].
     Raises InputError if they do not describe a vehicle.
@@ -49,14 +51,15 @@ class TrimStepSpec:
     layout: RotorLayout
     source: Source
     spread: Three
+    turn_rad_s: float = STRAIGHT_RAD_S
     window_s: float = WINDOW_S
     memory_s: float = MEMORY_S
     drift_per_s: float = DRIFT_PER_S
 
     def __post_init__(self) -> None:
-        figures = (*self.spread, self.window_s, self.memory_s, self.drift_per_s)
+        figures = (*self.spread, self.turn_rad_s, self.window_s, self.memory_s, self.drift_per_s)
         if not all(math.isfinite(x) for x in figures) or min(figures) <= 0:
-            raise InputError("trim_step: spread, window, memory and drift must be positive numbers")
+            raise InputError("trim_step: spread, turn, window, memory and drift must be positive numbers")
         if self.source == "torque" and self.layout.torque_gain is None:
             raise InputError(f"trim_step: what a torque command does to the motors of {self.layout.name} is not known")
 
@@ -81,15 +84,15 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
-        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.006
+        m_ref <- m_ref + clip((m(t - 5 s) - m_ref) dt/30 s, +-0.0003 dt)    while both are within 0.012
 
     m_ref begins as the first 5 s of a flight. What was there from the start does not count, and of a rise of r a second
     only 37 r is seen: a session's offset, a battery, wear. `level` equals the statistic, `signal` is the yaw trim's
     shift, `rotors` are the a_j.
 
-    Warm-up: 10 s of unbroken valid flight without a turn of the nose. Latency: up to 5 s. False alarms: see
-    `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots: damage that was there at take-off (the rotor-trim
-    monitor sees it) or grows slowly, and hops shorter than 10 s.
+    Warm-up: 10 s of unbroken valid flight without a faster turn than the healthy flights had. Latency: up to 5 s.
+    False alarms: see `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots:
+    damage that was there at take-off (the rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
 
     >>> from mavdiag.airframe.layout import layout_named
     >>> from mavdiag.testing import example_rows
@@ -116,19 +119,21 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         layout = context.airframe.layout
         if layout is None:
             raise InputError("the rotor layout is not known; name the airframe")
-        first = cls(TrimStepSpec(layout=layout, source=source_of(flights, layout), spread=UNKNOWN))
+        source = source_of(flights, layout)
+        fastest = max((_turn(rows.block) for flight in flights for rows in flight), default=0.0)
+        first = TrimStepSpec(
+            layout=layout, source=source, spread=UNKNOWN, turn_rad_s=max(TURN_ROOM * fastest, STRAIGHT_RAD_S)
+        )
         shifts = [np.empty((0, 3))]
-        for flight in flights:
-            segment, state = None, first.start()
-            for rows in flight:
-                if rows.block.segment != segment:
-                    segment, state = rows.block.segment, first.start()
-                state, _, shift, _, valid = first._shifts(state, rows.block)
+        for segment in (segment for flight in flights for segment in segments(flight)):
+            state = _start()
+            for rows in segment:
+                state, _, shift, _, valid = _shifts(first, state, rows.block)
                 shifts.append(shift[valid])
         found = np.concatenate(shifts)
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
-        return (TrimStepSpec(layout=layout, source=first.spec.source, spread=spread_of(found)),)
+        return (replace(first, spread=spread_of(found)),)
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -149,56 +154,73 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
 
     def start(self) -> TrimStepState:
         """No row yet."""
-        waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
-        return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
+        return _start()
 
     def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
-        block = rows.block
-        state, t_ns, shift, tilt, valid = self._shifts(state, block)
-        rise = rises(shift, self.spec.layout, self.spec.spread, tilt).max(axis=1)
-        rotors = rises(shift, self.spec.layout, self.spec.spread)
-        period_s = self._tick(block) * block.dt_s
+        spec, block = self.spec, rows.block
+        state, t_ns, shift, tilt, valid = _shifts(spec, state, block)
+        rise = rises(shift, spec.layout, spec.spread, tilt).max(axis=1)
+        rotors = rises(shift, spec.layout, spec.spread)
+        period_s = _tick(block) * block.dt_s
         return state, Statistic(t_ns, period_s, rise, valid, rise, shift[:, 2], rotors)
 
-    def _tick(self, block: Block) -> int:
-        """Rows of a tick."""
-        return max(1, round(TICK_S / block.dt_s))
 
-    def _shifts(
-        self, state: TrimStepState, block: Block
-    ) -> tuple[TrimStepState, IntArray, FloatArray, FloatArray, BoolArray]:
-        """Time, shift of the trim (k, 3), shift of the tilt (k, 2) and validity of each tick that is completed."""
-        tick = self._tick(block)
-        trim, flown = trim_of(block, self.spec.layout, self.spec.source)
-        t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-        rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
-        count = len(t_ns) // tick
-        used = count * tick
-        whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
-        means = rows[:used].reshape(count, tick, 6).mean(axis=1)
-        straight = whole & (np.abs(means[:, 5]) < STRAIGHT_RAD_S)
-        shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
-        ticks, reference = state.ticks, state.reference
-        tick_s = tick * block.dt_s
-        window = max(1, round(self.spec.window_s / tick_s))
-        for i in range(count):
-            ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
-            if len(ticks) < 2 * window:
-                continue
-            before = ticks[:window].mean(axis=0)
-            reference = before if reference is None else reference
-            shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
-            reference = self._followed(reference, before, shift[i], tick_s)
-        state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
-        return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
+def _start() -> TrimStepState:
+    waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
+    return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
 
-    def _followed(self, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float) -> FloatArray:
-        """The reference a tick later. before: (5,) mean of the window that lies one window back."""
-        both = np.stack((shift, before - reference))
-        if rises(both[:, :3], self.spec.layout, self.spec.spread, both[:, 3:]).max() > HOLD:
-            return reference
-        step = (before - reference) * (tick_s / self.spec.memory_s)
-        most = self.spec.drift_per_s * tick_s
-        step[:3] = np.clip(step[:3], -most, most)
-        return np.asarray(reference + step, dtype=np.float64)
+
+def _tick(block: Block) -> int:
+    """Rows of a tick."""
+    return max(1, round(TICK_S / block.dt_s))
+
+
+def _shifts(
+    spec: TrimStepSpec, state: TrimStepState, block: Block
+) -> tuple[TrimStepState, IntArray, FloatArray, FloatArray, BoolArray]:
+    """Time, shift of the trim (k, 3), shift of the tilt (k, 2) and validity of each tick that is completed."""
+    tick = _tick(block)
+    trim, flown = trim_of(block, spec.layout, spec.source)
+    t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
+    rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
+    count = len(t_ns) // tick
+    used = count * tick
+    whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
+    means = rows[:used].reshape(count, tick, 6).mean(axis=1)
+    straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
+    shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
+    ticks, reference = state.ticks, state.reference
+    tick_s = tick * block.dt_s
+    window = max(1, round(spec.window_s / tick_s))
+    for i in range(count):
+        ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
+        if len(ticks) < 2 * window:
+            continue
+        before = ticks[:window].mean(axis=0)
+        reference = before if reference is None else reference
+        shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
+        reference = _followed(spec, reference, before, shift[i], tick_s)
+    state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
+    return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
+
+
+def _followed(
+    spec: TrimStepSpec, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float
+) -> FloatArray:
+    """The reference a tick later. before: (5,) mean of the window that lies one window back."""
+    both = np.stack((shift, before - reference))
+    if rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]).max() > HOLD:
+        return reference
+    step = (before - reference) * (tick_s / spec.memory_s)
+    most = spec.drift_per_s * tick_s
+    step[:3] = np.clip(step[:3], -most, most)
+    return np.asarray(reference + step, dtype=np.float64)
+
+
+def _turn(block: Block) -> float:
+    """Largest mean yaw rate of half a second of valid rows [rad/s]."""
+    tick = _tick(block)
+    yaw = np.where(block.valid, block.rate[:, 2], 0.0)
+    count = len(yaw) // tick
+    return float(np.abs(yaw[: count * tick].reshape(count, tick).mean(axis=1)).max(initial=0.0))

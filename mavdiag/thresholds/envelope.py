@@ -228,10 +228,9 @@ class Envelope:
         rooms = np.array([RULES[one.condition].room for one in self.covered])
         excess, worst = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
         outside: BoolArray = excess > 1.0
-        denied = outside & found.valid
         reasons = {}
         for column in columns:
-            here = denied & (worst[0] == column)
+            here = outside & (worst[0] == column)
             if here.any():
                 farthest = int(np.argmax(np.where(here, excess, -1.0)))
                 span_s = float(np.count_nonzero(here)) * found.period_s

@@ -50,8 +50,8 @@ def test_a_propeller_fault_of_long_ago_becomes_no_sensor_fault_but_may_get_out_o
 
 def test_a_rotor_is_named_only_while_that_is_certain() -> None:
     assert named(FaultKind.PROPELLER, [PROPELLER], False).rotor == 1
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.69)], False).rotor == 1
-    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.7)], False).rotor is None
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.84)], False).rotor == 1
+    assert named(FaultKind.PROPELLER, [PROPELLER, replace(SENSOR, ratio=0.85)], False).rotor is None
     assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.49)], False).rotor == 1
     assert named(FaultKind.PROPELLER, [PROPELLER, replace(CONTROL, ratio=0.5)], False).rotor is None
     for kind in (FaultKind.SENSOR, FaultKind.LOSS_OF_CONTROL):

@@ -12,7 +12,7 @@ from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.trim_step import DRIFT_PER_S, MEMORY_S, TICK_S, WINDOW_S, TrimStep, TrimStepSpec
+from mavdiag.monitors.trim_step import MEMORY_S, TICK_S, WINDOW_S, TrimStep, TrimStepSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
@@ -65,14 +65,13 @@ def test_a_slow_drift_is_silent(per_s: float) -> None:
     assert found.rotors[-60:, 2].mean() == pytest.approx(per_s * (MEMORY_S + 1.5 * WINDOW_S), abs=0.001)
 
 
-def test_a_step_is_forgotten_no_faster_than_the_limit_says() -> None:
-    outputs = level(100)
-    outputs[1000:, 1] += 0.05
+def test_a_step_is_not_forgotten_and_its_end_leaves_nothing() -> None:
+    outputs = level(150)
+    outputs[1000:3500, 1] += 0.05
     found = read(outputs)
-    fresh, later = (found.rotors[found.t_ns >= at_s * 1e9][0] for at_s in (30.0, 80.0))
-    most = 4 * DRIFT_PER_S * 50  # a rise of one rotor of four is four times its part in roll, pitch and yaw
-    assert later[1] > LEAST
-    assert 0.0 < fresh[1] - later[1] <= most
+    fresh, later = (found.rotors[found.t_ns >= at_s * 1e9][0] for at_s in (30.0, 65.0))
+    assert later[1] == pytest.approx(fresh[1], abs=0.002)
+    assert found.value[found.t_ns >= 90e9].max() < 0.3 * LEAST
 
 
 def test_a_payload_beside_the_centre_counts_little() -> None:
@@ -158,7 +157,7 @@ def test_why_it_cannot_judge() -> None:
 )
 def test_a_spec_that_describes_nothing_is_refused(changes: dict[str, object]) -> None:
     spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
-    with pytest.raises(InputError, match="trim_step: spread, window, memory and drift"):
+    with pytest.raises(InputError, match="trim_step: spread, turn, window, memory and drift"):
         replace(spec, **changes)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(InputError, match="not known"):
         replace(spec, source="torque")
@@ -171,5 +170,5 @@ def test_healthy_flights_stay_below_the_threshold_that_they_give() -> None:
     for seed in range(20, 24):
         parts = list(monitor.over(flying_rows(flying(3000, seed))))
         judged = np.concatenate([one.value[one.valid] for one in parts])
-        assert len(judged) > 30
+        assert len(judged) > 10
         assert judged.max() < threshold.value, f"seed {seed}"
