@@ -12,8 +12,8 @@ log-normal, so with their mean and standard deviation m, sd of ln s,
     found in 95 %:  exp(m + 1.645 sd),  95 % interval by the noncentral t (tolerance limits)
 
 The intervals count flights as independent, and there are few airframes. Flights that are declared a fault without any
-damage, or not found at the upper end of the range (a loss beyond it may make a flight look like another vehicle's, which
-is not judged), are counted beside and left out of the fit.
+damage, or not found at the upper end of the range (beyond it a flight may look like another vehicle's, which is not
+judged), are counted beside and left out of the fit.
 
 Damage: unbalance alone; thrust alone, its drag kept; thrust and drag lost alike, as with a shorter blade.
 
@@ -258,7 +258,7 @@ def interval(sizes: Sequence[float], found: float) -> str:
     """The size found in that share of flights, with its 95 % interval."""
     x, n, z = np.log(sizes), len(sizes), float(norm.ppf(found))
     centre, scale = float(x.mean()), float(x.std(ddof=1)) / math.sqrt(n)
-    low, high = t.ppf((0.025, 0.975), n - 1) if z == 0 else nct.ppf((0.025, 0.975), n - 1, z * math.sqrt(n))
+    low, high = (t.ppf(p, n - 1) if z == 0 else nct.ppf(p, n - 1, z * math.sqrt(n)) for p in (0.025, 0.975))
     at = centre + z * scale * math.sqrt(n)
     return f"{math.exp(at):.2g} ({math.exp(centre + low * scale):.2g} to {math.exp(centre + high * scale):.2g})"
 
@@ -314,7 +314,7 @@ def main() -> None:
         "found in 50 %",
         "found in 95 %",
         "found by",
-        "missed, flagged healthy",
+        "missed, false",
     ):
         table.add_column(heading)
     for span in ("its window", f"{SEEN_S:g} s", f"{SEEN_S:g} s, healthy lines"):
