@@ -7,7 +7,7 @@ A candidate is one figure for a whole flight:
     rotor's median      max_j of the median over the flight of rotor j's rise (`rotor_trim`), instead of the peak
     mean trim           the rise that explains the mean trim of the flight
     signature, innovation   median over the flight of that monitor's statistic
-    residual's bands, sensors' bands    sum over six bands and all channels of r - 1 - ln r where r > 1: the likelihood
+    residual bands, sensors bands    sum over six bands and all channels of r - 1 - ln r where r > 1: the likelihood
         ratio of a variance that has grown by r, per degree of freedom; of the model residual from 1 Hz on, and of gyro
         and accelerometer from 4 Hz on. A ratio of powers is the same for the innovation, which is a filter of these
     order tracking      highest line, over the median of all speeds, in half seconds of gyro and a_z along a phase that
@@ -59,6 +59,7 @@ SHARE_PER_H = BUDGET_PER_HOUR / 8
 BANDS, FIRST_HZ = 6, {"residual": 1.0, "sensors": 4.0}
 SPEEDS_HZ = np.linspace(225.0, 330.0, 400)
 SMALL_MM = 5.0
+ONE_BLADE = ("_0.5mm_46.5mm", "_1mm_46mm")  # the only labels that say so
 TRIM = ("rotor's median", "mean trim")
 
 Values = dict[str, float]
@@ -80,7 +81,7 @@ class Flown:
         for block in (rows.block for rows in self.rows):
             columns = np.column_stack((block.rate, block.force[:, 2], block.thrust))
             parts.setdefault(block.segment, []).append(columns[block.valid])
-        return [np.concatenate(found) for found in parts.values()]
+        return [np.concatenate(found) for found in parts.values() if any(map(len, found))]
 
 
 def powers(signals: Sequence[FloatArray], rate_hz: float, first_hz: float) -> FloatArray:
@@ -141,7 +142,7 @@ def values(flight: Flown, baseline: Baseline, healthy: Sequence[Flown], *, crazy
         found[name] = float(np.median(statistic))
     for what in FIRST_HZ:
         own = [bands(one, baseline, what) for one in healthy]
-        found[f"{what}' bands"] = grown(bands(flight, baseline, what), own)
+        found[f"{what} bands"] = grown(bands(flight, baseline, what), own)
     return {**found, "order tracking": tracked(flight)} if crazyflie else found
 
 
@@ -193,21 +194,25 @@ def recorded(folder: Path) -> Table:
         others = [one for one in healthy if one is not left_out]
         judged = [one for one in flights if one.label != "normal_flight" or one is left_out]
         for one, flagged in fold(others, judged, taught, len(others), crazyflie=True):
-            of[column(one)] += 1
-            for name, yes in flagged.items():
-                hits.setdefault(name, Counter())[column(one)] += yes
+            for key in columns(one):
+                of[key] += 1
+                for name, yes in flagged.items():
+                    hits.setdefault(name, Counter())[key] += yes
     table = Table("flagged by it or the product", *of, title="CrazyPAD E8, nested: flights of all five folds")
     for name, count in hits.items():
         table.add_row(name, *(f"{count[key]}/{of[key]}" for key in of))
     return table
 
 
-def column(one: Flown) -> str:
+def columns(one: Flown) -> list[str]:
     """Where a flight counts."""
     cut_mm = total_cut_mm(one.label)
     if cut_mm is None:
-        return one.label.split("_")[0]
-    return "cut > 5 mm" if cut_mm > SMALL_MM else "chooses, cut <= 5 mm" if one.first else "judges, cut <= 5 mm"
+        return [one.label.split("_")[0]]
+    if cut_mm > SMALL_MM:
+        return ["cut > 5 mm"]
+    one_blade = ["all on one blade"] if one.label.endswith(ONE_BLADE) else []
+    return ["cut <= 5 mm, chooses" if one.first else "judges", *one_blade]
 
 
 def emulated(airframes: int, seed: int) -> Table:
