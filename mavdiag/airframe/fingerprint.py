@@ -54,7 +54,7 @@ class _Limit:
 
 
 _NEVER = math.inf
-_NOISE = _Limit(0.1, math.log(2.0), _NEVER, math.log(4.0), _NEVER)
+_NOISE = _Limit(0.1, math.log(2.0), _NEVER, math.log(20.0), _NEVER)  # better balanced propellers are quieter by 7
 # Floors: what healthy flights of one emulated airframe differ by, trims in payload and wind among them (estimates).
 _LIMITS: tuple[_Limit, ...] = (
     *(_Limit(floor, _NEVER, _NEVER, _NEVER, _NEVER) for floor in (0.01, 0.01, 0.002)),
@@ -62,7 +62,7 @@ _LIMITS: tuple[_Limit, ...] = (
     *(_Limit(0.1, math.log(1.5), math.log(1.5), math.log(2.0), math.log(2.0)),) * 2,
     *(_Limit(0.2, _NEVER, math.log(2.0), math.log(4.0), math.log(4.0)),) * 2,
     _Limit(0.03, math.log(1.15), math.log(1.4), math.log(1.5), _NEVER),
-    _Limit(0.1, OTHER_MOTORS, OTHER_MOTORS, OTHER_MOTORS, OTHER_MOTORS),
+    _Limit(0.1, OTHER_MOTORS, OTHER_MOTORS, _NEVER, OTHER_MOTORS),  # a motor that hangs follows no command
 )
 """Of TRAITS, in the same order; choices of ours, held against recorded sessions, cuts, tape and weights."""
 

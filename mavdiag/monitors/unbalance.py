@@ -20,6 +20,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import highpass, window_all, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.thresholds.guard import Guard
 from mavdiag.units import G_MM_PER_KG_M
 
 __all__ = ["Unbalance", "UnbalanceSpec", "UnbalanceState", "corner_of"]
@@ -166,6 +167,9 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     label = "unbalance"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
+    # An estimate: the propellers of another session may each have the permissible 0.18 g mm (T Eq 3.6), whatever little
+    # those that were learnt have; in m/s^2, where mass and speed are not known, about as much.
+    guard = Guard(few_sessions=0.2)
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
 

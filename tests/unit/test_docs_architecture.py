@@ -53,7 +53,7 @@ def test_the_layers_are_those_of_the_import_contract() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(one["layers"] for one in contracts if one["type"] == "layers")
     wanted = [{name.strip().removeprefix("mavdiag.") for name in layer.split("|")} for layer in layers[::-1]]
-    drawn = [set(re.findall(r"`([a-z]+)`", cell)) for cell in table("Within `mavdiag`", 0)]
+    drawn = [set(re.findall(r"`([a-z_]+)`", cell)) for cell in table("Within `mavdiag`", 0)]
     assert [one - {"__main__"} for one in wanted if one != {"__main__"}] == drawn
 
 
