@@ -65,6 +65,7 @@ class Kind(StrEnum):
     RATES = "rates"
     NO_LAYOUT = "no rotor layout"
     OTHER_LAYOUT = "other rotor layout"
+    OTHER_VEHICLE = "other vehicle"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +118,7 @@ POLICY: Mapping[Kind, Policy] = {
     Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", (60.0,)),  # reason
     Kind.RATES: Policy(Severity.INFO, "PROP got {}"),  # message and rate, ...
     Kind.NO_LAYOUT: Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off"),  # how many
+    Kind.OTHER_VEHICLE: Policy(Severity.WARNING, "PROP not the vehicle of the baseline"),
     Kind.OTHER_LAYOUT: Policy(Severity.WARNING, "PROP flights contradict rotor layout {}"),  # its name
 }
 

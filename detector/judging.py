@@ -13,12 +13,13 @@ from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.airframe.airframe import NEED_LAYOUT
+from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = ["Alert", "Judge", "alert_after", "layout_notices", "not_judged", "notes_on", "records_of"]
+__all__ = ["Alert", "Judge", "alert_after", "layout_notices", "not_judged", "notes_on", "records_of", "vehicle_notices"]
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
@@ -104,10 +105,17 @@ def alert_after(
     return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=active, named=named)
 
 
-def records_of(output: ChainOutput) -> tuple[Record, ...]:
-    """The events and changes of a step, for the journal."""
+def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
+    """The events and changes of a step, for the journal, and how the vehicle differs. whose: the baseline's vehicle."""
     events = (EventOpened(event) if event.end_ns is None else EventClosed(event) for event in output.events)
-    return (*events, *output.changes)
+    differs = "" if output.likeness is None else output.likeness.sentence(whose)
+    return (*events, *output.changes, *((Note(differs),) if differs else ()))
+
+
+def vehicle_notices(output: ChainOutput) -> list[Notice]:
+    """What is said, once, of a vehicle that is another than the baseline's."""
+    far = output.likeness is not None and output.likeness.outcome is Outcome.FAR
+    return [Notice(Kind.OTHER_VEHICLE)] if far else []
 
 
 def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:

@@ -9,7 +9,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, layout_notices, not_judged, notes_on, records_of
+from detector.judging import (
+    Alert,
+    Judge,
+    alert_after,
+    layout_notices,
+    not_judged,
+    notes_on,
+    records_of,
+    vehicle_notices,
+)
 from detector.named_values import NamedValues, named_values
 from detector.negotiate import Negotiation, negotiate, wants_of
 from detector.states import TABLE, State, Trigger, advance
@@ -235,7 +244,7 @@ class Session:
         if (judge := self.state.judge) is None:
             return None
         judge, output = replace(judge, judged=now).step(joined(self.state.waited), now)
-        self._effects += records_of(output)
+        self._effects += records_of(output, judge.baseline.airframe.name)
         return self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
 
     def _learning(self, inbox: Inbox, now: Instant) -> None:
@@ -288,7 +297,8 @@ class Session:
         if state.alert is None and (airborne is None or now - airborne < self._settings.takeoff_s):
             alert = None
         self._keep(judge=judge, named_values=values, airborne=airborne, alert=alert)
-        self._effects += [*records_of(output), *floats]
+        self._effects += [*records_of(output, judge.baseline.airframe.name), *floats]
+        self._notices += vehicle_notices(output)
         return self._quiet(judge, ground, now) if alert is None else self._alerting(judge, alert, ground, now)
 
     def _stop_judging(self, why: str) -> None:
@@ -297,7 +307,7 @@ class Session:
         if state.judge is not None:
             judge, output = state.judge.end_flight()
             self._keep(judge=judge, alert=None)
-            self._effects += records_of(output)
+            self._effects += records_of(output, judge.baseline.airframe.name)
             if state.alert is not None:
                 self._say(Kind.UNSETTLED, why)
 

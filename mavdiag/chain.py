@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from mavdiag.airframe.fingerprint import FIRST_S, Fingerprint, Likeness, compare
+from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import DecisionSpec, DecisionState, Event, SlotSpec
 from mavdiag.decision.diagnosis import Change, Diagnosis
@@ -122,6 +124,7 @@ class ChainOutput:
     flight_s: new flight time.
     judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
+    likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
     """
 
     events: tuple[Event, ...] = ()
@@ -130,6 +133,7 @@ class ChainOutput:
     flight_s: float = 0.0
     judged_s: float = 0.0
     now_ns: int | None = None
+    likeness: Likeness | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +143,7 @@ class ChainState:
     accounts: of each slot, since the start.
     judged_s: judged time of the deciding slot that judged for longest, since the start.
     now_ns: vehicle time of the latest row.
+    beginning: rows until there are enough to compare the vehicle; None afterwards.
     """
 
     front: FrontState
@@ -148,6 +153,7 @@ class ChainState:
     accounts: tuple[Account, ...]
     judged_s: float = 0.0
     now_ns: int | None = None
+    beginning: tuple[Rows, ...] | None = ()
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -157,12 +163,17 @@ class ChainState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chain:
-    """Front, slots, envelope and decision: the whole way from telemetry to alarms."""
+    """Front, slots, envelope and decision: the whole way from telemetry to alarms.
+
+    fingerprint, layout: of the baseline's vehicle, to compare the flight with; None to compare nothing.
+    """
 
     front: Front
     slots: tuple[Slot, ...]
     decision: DecisionSpec
     envelope: Envelope = field(default_factory=Envelope)
+    fingerprint: Fingerprint | None = None
+    layout: RotorLayout | None = None
 
     def start(self) -> ChainState:
         """Nothing seen yet."""
@@ -229,8 +240,21 @@ class Chain:
             judged_s=output.judged_s + judged_s - state.judged_s,
             now_ns=now_ns,
         )
-        state = ChainState(state.front, envelope, tuple(monitors), decision, accounts, judged_s, now_ns)
+        beginning, likeness = self._compared(state.beginning, rows)
+        output = replace(output, likeness=likeness or output.likeness)
+        state = ChainState(state.front, envelope, tuple(monitors), decision, accounts, judged_s, now_ns, beginning)
         return state, events, changes, output
+
+    def _compared(
+        self, beginning: tuple[Rows, ...] | None, rows: Rows
+    ) -> tuple[tuple[Rows, ...] | None, Likeness | None]:
+        """The rows to compare the vehicle by, and the answer as soon as there are enough."""
+        if beginning is None or self.fingerprint is None:
+            return None, None
+        beginning = (*beginning, rows)
+        if sum(int(np.count_nonzero(one.block.valid)) for one in beginning) * rows.block.dt_s < FIRST_S:
+            return beginning, None
+        return None, compare(self.fingerprint, beginning, self.layout)
 
     def _accounts(
         self,
@@ -308,4 +332,5 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
     known = known_fault_types(baseline.airframe.classifier) if "motion" in features else ()
     depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
     envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
-    return Chain(front_of(baseline), slots, DecisionSpec(specs, known), envelope)
+    decision, whose = DecisionSpec(specs, known), baseline.airframe
+    return Chain(front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout)

@@ -118,7 +118,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     except BaselineError as error:
         reason = f"another link: {error}"
         return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
-    chain = chain_of(baseline, log.started_ns)
+    chain = replace(chain_of(baseline, log.started_ns), fingerprint=None)  # compared here, before it is judged
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
     parts = chain.front.whole(log.telemetry)

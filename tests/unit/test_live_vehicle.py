@@ -1,0 +1,69 @@
+"""A live flight of another vehicle is told once, when 20 s of it are there."""
+
+import itertools
+from dataclasses import replace
+
+from detector.alerts import Kind
+from detector.judging import records_of, vehicle_notices
+from detector.values import Note
+from flying_telemetry import flying
+
+from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome, compare
+from mavdiag.chain import Chain, ChainOutput, chain_of
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import Log, Series, Telemetry
+
+
+def taught() -> Chain:
+    logs = [Log(f"{seed}", "", "px4", flying(3000, seed)) for seed in range(2)]
+    return chain_of(learn(logs, LearnOptions(), created=""))
+
+
+def steps(chain: Chain, pieces: int) -> list[ChainOutput]:
+    """A flight of 40 s in so many pieces."""
+    telemetry, state, out = flying(4000, 9), chain.start(), []
+    edges = [round(i * 40e9 / pieces) for i in range(pieces + 1)]
+    for low, high in itertools.pairwise(edges):
+        state, one = chain.step(state, between(telemetry, low, high))
+        out.append(one)
+    return out
+
+
+def between(telemetry: Telemetry, low_ns: int, high_ns: int) -> Telemetry:
+    first = min(int(one.t_ns[0]) for one in telemetry.series)
+    parts = []
+    for one in telemetry.series:
+        keep = (one.t_ns - first >= low_ns) & (one.t_ns - first < high_ns)
+        parts.append(Series(one.signal, one.t_ns[keep], one.host_ns[keep], one.values[keep]))
+    return Telemetry(tuple(parts))
+
+
+def test_the_answer_comes_once_and_is_that_of_the_rows() -> None:
+    chain = taught()
+    answers = [one.likeness for one in steps(chain, 80) if one.likeness is not None]
+    assert len(answers) == 1
+    rows = [part for part in chain.front.whole(flying(4000, 9)) if isinstance(part, Rows)]
+    assert chain.fingerprint is not None
+    assert answers[0].outcome is compare(chain.fingerprint, rows, chain.layout).outcome
+
+
+def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> None:
+    chain = taught()
+    assert chain.fingerprint is not None
+    figures = tuple(
+        Figure(one.name, one.mean + 5.0, 0.01) if one.name.startswith("gyro noise") else one
+        for one in chain.fingerprint.figures
+    )
+    other = replace(chain, fingerprint=Fingerprint(figures, 2))
+    told = [one for one in steps(other, 40) if one.likeness is not None]
+    assert [one.likeness.outcome for one in told if one.likeness] == [Outcome.FAR]
+    assert [notice.kind for one in told for notice in vehicle_notices(one)] == [Kind.OTHER_VEHICLE]
+    notes = [one.text for output in told for one in records_of(output, "E8") if isinstance(one, Note)]
+    assert len(notes) == 1
+    assert notes[0].startswith("does not look like E8: ")
+
+
+def test_a_vehicle_without_a_fingerprint_is_not_compared() -> None:
+    chain = replace(taught(), fingerprint=None)
+    assert all(one.likeness is None for one in steps(chain, 10))
