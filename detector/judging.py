@@ -4,22 +4,20 @@ A damaged propeller leaves the margin again and again, so the decision's stage c
 it begins with the first suspicion or fault and ends when there was none for a while.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from detector.alerts import Kind, Notice, alert_notice, label_of
+from detector.alerts import Notice, alert_notice, label_of
 from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
-from mavdiag.airframe.airframe import NEED_LAYOUT
-from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = ["Alert", "Judge", "alert_after", "layout_notices", "not_judged", "notes_on", "records_of", "vehicle_notices"]
+__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "words_of"]
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
@@ -112,12 +110,6 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
     return (*events, *output.changes, *((Note(differs),) if differs else ()))
 
 
-def vehicle_notices(output: ChainOutput) -> list[Notice]:
-    """What is said, once, of a vehicle that is another than the baseline's."""
-    far = output.likeness is not None and output.likeness.outcome is Outcome.FAR
-    return [Notice(Kind.OTHER_VEHICLE)] if far else []
-
-
 def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
     """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged.
 
@@ -138,27 +130,11 @@ def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str,
     return tuple(found.items())
 
 
-def layout_notices(baseline: Baseline) -> list[Notice]:
-    """What is said, once for each baseline, of a rotor layout that is unknown or that its flights contradict."""
-    if not baseline.layout_doubt:
-        return []
-    if baseline.airframe.layout is not None:
-        return [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
-    lost = sum(one.monitor in NEED_LAYOUT for one in baseline.not_judgeable)
-    return [Notice(Kind.NO_LAYOUT, (str(lost),))]
-
-
-def notes_on(baseline: Baseline, chain: Chain, suspect: Iterable[str]) -> list[Note]:
-    """What the journal gets as judging begins: doubts about the rotor layout, and the names in `suspect` that no
-    monitor of the chain has."""
-    doubts = [Note(baseline.layout_doubt)] if baseline.layout_doubt else []
-    return doubts + _unknown_suspects(chain, suspect)
-
-
-def _unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:
-    monitors = [slot.monitor for slot in chain.slots]
-    known = {name for monitor in monitors for name in (monitor.name, f"{monitor.name}.{monitor.axis}")}
-    return [Note(f"suspect: the baseline has no monitor {name!r}") for name in suspect if name not in known]
+def words_of(unjudged: Sequence[tuple[str, str]]) -> tuple[str, str]:
+    """What is said of monitors that do not judge, in full and for a text. unjudged: as `not_judged` has them."""
+    label, reason = unjudged[0]
+    short = f"; {label}: {reason}" if len(unjudged) == 1 else f"; not {', '.join(one for one, _ in unjudged)}"
+    return "".join(f"; {one} not judged: {why}" for one, why in unjudged), short
 
 
 def _names(finding: Finding) -> frozenset[str]:

@@ -4,21 +4,13 @@ What may follow what is in `states`, what is said and how often in `alerts`. `no
 said and given up; the judgement itself runs on the vehicle's clock.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import (
-    Alert,
-    Judge,
-    alert_after,
-    layout_notices,
-    not_judged,
-    notes_on,
-    records_of,
-    vehicle_notices,
-)
+from detector.judging import Alert, Judge, alert_after, not_judged, records_of, words_of
+from detector.judging_notices import layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
 from detector.negotiate import Negotiation, negotiate, wants_of
 from detector.states import TABLE, State, Trigger, advance
@@ -34,7 +26,7 @@ from detector.values import (
     StateChanged,
 )
 from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
-from mavdiag.chain import chain_of
+from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.samples import joined
 from mavdiag.monitors import MONITORS
@@ -234,8 +226,7 @@ class Session:
             self._notices += layout_notices(state.baseline)
         lack = self._hindrance()
         measuring = lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS)
-        # What came at a wrong rate is not judged later.
-        self._keep(waited=(*state.waited, inbox.telemetry)[-WAITED_CHUNKS:] if measuring else ())
+        self._keep(waited=(*state.waited, inbox.telemetry)[-WAITED_CHUNKS:] if measuring else ())  # no wrong rate later
         if lack is not None:
             self._keep(reason=lack.text)
             return self._say(Kind.WAITING, lack.text, key=lack.reason)
@@ -244,7 +235,7 @@ class Session:
         if (judge := self.state.judge) is None:
             return None
         judge, output = replace(judge, judged=now).step(joined(self.state.waited), now)
-        self._effects += records_of(output, judge.baseline.airframe.name)
+        self._record(judge, output)
         return self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
 
     def _learning(self, inbox: Inbox, now: Instant) -> None:
@@ -297,9 +288,12 @@ class Session:
         if state.alert is None and (airborne is None or now - airborne < self._settings.takeoff_s):
             alert = None
         self._keep(judge=judge, named_values=values, airborne=airborne, alert=alert)
+        self._record(judge, output, floats)
+        return self._quiet(judge, ground, now) if alert is None else self._alerting(judge, alert, ground, now)
+
+    def _record(self, judge: Judge, output: ChainOutput, floats: Sequence[Effect] = ()) -> None:
         self._effects += [*records_of(output, judge.baseline.airframe.name), *floats]
         self._notices += vehicle_notices(output)
-        return self._quiet(judge, ground, now) if alert is None else self._alerting(judge, alert, ground, now)
 
     def _stop_judging(self, why: str) -> None:
         """What is open is closed: it must not come back with the next flight."""
@@ -307,7 +301,7 @@ class Session:
         if state.judge is not None:
             judge, output = state.judge.end_flight()
             self._keep(judge=judge, alert=None)
-            self._effects += records_of(output, judge.baseline.airframe.name)
+            self._record(judge, output)
             if state.alert is not None:
                 self._say(Kind.UNSETTLED, why)
 
@@ -338,9 +332,7 @@ class Session:
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
             why = short = f": {ground.text if ground else diagnosis.reason or Reason.GAPS}"
         elif unjudged:
-            why = "".join(f"; {label} not judged: {reason}" for label, reason in unjudged)
-            label, reason = unjudged[0]
-            short = f"; {label}: {reason}" if len(unjudged) == 1 else f"; not {', '.join(one for one, _ in unjudged)}"
+            why, short = words_of(unjudged)
         self._keep(reason=f"monitoring{why}", told=unjudged)
         self._say(Kind.MONITORING, short, key=short)
 

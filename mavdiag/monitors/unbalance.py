@@ -167,9 +167,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     label = "unbalance"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
-    # An estimate: the propellers of another session may each have the permissible 0.18 g mm (T Eq 3.6), whatever little
-    # those that were learnt have; in m/s^2, where mass and speed are not known, about as much.
-    guard = Guard(few_sessions=0.2)
+    guard = Guard(few_sessions=0.2)  # an estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6)
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
 

@@ -147,6 +147,7 @@ def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
         Kind.NOT_LEARNED,
         Kind.NO_LAYOUT,
         Kind.OTHER_LAYOUT,
+        Kind.OTHER_VEHICLE,
     }
     assert {policy.severity for policy in POLICY.values()} == {Severity.CRITICAL, Severity.WARNING, Severity.INFO}
 
