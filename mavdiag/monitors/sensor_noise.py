@@ -91,8 +91,8 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     kind = FaultKind.SENSOR
     # Estimates: no resonance of one axis alone is expected to multiply its power by 4.5; and new propellers of another
-    # session may shake one axis of the gyro 3.5 times as much as those that were learnt.
-    guard = Guard(least=1.5, few_sessions=1.0)
+    # session may shake one axis of the gyro five times as much as those that were learnt.
+    guard = Guard(least=1.5, few_sessions=2.0)
     spec_type = SensorNoiseSpec
     unit = "ln of power"
 
