@@ -19,7 +19,7 @@ from mavdiag.thresholds.guard import Guard
 
 __all__ = ["ControlLoss", "ControlLossSpec"]
 
-LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; a lost and regained position gives 5.7 in emulated flights (our choice)
+LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
