@@ -18,6 +18,7 @@ __all__ = ["MIN_LIKENESS", "LayoutFinding", "contradicts", "detect_layout"]
 
 MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must explain (our choice)
 MIN_F = 10.0  # F value above which a driver counts as excited, and an output as a motor (our choice)
+CONTRARY = 0.5  # a weak driver, such as yaw in straight flight, may read -0.3 of the right layout (our choice)
 MIN_LIKENESS = 0.85  # below it no layout is named; x and plus are 0.71 like each other (our choice)
 MAX_MISFIT = 0.5  # and 1 - likeness must be less than this share of the next layout's (our choice)
 MAX_TOGETHER = 10.0  # variance inflation factor above which drivers are not told apart (a textbooks' rule of thumb)
@@ -104,7 +105,7 @@ def detect_layout(
 def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     """Why flights speak against a layout that was told, in one sentence; empty if they do not.
 
-    finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is negative, if it is
+    finding: of `detect_layout`, with that layout among the known ones. They do if its likeness is below -0.5, if it is
     below 0.85 and another layout is named, or if not as many outputs as it has rotors move as motors do.
     """
     likeness = dict(finding.likeness)
@@ -115,7 +116,7 @@ def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     if finding.layout is not None and not finding.layout.alike(layout):
         own = f" ({layout.name} {likeness[layout.name]:.2f})" if layout.name in likeness else ""
         return f"the flights look like {finding.layout.name}, not {layout.name}{own}: {finding.reason}"
-    if likeness.get(layout.name, 0.0) < 0.0:
+    if likeness.get(layout.name, 0.0) < -CONTRARY:
         return f"the outputs do not move as {layout.name} would (likeness {likeness[layout.name]:.2f})"
     if finding.likeness and layout.name not in likeness and finding.likeness[0][1] >= MIN_LIKENESS:
         return f"{len(finding.outputs)} outputs move as motors do, {layout.name} has {layout.rotors} rotors"
