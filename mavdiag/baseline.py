@@ -133,7 +133,7 @@ class Baseline(Part):
             lines.append(f"{'':<15} {entry.threshold.statement()}")
             if entry.threshold.session_allowance > 0:
                 within = entry.threshold.value - entry.threshold.session_allowance
-                lines.append(f"{'':<15} {within:.4g} in a session of these flights: others may shift the trim")
+                lines.append(f"{'':<15} {within:.4g} in a session of these flights; another may differ")
         for covered in self.envelope:
             advice = covered.advice()
             lines.append(f"{'envelope':<15} {covered}" + (f"; {advice} to widen it" if advice else ""))

@@ -19,7 +19,7 @@ from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.monitors import MONITORS, monitor_of
-from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.base import FaultKind, Monitor
 from mavdiag.rows.align import AlignSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
@@ -51,6 +51,11 @@ class Slot:
     def key(self) -> tuple[str, Axis | None]:
         """Name and axis of the monitor."""
         return self.monitor.name, self.monitor.axis
+
+    @property
+    def of_propellers(self) -> bool:
+        """It decides about propellers; "healthy" rests on such slots alone."""
+        return self.decides and self.monitor.kind is FaultKind.PROPELLER
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +146,7 @@ class ChainState:
     """Memory of the front, the envelope, the monitors and the decision.
 
     accounts: of each slot, since the start.
-    judged_s: judged time of the deciding slot that judged for longest, since the start.
+    judged_s: judged time of the slot that decides about propellers and judged for longest, since the start.
     now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards.
     """
@@ -232,7 +237,8 @@ class Chain:
         decision, events, changes = self.decision.step(state.decision, found, now_ns)
         flight_s = len(rows.block) * rows.block.dt_s
         accounts = self._accounts(state.accounts, found, outside, rows.block, flight_s)
-        judged_s = max((a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.decides), default=0.0)
+        judging = [a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.of_propellers]
+        judged_s = max(judging, default=0.0)
         output = replace(
             output,
             gauges=tuple(_gauge(slot, one) for slot, one in zip(self.slots, found, strict=True) if len(one)),

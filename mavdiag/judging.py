@@ -11,6 +11,7 @@ from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
+from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import RunLength
@@ -74,7 +75,7 @@ class JudgedEvent:
 class LogVerdict:
     """The verdict on one log.
 
-    judged_s: judged time of the deciding monitor that judged for longest.
+    judged_s: judged time of the monitor that decides about propellers and judged for longest.
     rate_hz: of the gyro stream.
     changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
@@ -181,7 +182,7 @@ def _verdict(
     deciding = [one for one in monitors if one.decides]
     spoken = [one for one in deciding if one.judged_s >= MIN_JUDGED_S]
     others = ", ".join(f"{one.name} ({one.not_judged})" for one in deciding if one not in spoken)
-    if not spoken:
+    if not any(by_name(one.name).kind is FaultKind.PROPELLER for one in spoken):
         flight_s = max((account.flight_s for account in state.accounts), default=0.0)
         if flight_s == 0:
             return Verdict.NOT_JUDGEABLE, "never airborne: no armed flight with thrust"
