@@ -30,6 +30,7 @@ WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike o
 MIN_BLOCKS = 6  # fewer have no rest to be far from (our choice)
 FAR_SPREADS = 5.0  # robust standard deviations above the median (our choice)
 FAR_RATIO = 4.0  # least ratio of noise or rate error to what is expected (our choice)
+LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many times a calm hover's (our choice)
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
 GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions lie up to 0.023 apart (our choice)
@@ -66,7 +67,8 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
     Noise and rate error grow with what is commanded; they are compared with sqrt(a^2 + (b u)^2), u the rms of the
     commanded rates, a their median over the calmer half of the blocks and b u that over the busier half. Far is above
     4 times the median and above 5 robust standard deviations (1.48 times the median of what lies above the median).
-    Lower noise is not far: a hover among squares is quiet. Thrust is far at 1.5 times or a 1.5th.
+    Lower noise is not far: a hover among squares is quiet; nor is a rate error below 0.5 rad/s, which gusts give.
+    Thrust is far at 1.5 times or a 1.5th.
     """
     blocks = [block for number, flight in enumerate(flights) for block in _blocks(number, flight)]
     if len(blocks) < MIN_BLOCKS:
@@ -77,7 +79,8 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
         size = np.abs(column) if name == "thrust" else column
         above = size[size > 0]
         limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
-        for i in np.flatnonzero(size > limit).tolist():
+        quiet = np.array([name == "rate error" and one.logs[1] < math.log(LEAST_ERROR_RAD_S) for one in blocks])
+        for i in np.flatnonzero((size > limit) & ~quiet).tolist():
             text = f"{name} {math.exp(column[i]):.2g} times that of the other flights' blocks"
             found.setdefault(blocks[i].number, []).append((blocks[i], text))
     return tuple(one for far in found.values() for one in _stretches(far))
