@@ -29,7 +29,8 @@ BLOCK_S = 5.0  # of flight (our choice)
 WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
 MIN_BLOCKS = 6  # fewer have no rest to be far from (our choice)
 FAR_SPREADS = 5.0  # robust standard deviations above the median (our choice)
-FAR_RATIO = 4.0  # least ratio of noise or rate error to what is expected (our choice)
+FAR_RATIO = 4.0  # least ratio of noise to what is expected (our choice)
+FAR_ERROR = 12.0  # least ratio of the rate error: a fast square among hovers has 4 (our choice)
 LEAST_ERROR_RAD_S = 0.5  # rate error below which nothing is far: gusts are many times a calm hover's (our choice)
 FAR_LEVEL = 1.5  # least ratio of thrust to the median (our choice)
 
@@ -66,16 +67,16 @@ def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
 
     Noise and rate error grow with what is commanded; they are compared with sqrt(a^2 + (b u)^2), u the rms of the
     commanded rates, a their median over the calmer half of the blocks and b u that over the busier half. Far is above
-    4 times the median and above 5 robust standard deviations (1.48 times the median of what lies above the median).
-    Lower noise is not far: a hover among squares is quiet; nor is a rate error below 0.5 rad/s, which gusts give.
-    Thrust is far at 1.5 times or a 1.5th.
+    4 times the median, for the error 12 times, and above 5 robust standard deviations (1.48 times the median of what
+    lies above the median). Lower noise is not far: a hover among squares is quiet; nor is a rate error below 0.5 rad/s,
+    which gusts give. Thrust is far at 1.5 times or a 1.5th.
     """
     blocks = [block for number, flight in enumerate(flights) for block in _blocks(number, flight)]
     if len(blocks) < MIN_BLOCKS:
         return ()
     values = _compared(blocks)
     found: dict[int, list[tuple[_Block, str]]] = {}
-    for name, column, least in zip(_FIGURES, values.T, (FAR_RATIO, FAR_RATIO, FAR_LEVEL), strict=True):
+    for name, column, least in zip(_FIGURES, values.T, (FAR_RATIO, FAR_ERROR, FAR_LEVEL), strict=True):
         size = np.abs(column) if name == "thrust" else column
         above = size[size > 0]
         limit = max(math.log(least), FAR_SPREADS * 1.4826 * float(np.median(above)) if len(above) else 0.0)
