@@ -188,7 +188,7 @@ def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Fli
 def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> list[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
 
-    The monitors of sensors have one share together, and those of a loss one: what finds propellers stays sharp.
+    The monitors of sensors and losses have one share together: what finds propellers stays sharp.
     """
     names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
     shares = Counter(_sharing(name) for name in names)
@@ -207,9 +207,9 @@ def _entries(fitted: Sequence[_Fitted], options: LearnOptions, flights: int) -> 
 
 
 def _sharing(name: str) -> str:
-    """With whom a monitor shares the budget: alone, or with those of its kind."""
+    """With whom a monitor shares the budget: alone, or with all that find no propeller."""
     kind = by_name(name).kind
-    return name if kind is FaultKind.PROPELLER else "sensor" if kind is FaultKind.SENSOR else "loss"
+    return name if kind is FaultKind.PROPELLER else "others"
 
 
 def _provenance(flights: Sequence[LearntFlight], created: str) -> Provenance:
