@@ -293,7 +293,8 @@ def _height_now(state: DecisionState, readings: Sequence[KindReading], t_ns: int
     if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.stage is Stage.FAULT:
         return state, height
     kind = grown(None, readings, 0)
-    doubtful = kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
+    checked = any(one.kind is FaultKind.SENSOR for one in readings)  # without such monitors nothing is waited for
+    doubtful = checked and kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
     return state, Height.RAISED if doubtful else height
 
 
