@@ -35,7 +35,7 @@ CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulate
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a fault (our choice)
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 # A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
-DOUBT_NS = 2 * LOOK_NS
+DOUBT_NS = 3 * LOOK_NS
 NAN = float("nan")
 NOTHING_SEEN = Diagnosis()
 STALE_NS = NS_PER_S  # a slot whose last valid value is older does not count (our choice)
@@ -293,7 +293,8 @@ def _height_now(state: DecisionState, readings: Sequence[KindReading], t_ns: int
     if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.stage is Stage.FAULT:
         return state, height
     kind = grown(None, readings, 0)
-    doubtful = kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
+    checked = any(one.kind is FaultKind.SENSOR for one in readings)  # without such monitors nothing is waited for
+    doubtful = checked and kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
     return state, Height.RAISED if doubtful else height
 
 

@@ -199,7 +199,7 @@ def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Fli
 def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> list[MonitorEntry]:
     """Specification and threshold of each monitor. The budget is shared by those that decide, and then by axes.
 
-    The monitors of sensors have one share together, and those of a loss one: what finds propellers stays sharp.
+    The monitors of sensors and losses have one share together: what finds propellers stays sharp.
     """
     names = {one.spec.kind for one in fitted if one.decides} or {one.spec.kind for one in fitted}
     shares = Counter(_sharing(name) for name in names)
@@ -219,9 +219,9 @@ def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequenc
 
 
 def _sharing(name: str) -> str:
-    """With whom a monitor shares the budget: alone, or with those of its kind."""
+    """With whom a monitor shares the budget: alone, or with all that find no propeller."""
     kind = by_name(name).kind
-    return name if kind is FaultKind.PROPELLER else "sensor" if kind is FaultKind.SENSOR else "loss"
+    return name if kind is FaultKind.PROPELLER else "others"
 
 
 def plain_scores(scores: Scores) -> HealthyScores:

@@ -20,6 +20,7 @@ from mavdiag.thresholds.guard import Guard
 __all__ = ["ControlLoss", "ControlLossSpec"]
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
+MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +70,8 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
+        if 1 / context.dt_s < MIN_RATE_HZ:
+            raise InputError(f"the gyro comes at {1 / context.dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed")
         if not any(rows.rates.commanded.any() for flight in flights for rows in flight):
             raise InputError("no flight with a gyro and an attitude set-point")
         return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)

@@ -33,6 +33,7 @@ TUMBLING_RAD_S = (
 )
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
+MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +100,8 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
+        if 1 / context.dt_s < MIN_RATE_HZ:
+            raise InputError(f"the gyro comes at {1 / context.dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed")
         ratios = [np.empty(0)]
         for rows in (rows for flight in flights for rows in flight):
             known = _known(rows.block)

@@ -88,7 +88,7 @@ def made() -> Results:
             line(31, "F1/SV2", latency_s=3.0, answer=Answer(found, rotor=1, fault_type="F2")),
             line(32, "F2/SV1", episodes=1, phenomenology=0.5),
             line(33, "F2/SV1", verdict="not_judgeable", answer=Answer("not_judgeable")),
-            line(34, "gyro-bias", latency_s=2.0, answer=Answer("other fault")),
+            line(34, "gyro-bias", latency_s=2.0, answer=Answer("sensor fault")),
         ),
         reused=0,
         others=0,
@@ -132,7 +132,9 @@ def test_monitors_and_answers() -> None:
     answers = {row.cause: row for row in summary.answers}
     assert answers["F1/SV2"].answers == (("propeller fault", 2),)
     assert answers["F2/SV1"].answers == (("not_judgeable", 1), ("nothing", 1))
-    assert answers["gyro-bias"].answers == (("other fault", 1),)
+    assert answers["gyro-bias"].answers == (("sensor fault", 1),)
+    assert (answers["gyro-bias"].right.hits, answers["gyro-bias"].right.of, answers["gyro-bias"].named) == (1, 1, 0)
+    assert (answers["F2/SV1"].right.hits, answers["F2/SV1"].right.of) == (0, 1)  # what was not judged is not counted
 
 
 def flown(index: int, condition: str, cause: str = "healthy", **other: Any) -> FlightResult:

@@ -144,3 +144,15 @@ def test_after_a_fault_the_kind_is_forgotten() -> None:
     assert [one.stage for one in changes] == [Stage.QUIET, Stage.FAULT, Stage.QUIET]
     assert state.diagnosis.kind is None
     assert str(changes[1]).startswith("2.00 s propeller fault: ")
+
+
+def test_a_fault_without_a_name_waits_three_looks_where_sensors_are_checked() -> None:
+    """The noise of a gyro was announced as a propeller fault before its own monitor had spoken."""
+    unnamed = values(level((2, 0.3), (2, 3.0)), (4, (0.0,) * 4))
+    _, _, changes = decided(unnamed, level((4, 0.1)))
+    assert [(one.t_ns, one.kind) for one in changes[1:]] == [
+        (2 * NS_PER_S, None),
+        (round(2.3 * NS_PER_S), FaultKind.PROPELLER),
+    ]
+    _, _, noisy = decided(unnamed, level((2.15, 0.1), (1.85, 3.0)))
+    assert [one.kind for one in noisy[1:]] == [None, FaultKind.SENSOR]

@@ -137,8 +137,8 @@ def test_b27_the_budget_is_shared_by_those_that_decide_and_could_be_fitted() -> 
     assert {one.monitor for one in found.not_judgeable} == {"unbalance"}
     deciding = {e.spec.kind: e.threshold.budget_per_hour for e in found.monitors if by_name(e.spec.kind).decides}
     alone = {name for name in deciding if by_name(name).kind is FaultKind.PROPELLER}
-    share = LearnOptions().alarms_per_hour / (len(alone) + 2)  # the sensors' have one together, those of a loss another
-    expected = {name: share if name in alone else share / 2 for name in deciding}
+    share = LearnOptions().alarms_per_hour / (len(alone) + 1)  # those of sensors and losses have one together
+    expected = {name: share if name in alone else share / 4 for name in deciding}
     assert deciding == pytest.approx(expected)
     assert sum(deciding.values()) == pytest.approx(LearnOptions().alarms_per_hour)
     assert {*deciding} == {*ALL_MONITORS} - {"fsd", "unbalance"}
