@@ -2,8 +2,8 @@
 
 The formulas are written out here once more, from the manufacturer's model, and filters are scipy's. No raw recording is
 at hand. The vehicle's file was set to some of these figures (levels in 50-100 and 100-200 Hz, battery, thrust, hover
-and over-reading, 24 Hz on the ground): there the tests hold what is made of the file, and are no evidence for the model.
-Not set were the level in 200-500 Hz, the formulas, and that the trajectories are flown. Seeds are fresh.
+and over-reading, 24 Hz on the ground): there the tests hold what is made of the file, and are no evidence of
+the model. Not set were the level in 200-500 Hz, the formulas, and that the trajectories are flown. Seeds are fresh.
 """
 
 import hashlib
