@@ -1,7 +1,9 @@
 """Flights of the QDrone 2 as it was recorded, against what is published of DronePropA.
 
-The formulas are written out here once more, from the manufacturer's model, and filters are scipy's. Levels and
-frequencies are those of the recordings; no raw recording is at hand. Seeds are fresh: none was used to set a number.
+The formulas are written out here once more, from the manufacturer's model, and filters are scipy's. No raw recording is
+at hand. The vehicle's file was set to some of these figures (levels in 50-100 and 100-200 Hz, battery, thrust, hover
+and over-reading, 24 Hz on the ground): there the tests hold what is made of the file, and are no evidence of
+the model. Not set were the level in 200-500 Hz, the formulas, and that the trajectories are flown. Seeds are fresh.
 """
 
 import hashlib
