@@ -5,7 +5,7 @@ Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an er
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from mavdiag import commandline
 from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
+from sitl_plant.changes import Change
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
@@ -57,7 +58,7 @@ def run(
         links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None)
+        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None, plant.take_changes)
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
@@ -95,7 +96,12 @@ def _truth_file(path: Path | None) -> Iterator[TextIO | None]:
         yield file
 
 
-def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Callable[[PlantSamples], None]:
+def _write_truth(
+    file: TextIO | None,
+    plan: FlightPlan,
+    started_unix_ns: int | None,
+    take_changes: Callable[[], Sequence[Change]] = tuple,
+) -> Callable[[PlantSamples], None]:
     """What is to be done with each block: nothing, or write its lines so that a reader sees them at once."""
     if file is None:
         return lambda samples: None
@@ -103,7 +109,7 @@ def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | N
     file.write(truth.head() + "\n")
 
     def write(samples: PlantSamples) -> None:
-        lines = truth.step(samples)
+        lines = truth.step(samples, take_changes())
         if lines:
             file.write("\n".join(lines) + "\n")
             file.flush()
