@@ -29,6 +29,7 @@ from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_mo
 from sitl_plant.physics.recorded_log import RecordedLog
 from sitl_plant.physics.recorded_set import recorded_flight
 from sitl_plant.physics.streams import Streams
+from sitl_plant.physics.trajectory import Leg
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
 
@@ -168,6 +169,12 @@ class Plant:
         """Put a full battery in."""
         self._state.battery[:] = self._model.battery.open_circuit, 0.0
         self._note(Renewal.BATTERY)
+
+    def lead(self, leg: Leg) -> None:
+        """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
+        if not self.config.commanded:
+            raise UsageError(f"the path {self.config.trajectory} is followed without commands")
+        self._set_model(self._model._replace(path=self._model.path._replace(leg=leg)))
 
     def take_changes(self) -> tuple[Change, ...]:
         """What was changed since the last call, for the truth file; of more than 1000 changes the last."""
