@@ -46,16 +46,21 @@ def run(
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
+    fresh: Annotated[
+        bool, typer.Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
+    ] = False,
     truth: TruthFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
     pace = parse_speed(speed)
+    if fresh and not plan.dialect.unasked:
+        raise UsageError(f"--fresh-link needs --profile ardupilot or px4, not {plan.dialect.profile.name}")
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
-        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, fresh) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
         watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None, plant.take_changes)
@@ -72,6 +77,8 @@ def record(
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
+    if plan.config.commanded:
+        raise UsageError("nobody commands a vehicle that is recorded: use run, or another --trajectory")
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
     duration = RECORD_S if plan.duration_s is None else plan.duration_s

@@ -100,7 +100,9 @@ class PlantConfig:
 
     def _check_ground(self) -> None:
         if self.commanded and (self.start != "ground" or self.landed_s is not None or self.flown_vehicle.recorded):
-            raise UsageError("a commanded flight starts on the ground and lands when told to; not with recorded vehicles")
+            raise UsageError(
+                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
+            )
         if self.start == "ground" and not self.altitude_m > 0.0:
             raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
         flight = self.path()

@@ -54,6 +54,7 @@ class PlantSamples:
     attitude: (n, 9) T's estimate (Eq 2.33).
     duty: (n, r) 0..1, commanded.
     battery_v: (n,) measured.
+    charge_ah: (n,) truth, drawn from the battery since it was full.
     motors: (n,) 0 disarmed, 1 armed and idle, 2 flying.
     quaternion: (n, 4) truth, body to world, w first.
     position: (n, 3) truth, of the centre of gravity.
@@ -73,6 +74,7 @@ class PlantSamples:
     attitude: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    charge_ah: FloatArray
     motors: IntArray
     quaternion: FloatArray
     position: FloatArray
@@ -285,6 +287,7 @@ def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamp
         attitude=rows.attitude,
         duty=rows.duty,
         battery_v=rows.battery_v,
+        charge_ah=rows.charge_ah,
         motors=rows.motors.astype(np.int64),
         quaternion=rows.rigid[:, 6:10],
         position=rows.rigid[:, :3],
