@@ -23,7 +23,7 @@ from sitl_plant.physics.injections import Injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
-__all__ = ["SYSID", "FlightReport", "Link", "fly"]
+__all__ = ["SYSID", "FlightReport", "Link", "fly", "obey"]
 
 SYSID = 1  # the emulated vehicle's system id
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
@@ -173,7 +173,8 @@ class _Flight:
                 self._links[action.link].act(action)
 
 
-def _obey(plant: Plant, order: PlantOrder) -> None:
+def obey(plant: Plant, order: PlantOrder) -> None:
+    """Do with the plant what the autopilot wants."""
     match order:
         case Leg():
             plant.lead(order)
@@ -213,7 +214,7 @@ def fly(
             link.queue(filtered, autopilot.dialect)
         flight.send_until(from_ns, plant.t_ns, tick_ns)
         for order in flight.watch(filtered.samples):
-            _obey(plant, order)
+            obey(plant, order)
     return FlightReport(
         flown_s=plant.t_ns * 1e-9,
         wall_s=time.monotonic() - started_s,
