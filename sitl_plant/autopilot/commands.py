@@ -16,9 +16,9 @@ from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Sever
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.failures import Failures
 from sitl_plant.autopilot.mission import Mission
-from sitl_plant.autopilot.orders import ORDERS, Order, follow_set_point, order_of, waypoint
-from sitl_plant.autopilot.parameters import Parameters
-from sitl_plant.autopilot.pilot import Pilot, Waypoint
+from sitl_plant.autopilot.orders import ORDERS, Order, follow_set_point, order_of, waypoints
+from sitl_plant.autopilot.parameters import Encoding, Parameters
+from sitl_plant.autopilot.pilot import Pilot
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.wire import Action, Forward, Reply, number, optional, target
 from sitl_plant.changes import Renewal
@@ -70,10 +70,10 @@ class Autopilot:
         self._identity = (sysid, int(Component.AUTOPILOT1))
         self._schedules, self._dialect, self._config = schedules, dialect, config
         vehicle, self._firmware = config.flown_vehicle, dialect.firmware
-        self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.bytewise)
+        self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
         self._pilot = Pilot(dialect.firmware, self._parameters, dialect.custom_mode, config.commanded)
         self._failures = Failures(len(vehicle.rotors), config.phenomenology)
-        self._mission = Mission(self._plan)
+        self._mission = Mission(self._plan, self._pilot.skip_to)
         self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
         self._told_ns, self._yaw = 0, 0.0
@@ -130,7 +130,7 @@ class Autopilot:
         for link in sorted(set(self._routes.values())):
             actions += [Reply(link, MessageId.STATUSTEXT, (Severity.INFO, text)) for text in texts]
             actions += [Reply(link, MessageId.MISSION_ITEM_REACHED, (item,)) for item in reached]
-            actions += [self._mission.current(link, self._pilot.item)] if tells or reached else []
+            actions += [self._mission.current(link, self._pilot.first)] if tells or reached else []
         self._told_ns = now_ns if tells else self._told_ns
         return actions, orders
 
@@ -169,7 +169,7 @@ class Autopilot:
             MessageId.AVAILABLE_MODES: lambda: self._tell_modes(link, order.whole(2)),
             MessageId.MISSION_CURRENT: lambda: (
                 MavResult.ACCEPTED,
-                [self._mission.current(link, self._pilot.item)],
+                [self._mission.current(link, self._pilot.first)],
             ),
         }
         if order.whole(1) in told:
@@ -177,7 +177,8 @@ class Autopilot:
         return self._schedules[link].ask_once(order.whole(1)), []
 
     def _tell_version(self, link: int) -> Answer:
-        encoding = Capability.PARAM_ENCODE_BYTEWISE if self._firmware.bytewise else Capability.PARAM_ENCODE_C_CAST
+        bytewise = self._firmware.encoding is Encoding.BYTES
+        encoding = Capability.PARAM_ENCODE_BYTEWISE if bytewise else Capability.PARAM_ENCODE_C_CAST
         can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else Capability(0))
         fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
         return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
@@ -219,15 +220,10 @@ class Autopilot:
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:
         """Whether a flight plan was taken."""
-        waypoints: list[Waypoint] = []
-        for seq, frame in enumerate(frames):
-            meant = waypoint(seq, order_of(frame), waypoints[-1] if waypoints else None, self._firmware)
-            if meant is None:
-                return False
-            # ArduPilot's item 0 is home, and is not flown
-            waypoints += () if seq == 0 and self._firmware.needs_guided else meant
-        self._pilot.plan_mission(waypoints)
-        return True
+        plan = waypoints([order_of(frame) for frame in frames], self._firmware)
+        if plan is not None:
+            self._pilot.plan_mission(plan)
+        return plan is not None
 
     def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """REQUEST_DATA_STREAM, which has no answer; start_stop 0 is silence, whatever the rate."""

@@ -84,7 +84,7 @@ class Dialect:
 
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
-        geometry = _px4_rotors(vehicle) if self.firmware.bytewise else _copter_frame(vehicle)
+        geometry = _px4_rotors(vehicle) if self.firmware is PX4 else _copter_frame(vehicle)
         return (*self.parameters, *geometry, *self.firmware.parameters, *OWN_PARAMETERS)
 
 

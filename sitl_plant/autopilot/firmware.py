@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.parameters import Kind, Parameter
+from sitl_plant.autopilot.parameters import Encoding, Kind, Parameter
 
 __all__ = ["COPTER", "GENERIC", "PX4", "Firmware", "Mode", "ModeCode"]
 
@@ -39,7 +39,7 @@ class Firmware:
     """How an autopilot takes commands.
 
     modes: the modes; the first with a `Mode` is the one that a command such as NAV_LAND brings.
-    bytewise: an integer parameter travels as its bytes.
+    encoding: of parameters.
     amsl: the altitude of a COMMAND_LONG is above the sea, not above home.
     takeoff: the mode during a take-off by command.
     needs_guided: NAV_TAKEOFF is refused in another mode.
@@ -50,7 +50,7 @@ class Firmware:
     """
 
     modes: tuple[ModeCode, ...]
-    bytewise: bool
+    encoding: Encoding
     amsl: bool
     takeoff: Mode
     needs_guided: bool
@@ -104,7 +104,7 @@ _CM = 0.01
 
 COPTER = Firmware(
     modes=_COPTER_MODES,
-    bytewise=False,
+    encoding=Encoding.CAST,
     amsl=False,
     takeoff=Mode.GUIDED,
     needs_guided=True,
@@ -122,7 +122,7 @@ COPTER = Firmware(
 )
 PX4 = Firmware(
     modes=_PX4_MODES,
-    bytewise=True,
+    encoding=Encoding.BYTES,
     amsl=True,
     takeoff=Mode.TAKEOFF,
     needs_guided=False,
@@ -140,10 +140,10 @@ PX4 = Firmware(
     ),
 )
 # Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
-# numbers do not meet, so both are understood. mavsdk sends it altitudes above home.
+# numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
 GENERIC = Firmware(
     modes=(*_PX4_MODES, *_COPTER_MODES),
-    bytewise=False,
+    encoding=Encoding.FLOAT,
     amsl=False,
     takeoff=Mode.TAKEOFF,
     needs_guided=False,

@@ -45,13 +45,15 @@ class _Upload:
 
 
 class Mission:
-    """The stored flight plan. accept: whether items can be flown; they are stored only then."""
+    """The stored flight plan.
 
-    def __init__(self, accept: Callable[[tuple[Frame, ...]], bool]) -> None:
-        self._accept = accept
+    accept: whether items can be flown; they are stored only then. skip_to: is told the item to go on with.
+    """
+
+    def __init__(self, accept: Callable[[tuple[Frame, ...]], bool], skip_to: Callable[[int], None]) -> None:
+        self._accept, self._skip_to = accept, skip_to
         self._items: tuple[Item, ...] = ()
         self._upload: _Upload | None = None
-        self._current = 0
         self._handlers: dict[int, Callable[[int, Frame, int], list[Action]]] = {
             MessageId.MISSION_REQUEST_LIST: self._count,
             MessageId.MISSION_REQUEST: self._send,
@@ -96,9 +98,9 @@ class Mission:
         self._upload = replace(upload, asked_ns=now_ns)
         return [self._ask(upload)]
 
-    def current(self, link: int, item: int | None) -> Reply:
-        """MISSION_CURRENT. item: the one that is flown; None for the one that comes next."""
-        return Reply(link, MessageId.MISSION_CURRENT, (self._current if item is None else item, len(self._items)))
+    def current(self, link: int, item: int) -> Reply:
+        """MISSION_CURRENT. item: the one that is flown, or comes next."""
+        return Reply(link, MessageId.MISSION_CURRENT, (item, len(self._items)))
 
     def _count(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         return [Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, len(self._items), MISSION))]
@@ -131,7 +133,7 @@ class Mission:
         self._upload = None
         if not self._accept(upload.frames):
             return [_ack(link, frame, UNSUPPORTED)]
-        self._items, self._current = tuple(_item(one) for one in upload.frames), 0
+        self._items = tuple(_item(one) for one in upload.frames)
         return [_ack(link, frame, ACCEPTED)]
 
     def _ask(self, upload: _Upload) -> Reply:
@@ -139,14 +141,15 @@ class Mission:
 
     def _clear(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         self._accept(())
-        self._items, self._current, self._upload = (), 0, None
+        self._items, self._upload = (), None
         return [_ack(link, frame, ACCEPTED)]
 
     def _set_current(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         seq = int(number(frame, "seq"))
-        if seq < max(len(self._items), 1):
-            self._current = seq
-        return [self.current(link, None)]
+        if seq >= len(self._items):
+            return [_ack(link, frame, INVALID_SEQUENCE)]
+        self._skip_to(seq)
+        return [self.current(link, seq)]
 
 
 def _item(frame: Frame) -> Item:

@@ -1,8 +1,8 @@
 """COMMAND_LONG, COMMAND_INT, mission items and set-points: where they lead, and what the pilot is to do."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
@@ -11,7 +11,7 @@ from sitl_plant.autopilot.geo import HOME_ALT_M, to_local
 from sitl_plant.autopilot.pilot import Pilot, Waypoint
 from sitl_plant.autopilot.wire import number, optional
 
-__all__ = ["ORDERS", "Order", "follow_set_point", "order_of", "waypoint"]
+__all__ = ["ORDERS", "Order", "follow_set_point", "order_of", "waypoints"]
 
 ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
 LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
@@ -126,9 +126,25 @@ ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
 _GOES = (MavCmd.NAV_WAYPOINT, MavCmd.NAV_TAKEOFF, MavCmd.NAV_LOITER_TIME, MavCmd.NAV_LOITER_UNLIM)
 
 
-def waypoint(seq: int, order: Order, last: Waypoint | None, firmware: Firmware) -> tuple[Waypoint, ...] | None:
-    """What a mission item means after another; empty for one that is passed over, None for one that cannot be flown."""
-    here = last.place if last is not None and last.place is not None else (0.0, 0.0, -1.0)
+def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ...] | None:
+    """What the items of a mission mean; None if one of them cannot be flown."""
+    plan: list[Waypoint] = []
+    here, speed = (0.0, 0.0, -1.0), None
+    for seq, order in enumerate(orders):
+        speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
+        # ArduPilot's item 0 is home, and is not flown
+        meant = (Waypoint(item=0),) if seq == 0 and firmware.needs_guided else _waypoint(seq, order, here, firmware)
+        if meant is None:
+            return None
+        plan += (replace(one, speed=speed) for one in meant)
+        here = next((one.place for one in reversed(meant) if one.place is not None), here)
+    return tuple(plan)
+
+
+def _waypoint(
+    seq: int, order: Order, here: tuple[float, float, float], firmware: Firmware
+) -> tuple[Waypoint, ...] | None:
+    """What a mission item means after a place; None for one that cannot be flown."""
     if order.command in _GOES:
         place = _place(order, firmware, here)
         waits = order.param[0] or 0.0 if order.command != MavCmd.NAV_TAKEOFF else 0.0
@@ -138,11 +154,11 @@ def waypoint(seq: int, order: Order, last: Waypoint | None, firmware: Firmware) 
         return (Waypoint(wait_s=max(order.param[0] or 0.0, 0.0), item=seq),)
     if order.command == MavCmd.NAV_LAND:
         place = _place(order, firmware, here)
-        above = () if place is None or last is None else (Waypoint((place[0], place[1], here[2])),)
+        above = () if place is None else (Waypoint((place[0], place[1], here[2]), item=seq),)
         return (*above, Waypoint(lands=True, item=seq))
     if order.command == MavCmd.NAV_RETURN_TO_LAUNCH:
-        return (Waypoint((0.0, 0.0, here[2])), Waypoint(lands=True, item=seq))
-    return () if order.command >= MavCmd.NAV_DELAY else None
+        return (Waypoint((0.0, 0.0, here[2]), item=seq), Waypoint(lands=True, item=seq))
+    return (Waypoint(item=seq),) if order.command > MavCmd.NAV_DELAY else None  # conditions and actions are passed over
 
 
 def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:

@@ -6,20 +6,27 @@ PARAM_VALUE carries every value in a float field: PX4 puts the bytes of an integ
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, replace
+from enum import IntEnum, StrEnum
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.wire import Action, Reply, number, text
 
-__all__ = ["Kind", "Parameter", "Parameters"]
+__all__ = ["Encoding", "Kind", "Parameter", "Parameters"]
+
+
+class Encoding(StrEnum):
+    """How an integer travels in a float field."""
+
+    CAST = "cast"  # its value: ArduPilot
+    BYTES = "bytes"  # its four bytes: PX4
+    FLOAT = "float"  # not at all: every parameter is a float
 
 
 class Kind(IntEnum):
     """MAV_PARAM_TYPE, as far as used."""
 
-    UINT8 = 1
     INT8 = 2
     INT16 = 4
     INT32 = 6
@@ -37,11 +44,13 @@ class Parameter:
 
 
 class Parameters:
-    """The parameters of one vehicle. bytewise: an integer travels as its bytes, as with PX4."""
+    """The parameters of one vehicle."""
 
-    def __init__(self, rows: Sequence[Parameter], bytewise: bool = False) -> None:
-        self._rows = tuple(rows)
-        self._bytewise = bytewise
+    def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
+        kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
+        self._bytewise = encoding is Encoding.BYTES
+        self._rows = tuple(replace(row, kind=kind) if kind and row.kind is not Kind.REAL32 else row for row in rows)
+        self._given = tuple(rows)
         self._index = {row.name: index for index, row in enumerate(rows)}
         self._values = [row.value for row in rows]
 
@@ -54,7 +63,7 @@ class Parameters:
         span = self._rows[self._index[name]].span if name in self._index else None
         if span is None or not span[0] <= value <= span[1]:
             return False
-        whole = self._rows[self._index[name]].kind is not Kind.REAL32
+        whole = self._given[self._index[name]].kind is not Kind.REAL32
         self._values[self._index[name]] = float(round(value)) if whole else value
         return True
 
@@ -76,20 +85,17 @@ class Parameters:
             return []
         row, asked = self._rows[self._index[name]], int(number(frame, "param_type"))
         if not self._bytewise or asked == row.kind:
-            self.change(name, self._decoded(number(frame, "param_value"), frame, row.kind))
+            self.change(name, self._decoded(frame, row.kind))
         return [self._reply(link, self._index[name])]
 
-    def _decoded(self, value: float, frame: Frame, kind: Kind) -> float:
+    def _decoded(self, frame: Frame, kind: Kind) -> float:
         if self._bytewise and kind is not Kind.REAL32:
-            (held,) = struct.unpack_from(_LAYOUTS[kind], frame.payload)  # param_value is first on the wire
+            (held,) = struct.unpack_from("<i", frame.payload)  # param_value is first on the wire
             return float(held)
-        return value
+        return number(frame, "param_value")
 
     def _reply(self, link: int, index: int) -> Reply:
         row, value = self._rows[index], self._values[index]
         if self._bytewise and row.kind is not Kind.REAL32:
-            value = struct.unpack("<f", struct.pack(_LAYOUTS[row.kind], round(value)).ljust(4, b"\0"))[0]
+            value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
         return Reply(link, MessageId.PARAM_VALUE, (row.name, value, row.kind, len(self._rows), index))
-
-
-_LAYOUTS = {Kind.UINT8: "<B", Kind.INT8: "<b", Kind.INT16: "<h", Kind.INT32: "<i"}

@@ -60,6 +60,11 @@ class Waypoint:
     lands: bool = False
     item: int | None = None
 
+    @property
+    def passes(self) -> bool:
+        """Whether it is an item of a mission in which nothing is flown."""
+        return self.item is not None and self.place is None and not self.wait_s and not self.lands
+
 
 def _far(place: Place) -> bool:
     """Whether a place is out of reach."""
@@ -69,7 +74,8 @@ def _far(place: Place) -> bool:
 class Pilot:
     """Flies one vehicle. commanded: it stands on the ground and waits; else it follows its own path and takes no order.
 
-    custom_mode: as HEARTBEAT says it. texts: what it has to say, for `take_texts`.
+    custom_mode: as HEARTBEAT says it.
+    first: the mission's item that is flown, or with which it begins.
     """
 
     def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
@@ -83,6 +89,7 @@ class Pilot:
         self._ends_s = math.inf  # when the present line is over
         self._idle_since_s = 0.0
         self._mission: tuple[Waypoint, ...] = ()
+        self.first = 0
         self._texts: list[str] = []
         self._reached: list[int] = []
         if commanded:
@@ -98,11 +105,6 @@ class Pilot:
         """Where the vehicle is, world NED [m]."""
         return self._position
 
-    @property
-    def item(self) -> int | None:
-        """The mission's item that is flown; None outside of a mission."""
-        return self._doing.item if self._doing is not None else None
-
     def take_texts(self) -> list[str]:
         """What the pilot has to say since the last call."""
         said, self._texts = self._texts, []
@@ -115,7 +117,13 @@ class Pilot:
 
     def plan_mission(self, waypoints: Iterable[Waypoint]) -> None:
         """Set what the mission is; it is flown once the mode says so and the vehicle is armed."""
-        self._mission = tuple(waypoints)
+        self._mission, self.first = tuple(waypoints), 0
+
+    def skip_to(self, item: int) -> None:
+        """Go on with another item of the mission, or begin with it."""
+        self.first = item
+        if self._mode is Mode.MISSION and self.armed:
+            self._fly_mission()
 
     def arm(self, on: bool, force: bool = False) -> MavResult:
         """Start or stop the motors on the ground; in flight stop them only by force."""
@@ -132,7 +140,7 @@ class Pilot:
         self._lead(ground if not self._flies else self._position, motors=IDLE if on else DISARMED)
         self._texts.append("Armed" if on else "Disarmed")
         if on and self._mode is Mode.MISSION:
-            self._start(self._mission)
+            self._fly_mission()
         return MavResult.ACCEPTED
 
     def take_off(self, height_m: float | None) -> MavResult:
@@ -184,7 +192,7 @@ class Pilot:
             return self.take_off(None)
         self.custom_mode = custom_mode
         if self.armed and code.mode is Mode.MISSION:
-            self._start(self._mission)
+            self._fly_mission()
         elif self._flies:
             self._start(self._way_of(code.mode))
         return MavResult.ACCEPTED
@@ -246,26 +254,32 @@ class Pilot:
             return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
         return [Waypoint()]
 
+    def _fly_mission(self) -> None:
+        self._start(one for one in self._mission if one.item is None or one.item >= self.first)
+
     def _start(self, plan: Iterable[Waypoint]) -> None:
         self._plan = deque(plan)
-        first = self._plan[0]
-        if not self._flies and first.place is not None:  # straight up to its height
-            self._plan.appendleft(Waypoint((self._position[0], self._position[1], first.place[2])))
+        place = next((one.place for one in self._plan if one.place is not None), None)
+        if not self._flies and place is not None:  # straight up to its height
+            self._plan.appendleft(Waypoint((self._position[0], self._position[1], place[2])))
         self._next()
 
     def _finish(self, done: Waypoint) -> None:
         self._doing = None
-        if done.item is not None:
+        if done.item is not None and not (self._plan and self._plan[0].item == done.item):
             self._reached.append(done.item)
 
     def _next(self) -> None:
         """Begin the next waypoint; without one, hold."""
+        while self._plan and self._plan[0].passes:
+            self._finish(self._plan.popleft())
         if not self._plan:
             if self._mode in (Mode.TAKEOFF, Mode.MISSION):
                 self.custom_mode = self._firmware.shown(Mode.HOLD)
             self._doing = None
             return
         doing = self._doing = self._plan.popleft()
+        self.first = doing.item if doing.item is not None else self.first
         led = self._led()
         here = (led[0], led[1], led[2])
         if doing.lands:
