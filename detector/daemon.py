@@ -145,8 +145,8 @@ class Daemon:
             own = f"{len(self._baselines)} vehicle{'s' if len(self._baselines) > 1 else ''} by a baseline of its own"
             goal = f"{goal}, {own}" if self._baseline or settings.learn else f"watching {own}"
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
-        self._host.say(f"ready: {self._link.address}{behind}, {goal}")
         self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
+        self._host.say(f"ready: {self._link.address}{behind}, {goal}")
         self._notifier.ready()
 
     def tick(self) -> None:

@@ -11,6 +11,7 @@ from detector.config import Settings
 from detector.daemon import Daemon, Host
 from detector.fitting import FittingJob, Outcome
 from detector.journal import Journal, Recorder
+from detector.metrics import Metrics
 from detector.notify import Notifier
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -112,6 +113,7 @@ class Bench:
     airframe: Airframe | None = None
     baselines: dict[int, Baseline] = field(default_factory=dict)
     notifier: Notifier | None = None
+    metrics: Metrics | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -135,6 +137,7 @@ class Bench:
             recorder=self.recorder,
             baselines=self.baselines,
             notifier=self.notifier,
+            metrics=self.metrics,
         )
         self.daemon.begin()
 
