@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.airframe.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import InputError
-from mavdiag.monitors.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
