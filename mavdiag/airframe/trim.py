@@ -106,4 +106,5 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     variance[:, :2] = np.square(spread[:2]) + np.square(TILT_TRIM * np.linalg.norm(tilt, axis=1, keepdims=True))
     variance[:, 2] = spread[2] ** 2
     C, W = layout.unmixing, 1.0 / variance
-    return np.asarray(((shift * W) @ C) / (W @ np.square(C)), dtype=np.float64)
+    # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
+    return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
