@@ -1,8 +1,8 @@
 """A baseline with more healthy flights: a new session, or a new set of propellers on the same airframe.
 
 The fits stay as they are; the new flights, which no fit has seen, add to what the thresholds rest on, to the envelope
-and to the healthy trim. New propellers change the trim and the vibration and nothing else, so one short hover tells
-what these are now, and the old flights still tell how much they vary.
+and to the healthy trim. New propellers change the trim, the vibration and what the sensors feel of it, so one short
+hover tells what these are now, and the old flights still tell how much they vary.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,5 @@
 """What the two monitors of the trim share: where it comes from, the signals they rest on, how it names a rotor."""
 
-from abc import ABC
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -24,7 +23,7 @@ Spec = TypeVar("Spec", bound="TrimSpec")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrimSpec:
-    """Where the trim comes from.
+    """What every fit of the trim holds.
 
     layout: where the rotors are.
     source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
@@ -39,12 +38,11 @@ class TrimSpec:
     def check(self) -> None:
         """Raises InputError if the layout gives no trim of that source."""
         if self.source == "torque" and self.layout.torque_gain is None:
-            raise InputError(
-                f"{self.kind}: what a torque command does to the motors of {self.layout.name} is not known"
-            )
+            lacking = f"what a torque command does to the motors of {self.layout.name}"
+            raise InputError(f"{self.kind}: {lacking} is not known")
 
 
-class TrimMonitor(Monitor[Spec, State], ABC):
+class TrimMonitor(Monitor[Spec, State]):
     """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
 
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
