@@ -1,4 +1,4 @@
-"""Whether the detector installs on Debian without a compiler: a wheel for every run-time dependency, by pip's own rules.
+"""Whether the detector installs on Debian without a compiler: a wheel for every dependency, by the rules of pip.
 
     python packaging/check_wheels.py [--platform arm64] [--python 3.13]
 
