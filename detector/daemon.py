@@ -161,7 +161,7 @@ class Daemon:
         self._report_new(known)
         self._carry_out(turns)
         if self._metrics is not None:
-            self._metrics.observe((turn.judged_ns for turn in turns), self._host.now_ns())
+            self._metrics.observe(turns, self._host.now_ns())
         if now - self._beat_at >= 0:
             self._beat()
             self._beat_at = max(self._beat_at + BEAT_S, now)

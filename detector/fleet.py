@@ -23,6 +23,10 @@ SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
 Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
 
 
+def _no_times() -> IntArray:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
     """What came of one vehicle's step.
@@ -31,14 +35,16 @@ class Turn:
     effects: what its session wants done.
     commands: of others to its companion, which we are.
     parameter_requests: of others about its companion's parameters.
-    judged_ns: when the gyro samples came that were judged in this step (host clock); empty if it is not measured.
+    arrived_ns, judged_ns: when the gyro samples came that were taken in this step, and those that have their verdict
+        now (host clock); empty if it is not measured.
     """
 
     vehicle: int
     effects: tuple[Effect, ...]
     commands: tuple[Command, ...] = ()
     parameter_requests: tuple[Frame, ...] = ()
-    judged_ns: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    arrived_ns: IntArray = field(default_factory=_no_times)
+    judged_ns: IntArray = field(default_factory=_no_times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +101,14 @@ class Vehicle:
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
         return effects
 
-    def judged_ns(self, received: Received, now: Instant) -> IntArray:
-        """When the samples came that have their verdict now; empty if that is not measured."""
+    def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
+        """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
         if self.awaiting is None:
-            return np.empty(0, dtype=np.int64)
-        judge = self.session.state.judge
+            return _no_times(), _no_times()
+        gyro, judge = received.telemetry.get(Signal.BODY_RATE), self.session.state.judge
         upto_ns = None if judge is None else judge.memory.now_ns
-        self.awaiting, arrived = self.awaiting.step(received.telemetry.get(Signal.BODY_RATE), upto_ns, now.ns)
-        return arrived
+        self.awaiting, judged_ns = self.awaiting.step(gyro, upto_ns, now.ns)
+        return _no_times() if gyro is None else gyro.host_ns, judged_ns
 
     def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
         """Begin a new session in place of the present one; return what that leaves to record."""
@@ -156,8 +162,7 @@ class Fleet:
         for sysid, vehicle in self.vehicles.items():
             one = received.get(sysid, Received())
             effects = vehicle.step(one, streams[sysid].reboots, now)
-            judged_ns = vehicle.judged_ns(one, now)
-            turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, judged_ns))
+            turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
         return turns
 
     def finish(self) -> list[Turn]:

@@ -1,4 +1,7 @@
-"""From the arrival of a gyro sample to its verdict: measured for each sample, counted in a histogram."""
+"""How long a gyro sample waits: until a look takes it, and until its verdict; each sample counts in a histogram.
+
+The second is longer by what the filter waits for, half of its window, and by what the chain gathers before it judges.
+"""
 
 from dataclasses import dataclass, field
 

@@ -14,10 +14,10 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.registry import Collector
 
 from detector.figures import DaemonFigures
+from detector.fleet import Turn
 from detector.latency import BOUNDS_S, LatencyCounts
 from detector.states import State
 from mavdiag.errors import LinkError
-from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
 __all__ = ["Metrics"]
@@ -29,7 +29,7 @@ class Metrics(Collector):
     def __init__(self, host: str, port: int) -> None:
         self._shown: tuple[DaemonFigures, int] | None = None
         self._events: Counter[tuple[str, str]] = Counter()
-        self._latency = LatencyCounts()
+        self._look, self._verdict = LatencyCounts(), LatencyCounts()
         registry = CollectorRegistry()
         registry.register(self)
         try:
@@ -52,10 +52,11 @@ class Metrics(Collector):
         """One more alarm."""
         self._events[str(vehicle), monitor] += 1
 
-    def observe(self, arrived_ns: Iterable[IntArray], now_ns: int) -> None:
-        """Samples that came at these times are judged now (monotonic clock)."""
-        for one in arrived_ns:
-            self._latency.add(one, now_ns)
+    def observe(self, turns: Iterable[Turn], now_ns: int) -> None:
+        """Count how long the samples of a look waited. now_ns: its end, monotonic clock."""
+        for turn in turns:
+            self._look.add(turn.arrived_ns, now_ns)
+            self._verdict.add(turn.judged_ns, now_ns)
 
     def close(self) -> None:
         """Stop serving."""
@@ -85,15 +86,14 @@ class Metrics(Collector):
         for (vehicle, monitor), count in list(self._events.items()):
             events.add_metric([vehicle, monitor], count)
         yield events
-        yield self._histogram()
+        yield _histogram("look_latency", "From the arrival of a gyro sample to the end of its look.", self._look)
+        yield _histogram("verdict_latency", "From the arrival of a gyro sample to its verdict.", self._verdict)
 
-    def _histogram(self) -> Metric:
-        sums = itertools.accumulate(self._latency.counts.tolist())
-        bounds = [*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"]
-        text = "From the arrival of a gyro sample to its verdict."
-        return HistogramMetricFamily(
-            "mavdiag_verdict_latency_seconds", text, list(zip(bounds, sums, strict=True)), self._latency.sum_s
-        )
+
+def _histogram(name: str, text: str, counts: LatencyCounts) -> Metric:
+    sums = itertools.accumulate(counts.counts.tolist())
+    bins = zip((*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"), sums, strict=True)
+    return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), counts.sum_s)
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:

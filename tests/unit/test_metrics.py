@@ -11,6 +11,7 @@ from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
+from detector.fleet import Turn
 from detector.health import ask_health, verdict
 from detector.metrics import Metrics
 from mavdiag.errors import LinkError, UsageError
@@ -71,6 +72,7 @@ def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> No
     assert count == pytest.approx(100 * judge.flight_s, abs=150)
     assert value(text, 'verdict_latency_seconds_bucket{le="0.15"}') > 0.8 * count
     assert value(text, 'verdict_latency_seconds_bucket{le="+Inf"}') == count
+    assert value(text, "look_latency_seconds_count") == bench.vehicles[0].sent
 
 
 def test_the_page_does_not_grow_with_the_time(metrics: Metrics) -> None:
@@ -116,5 +118,6 @@ def test_health_without_an_address_says_what_to_do() -> None:
 
 
 def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:
-    metrics.observe(iter([np.array([0, 1], dtype=np.int64), np.array([2], dtype=np.int64)]), 1_000_000)
-    assert metrics._latency.counts.sum() == 3
+    two, one = np.array([0, 1], dtype=np.int64), np.array([2], dtype=np.int64)
+    metrics.observe([Turn(1, (), arrived_ns=two, judged_ns=two), Turn(2, (), arrived_ns=one)], 1_000_000)
+    assert (metrics._look.counts.sum(), metrics._verdict.counts.sum()) == (3, 2)
