@@ -4,6 +4,7 @@ import json
 import resource
 import signal
 import socket
+import subprocess
 import time
 from pathlib import Path
 
@@ -139,6 +140,20 @@ def test_sigterm_in_an_alert_loses_no_event(baseline: Path, tmp_path: Path) -> N
     assert [(line["monitor"], line["t_s"], line["end_s"]) for line in closed] == [("fsd", opened[0]["t_s"], None)]
     assert closed[0]["statistic"] >= opened[0]["statistic"]
     assert any(line["kind"] == "text" and "FAULT" in line["text"] for line in lines)
+
+
+@pytest.mark.realtime
+def test_nohup_keeps_it_from_ending_with_its_terminal() -> None:
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    with running(*LEARNING, before=ignore) as (child, _):
+        child.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(1.0)
+        code, rest = ended(child, signal.SIGTERM)
+    assert code == 0
+    assert "stopped after" in rest
 
 
 @pytest.mark.realtime
