@@ -4,13 +4,16 @@ Bytes are passed on as they came, cut between frames, so that nothing of ours ge
 What a ground station sends goes to the vehicle unchanged: whoever forwards to an endpoint gives it that right.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TypeAlias
 
 from detector.journal import Recorder
 from mavdiag.link.ports import Chunk, Endpoint
 from mavdiag.link.ports.stream import frame_length
 
 __all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
+
+Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
@@ -55,12 +58,19 @@ class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
     datagrams: whether the vehicle's link is UDP. recorder: a file that gets what the vehicle's link brings.
+    upward: sees what a link behind brought, and returns what of it goes to the vehicle.
     """
 
     def __init__(
-        self, main: Endpoint, behind: Sequence[Endpoint], *, datagrams: bool, recorder: Recorder | None = None
+        self,
+        main: Endpoint,
+        behind: Sequence[Endpoint],
+        *,
+        datagrams: bool,
+        recorder: Recorder | None = None,
+        upward: Upward = lambda frames, behind: frames,
     ) -> None:
-        self._main, self._behind, self._recorder = main, tuple(behind), recorder
+        self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
         self._down = FrameSplitter(datagrams=datagrams)
         self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
@@ -80,7 +90,7 @@ class Relay:
                     endpoint.send(message)
         for endpoint, splitter in zip(self._behind, self._up, strict=True):
             for data, _ in endpoint.receive(0.0):
-                for message in packed(splitter.split(data)):
+                for message in packed(self._upward(splitter.split(data), endpoint)):
                     self._main.send(message)
 
     def send_to_all(self, frame: bytes) -> None:

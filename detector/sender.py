@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from detector.states import State
 from detector.values import AskInterval, SendFloat, SendText
 from mavdiag.link.codec import Encoder
+from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
 from mavdiag.units import NS_PER_MS
 
@@ -53,6 +54,10 @@ class MavlinkSender:
         return self._encoder.encode(
             MessageId.COMMAND_LONG, *target, MavCmd.SET_MESSAGE_INTERVAL, 0, effect.msgid, effect.interval_us
         )
+
+    def frame(self, msgid: int, *fields: Argument) -> bytes:
+        """Any other message, in the same sequence."""
+        return self._encoder.encode(msgid, *fields)
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

@@ -26,6 +26,7 @@ WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (ou
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
+VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -34,6 +35,10 @@ _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
 _COMMANDS: Mapping[int, tuple[int, ...]] = {
     msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
     for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
+}
+_PARAMETER_TARGETS: Mapping[int, tuple[int, ...]] = {
+    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component"))
+    for msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET)
 }
 
 
@@ -72,6 +77,7 @@ class Received:
     acks: its autopilot's answers to our commands.
     commands: commands of others to its on-board computer.
     parameters: of its autopilot that passed by since the vehicle entered, by name.
+    parameter_requests: frames of others that ask for, or set, parameters of its on-board computer.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -80,6 +86,7 @@ class Received:
     acks: tuple[Ack, ...] = ()
     commands: tuple[Command, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    parameter_requests: tuple[Frame, ...] = ()
 
 
 class VehicleStream:
@@ -166,6 +173,7 @@ class LinkDecoder:
     next one, which may be of another sender.
     profiles: the profiles to choose from.
     vehicles: the stream of each vehicle that has entered, by system id.
+    most: how many vehicles may enter.
     """
 
     def __init__(
@@ -178,11 +186,12 @@ class LinkDecoder:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
-        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys())
+        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys())
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles = profile, only, profiles
         self._pending: dict[int, _Pending] = {}
         self.vehicles: dict[int, VehicleStream] = {}
+        self.most = VEHICLES_MAX
 
     @property
     def decoder(self) -> Decoder:
@@ -207,9 +216,9 @@ class LinkDecoder:
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands = self._commands(frames)
+        commands, requests = self._commands(frames), self._parameter_requests(frames)
         found: dict[int, Received] = {}
-        for sysid in sorted((own.keys() | commands.keys()) & self.vehicles.keys()):
+        for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
             some = own.get(sysid, [])
             found[sysid] = Received(
                 tuple(some),
@@ -218,6 +227,7 @@ class LinkDecoder:
                 _acks(some),
                 tuple(commands.get(sysid, ())),
                 self.vehicles[sysid].parameters,
+                tuple(requests.get(sysid, ())),
             )
         return found
 
@@ -234,6 +244,9 @@ class LinkDecoder:
         if profile is None:
             recognised = detect_profile([pending.beat, *pending.frames], self._profiles)
             profile, pending.reason = recognised.profile, recognised.reason
+        if profile is not None and len(self.vehicles) >= self.most:
+            pending.reason = f"there are {self.most} vehicles already (max_vehicles)"
+            return []
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)
@@ -249,6 +262,17 @@ class LinkDecoder:
                 command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
                 if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
                     found.setdefault(system, []).append(Command(command, frame.sysid, frame.compid))
+        return found
+
+    def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:
+        """Requests about parameters of the on-board computers of vehicles that have entered, by their system ids."""
+        found: dict[int, list[Frame]] = {}
+        for frame in frames:
+            if frame.msgid in _PARAMETER_TARGETS:
+                system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
+                everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
+                if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
+                    found.setdefault(system, []).append(frame)
         return found
 
 
