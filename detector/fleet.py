@@ -9,7 +9,7 @@ from detector.states import State
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.link.profiles import Profile
-from mavdiag.link.vehicles import Command, LinkDecoder, Received
+from mavdiag.link.vehicles import Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
@@ -64,9 +64,17 @@ class Vehicle:
     outcome: Baseline | LearningFailed | None = None
     events: int = 0
 
-    def step(self, received: Received, reboots: int, now: Instant) -> tuple[Effect, ...]:
-        """Hand the session what came."""
-        inbox = Inbox(received.telemetry, received.present, reboots, received.acks, self.outcome, received.parameters)
+    def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
+        """Hand the session what came. stream: the vehicle's."""
+        inbox = Inbox(
+            received.telemetry,
+            received.present,
+            stream.reboots,
+            received.acks,
+            self.outcome,
+            received.parameters,
+            stream.profile.imu,
+        )
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
@@ -95,7 +103,7 @@ class Fleet:
         turns: list[Turn] = []
         for sysid, vehicle in self.vehicles.items():
             one = received.get(sysid, Received())
-            turns.append(Turn(sysid, vehicle.step(one, streams[sysid].reboots, now), one.commands))
+            turns.append(Turn(sysid, vehicle.step(one, streams[sysid], now), one.commands))
         return turns
 
     def finish(self) -> list[Turn]:

@@ -8,7 +8,7 @@ from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
-from mavdiag.link.messages import Severity
+from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import Profile
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
@@ -68,6 +68,7 @@ class Inbox:
     acks: its autopilot's acknowledgements.
     outcome: what came of the last `Learn`.
     parameters: of its autopilot that passed by so far, by name.
+    imu: the message that its gyro is read from; None for the profile's.
     """
 
     telemetry: Telemetry = field(default_factory=Telemetry)
@@ -76,6 +77,7 @@ class Inbox:
     acks: tuple[Ack, ...] = ()
     outcome: Baseline | LearningFailed | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    imu: MessageId | None = None
 
 
 @dataclass(frozen=True, slots=True)
