@@ -21,6 +21,7 @@ from detector.sender import MavlinkSender
 from detector.states import State
 from detector.values import (
     AskInterval,
+    AskParameters,
     Effect,
     EventOpened,
     Learn,
@@ -219,6 +220,9 @@ class Daemon:
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
+            case AskParameters():
+                for request in sender.read(effect):
+                    self._relay.send_to_vehicle(request)
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
@@ -231,7 +235,7 @@ class Daemon:
 
     def _record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if isinstance(effect, AskInterval | Learn | SendFloat):
+        if isinstance(effect, AskInterval | AskParameters | Learn | SendFloat):
             return
         if self._journal is not None:
             when = When(self._host.utc(), sysid, self.fleet.link.vehicles[sysid].vehicle_ns)

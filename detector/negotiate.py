@@ -200,9 +200,7 @@ def _lack(name: str, want: Want, parameter: str) -> str:
     return f"{name} does not come: {what}" + (f"; what gives it: {parameter}" if parameter else "")
 
 
-def _reported(
-    negotiation: Negotiation, seen: tuple[Seen, ...], now: Instant
-) -> tuple[Negotiation, tuple[Notice, ...]]:
+def _reported(negotiation: Negotiation, seen: tuple[Seen, ...], now: Instant) -> tuple[Negotiation, tuple[Notice, ...]]:
     """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
     asked = [(one.want.msgid, negotiation.of(one.want.msgid), one.rate_hz) for one in seen]
     fresh = [(msgid, ask, rate) for msgid, ask, rate in asked if ask.at and rate and not _like(rate, ask.reported_hz)]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from detector.states import State
-from detector.values import AskInterval, SendFloat, SendText
+from detector.values import AskInterval, AskParameters, SendFloat, SendText
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
 from mavdiag.units import NS_PER_MS
@@ -53,6 +53,12 @@ class MavlinkSender:
         return self._encoder.encode(
             MessageId.COMMAND_LONG, *target, MavCmd.SET_MESSAGE_INTERVAL, 0, effect.msgid, effect.interval_us
         )
+
+    def read(self, effect: AskParameters) -> list[bytes]:
+        """PARAM_REQUEST_READ by name, one for each parameter."""
+        target = (self._vehicle, Component.AUTOPILOT1)
+        by_name = (MessageId.PARAM_REQUEST_READ, *target)
+        return [self._encoder.encode(*by_name, name, -1) for name in effect.names]
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

@@ -17,6 +17,7 @@ from detector.negotiate import Negotiation, Seen, negotiate
 from detector.states import TABLE, State, Trigger, advance
 from detector.streams import Collection, Hindrance, Reason, Streams, collect, observe, on_ground
 from detector.values import (
+    AskParameters,
     Effect,
     EventClosed,
     Inbox,
@@ -29,6 +30,7 @@ from detector.values import (
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.errors import BaselineError
+from mavdiag.link.parameters import Reading
 from mavdiag.link.profiles import Profile
 from mavdiag.link.samples import joined
 from mavdiag.telemetry import Instant, Telemetry
@@ -49,7 +51,7 @@ class SessionState:
     latest: when anything came from the vehicle last (host).
     baseline: what it judges by, None until it is learned.
     presenter, named_values: what was said lately.
-    streams, negotiation: what comes and what was asked for.
+    streams, negotiation, reading: what comes, and which streams and parameters were asked for.
     collection: healthy flight to learn from.
     failed: fits in vain.
     waited: the first telemetry, while its rates are measured; judging begins with it, as a scan of the recording does.
@@ -68,6 +70,7 @@ class SessionState:
     named_values: NamedValues
     streams: Streams = field(default_factory=Streams)
     negotiation: Negotiation = field(default_factory=Negotiation)
+    reading: Reading = field(default_factory=Reading)
     collection: Collection = field(default_factory=Collection)
     failed: int = 0
     waited: tuple[Telemetry, ...] = ()
@@ -81,6 +84,7 @@ class SessionState:
 _NEW_LINK: Mapping[str, Any] = {
     "streams": Streams(),
     "negotiation": Negotiation(),
+    "reading": Reading(),
     "waited": (),
     "airborne": None,
 }
@@ -182,6 +186,10 @@ class Session:
         self._keep(negotiation=negotiation)
         self._effects += effects
         self._notices += notices
+        if self.state.baseline is None:  # what they tell of rotors and filter is learnt with the flight
+            reading, names = self.state.reading.step(self.spec.profile.autopilot, inbox.parameters, now)
+            self._keep(reading=reading)
+            self._effects += [AskParameters(names)] if names else []
 
     def _demand(self, inbox: Inbox) -> Demand:
         """What is needed of the streams now."""

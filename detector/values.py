@@ -15,6 +15,7 @@ from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = [
     "AskInterval",
+    "AskParameters",
     "Effect",
     "EventClosed",
     "EventOpened",
@@ -105,6 +106,13 @@ class AskInterval:
     interval_us: int
 
 
+@dataclass(frozen=True, slots=True)
+class AskParameters:
+    """PARAM_REQUEST_READ of some parameters of the vehicle's autopilot, by name."""
+
+    names: tuple[str, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Learn:
     """Make a baseline from this healthy flight; the answer comes back in an inbox. parameters: of its autopilot."""
@@ -154,4 +162,4 @@ class Note:
 
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
 """What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
-Effect: TypeAlias = Record | SendFloat | AskInterval | Learn
+Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn

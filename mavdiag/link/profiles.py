@@ -102,6 +102,7 @@ class Profile:
     vibration: whether its VIBRATION message carries acceleration per axis.
     actuator_span: the actuator message's values for 0 and for full output.
     gate: what counts as flying; the same live and in a .tlog.
+    imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
     """
 
     name: str
@@ -119,12 +120,18 @@ class Profile:
     rotor_speed: MessageId
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
     gate: GateSpec = LIVE_GATE
+    imu_corner_parameter: str = ""
 
     @property
     def messages(self) -> frozenset[int]:
         """The messages of which another profile may use others."""
         chosen = {self.setpoint, self.imu, self.actuator, self.rotor_speed}
         return frozenset(chosen | {MessageId.VIBRATION} if self.vibration else chosen)
+
+    def corner_hz(self, parameters: Mapping[str, float]) -> float | None:
+        """Corner of the low-pass filter in the IMU stream of a vehicle with these parameters, None for none [Hz]."""
+        told = parameters.get(self.imu_corner_parameter)
+        return self.imu_corner_hz if told is None else told if told > 0.0 else None
 
 
 def _is_spec(seen: Evidence) -> bool:
@@ -182,6 +189,7 @@ _ROWS = (
         actuator=MessageId.SERVO_OUTPUT_RAW,
         actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
+        imu_corner_parameter="INS_GYRO_FILTER",
     ),
     # PX4: no RAW_IMU; HIGHRES_IMU is in SI and comes from the sensors before the controller's filter; its VIBRATION
     # mixes gyro and accelerometer metrics. Asked for 200 Hz it sends 160 to 170.
