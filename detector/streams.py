@@ -17,7 +17,18 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["SILENT_S", "Collection", "Hindrance", "Meter", "Reason", "Streams", "Weighing", "collect", "observe", "on_ground"]
+__all__ = [
+    "SILENT_S",
+    "Collection",
+    "Hindrance",
+    "Meter",
+    "Reason",
+    "Streams",
+    "Weighing",
+    "collect",
+    "observe",
+    "on_ground",
+]
 
 SILENT_S = 2.0  # without a sample for so long, a stream has stopped (our choice)
 MEASURE_S = 1.0  # vehicle time over which a rate is measured (our choice: a change is known within 2 s)
