@@ -5,12 +5,12 @@ from collections.abc import Iterable
 from detector.alerts import Kind, Notice
 from detector.streams import Streams
 from detector.values import Note
-from mavdiag.airframe.airframe import NEED_LAYOUT
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput
 from mavdiag.link.codec import message_name
 from mavdiag.link.profiles import LAST_RESORT, Profile
+from mavdiag.monitors import NEED_LAYOUT
 
 __all__ = ["imu_notes", "layout_notices", "notes_on", "vehicle_notices"]
 
