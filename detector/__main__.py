@@ -20,6 +20,7 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 
 if TYPE_CHECKING:
@@ -70,6 +71,9 @@ def detect(
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
     ] = None,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="Watch this system id only.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None,
     profile: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]"),
@@ -96,6 +100,8 @@ def _serve(settings: Settings) -> None:
         stop = stack.enter_context(commandline.stop_signals())
         baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
         airframe = _airframe(settings)
+        key = settings.signing_key
+        signing = None if key is None else stack.enter_context(closing(open_signing(key, "detector", time.time_ns())))
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address)) for address in settings.forward]
         journal = None if settings.journal is None else stack.enter_context(closing(Journal(settings.journal, _say)))
@@ -112,6 +118,7 @@ def _serve(settings: Settings) -> None:
             journal=journal,
             recorder=recorder,
             metrics=metrics,
+            signing=signing,
         )
         daemon.run(stop)
 

@@ -53,6 +53,7 @@ class Settings(SessionSettings):
     journal: Path | None = None  # file for the events
     record: Path | None = None  # .tlog file for all frames received
     metrics: str | None = None  # address to serve figures on
+    signing_key: Path | None = None  # file with the key of MAVLink 2 signing
     vehicle: Annotated[int, Field(ge=1, le=255)] | None = None  # the only system id to watch
     profile: str | None = None  # of the link; default: by what the vehicle sends
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from detector.config import Settings
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
+from detector.guard import Guard
 from detector.journal import Journal, Recorder, When, line, mark
 from detector.relay import Relay
 from detector.sender import MavlinkSender
@@ -37,8 +38,10 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
-from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
+from mavdiag.link.keys import KeptSigning
+from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -94,15 +97,26 @@ class Daemon:
         journal: Journal | None = None,
         recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
+        signing: KeptSigning | None = None,
     ) -> None:
         self._settings, self._host, self._link = settings, host, link
         self._baseline, self._fitter, self._journal, self._metrics = baseline, fitter, journal, metrics
         self._airframe = airframe
         kind = parse_address(settings.connect).kind
-        self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
+        self._relay = Relay(link, behind, recorder=recorder)
+        self._passed: list[tuple[bytes, int]] = []
+        self._kept, self._signing = signing, None if signing is None else signing.signing
         self._announces = kind in _ANNOUNCING
         profile = None if settings.profile is None else PROFILES[settings.profile]
-        self.fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
+        self.fleet = Fleet(
+            self._spec,
+            profile=profile,
+            only=settings.vehicle,
+            datagrams=kind in _DATAGRAMS,
+            signing=self._signing,
+            passed=self._passed if self._relay.wants else None,
+        )
+        self._guard = Guard(self.fleet.link, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
@@ -136,16 +150,18 @@ class Daemon:
     def tick(self) -> None:
         """One look: take what came, let the sessions go on, do what they want."""
         now = self._now()
-        chunks = self._chunks()
-        self._relay.pass_on(chunks)
+        chunks, sources = self._chunks()
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now)
+        turns = self.fleet.step(chunks, now, sources)
+        self._relay.pass_on(self._passed)
+        self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
         if now - self._beat_at >= 0:
             self._beat()
+            self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
 
     def end(self) -> None:
@@ -163,17 +179,36 @@ class Daemon:
         offset_ns = round(self._host.utc().timestamp() * NS_PER_S) - self._host.now_ns()
         return SessionSpec(profile, self._baseline, self._settings, offset_ns)
 
-    def _chunks(self) -> list[Chunk]:
+    def _chunks(self) -> tuple[list[Chunk], list[Source]]:
+        """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
         chunks: list[Chunk] = []
+        sources: list[Source] = []
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
                 break
             chunks += more
-        return chunks
+            sources += self._link.sources
+        return chunks, sources
+
+    def _watch(self, now: Instant) -> None:
+        """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
+        self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
+        found = self._guard.look(now)
+        if self._kept is not None:
+            failure = self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
+            found += [(None, Note(failure))] if failure else []
+        for sysid, effect in found:
+            if sysid is None:
+                text = effect.text if isinstance(effect, Note) else ""
+                self._mark("note", {"text": text})
+                self._host.say(text)
+            else:
+                self._act(sysid, effect)
+                self._record(sysid, effect)
 
     def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle))
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
 
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
@@ -267,6 +302,7 @@ class Daemon:
             for one in self.fleet.figures()
         ]
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
+        parts += [self._guard.summary()] if self._guard.summary() else []
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
         parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}, {cpu:.1f} % CPU")
         return "; ".join(parts)

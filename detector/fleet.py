@@ -1,6 +1,6 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -9,6 +9,8 @@ from detector.states import State
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.link.profiles import Profile
+from mavdiag.link.sequence import Source
+from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import Command, LinkDecoder, Received
 from mavdiag.telemetry import Instant
 
@@ -80,16 +82,29 @@ class Fleet:
     profile: of all vehicles, None to go by what each sends.
     only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames.
+    signing, passed: as in `LinkDecoder`.
     """
 
-    def __init__(self, spec_of: SpecOf, *, profile: Profile | None, only: int | None, datagrams: bool) -> None:
-        self.link = LinkDecoder(profile, only, datagrams)
+    def __init__(
+        self,
+        spec_of: SpecOf,
+        *,
+        profile: Profile | None,
+        only: int | None,
+        datagrams: bool,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
+    ) -> None:
+        self.link = LinkDecoder(profile, only, datagrams, careful=True, signing=signing, passed=passed)
         self._spec_of = spec_of
         self.vehicles: dict[int, Vehicle] = {}
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant) -> list[Turn]:
-        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too."""
-        received, streams = self.link.feed(chunks, now.ns), self.link.vehicles
+    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> list[Turn]:
+        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
+
+        sources: where each chunk comes from; empty for a link with one other end.
+        """
+        received, streams = self.link.feed(chunks, now.ns, sources), self.link.vehicles
         for sysid in streams.keys() - self.vehicles.keys():
             self.vehicles[sysid] = Vehicle(Session(self._spec_of(streams[sysid].profile), now))
         turns: list[Turn] = []

@@ -1,22 +1,49 @@
-"""Files (edge): text is read whole and written atomically, and only to regular files."""
+"""Files (edge): only regular files of a bounded size are read, and files are written atomically."""
 
 import os
+import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from mavdiag.errors import InputError, UsageError
 
-__all__ = ["check_output", "read_text", "write_atomically"]
+__all__ = ["check_output", "open_regular", "read_text", "write_atomically"]
+
+TEXT_BYTES = 64 << 20  # baselines have some hundred kilobytes (our choice)
+
+
+@contextmanager
+def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
+    """A file to read, which is a regular one and has at most so many bytes: no device without end, no pipe to wait for.
+
+    Raises InputError, naming it, if it is no such file or cannot be opened.
+    """
+    try:
+        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file; check the path") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; name a file") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    with file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise InputError(f"{path}: is not a regular file; name a file")
+        if found.st_size > most_bytes:
+            size = f"{found.st_size / 1e6:.0f} MB, and {most_bytes / 1e6:.0f} MB is the most that is read"
+            raise InputError(f"{path}: is too large ({size})")
+        yield file
 
 
 def read_text(path: Path) -> str:
     """The text of a file. Raises InputError, naming it, if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: is a folder; name a file") from error
+        with open_regular(path, TEXT_BYTES) as file:
+            return file.read(TEXT_BYTES + 1).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read (not UTF-8 text)") from error
     except OSError as error:

@@ -22,10 +22,12 @@ from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = [
+    "PEER_FRESH_S",
     "Address",
     "Chunk",
     "Endpoint",
     "Kind",
+    "SocketAddress",
     "Traffic",
     "open_endpoint",
     "parse_address",
