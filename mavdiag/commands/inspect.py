@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from mavdiag.commands.options import AsJson, Vehicle
+from mavdiag.link.keys import read_key
 from mavdiag.link.link import open_link
 from mavdiag.logs import read_log
 from mavdiag.telemetry import FloatArray, Log, Series
@@ -48,11 +49,15 @@ def inspect(
     duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
     vehicle: Vehicle = None,
     profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
     if source.startswith(ADDRESSES):
-        with open_link(source, vehicle, profile) as link:
+        key = None if signing_key is None else read_key(signing_key)
+        with open_link(source, vehicle, profile, key) as link:
             log = link.record(duration)
     else:
         log = read_log(Path(source), vehicle, profile)

@@ -139,8 +139,9 @@ class SequenceTracker:
 
     @property
     def sound(self) -> bool:
-        """Whether its numbers are those of one sender: at least a quarter of the frames follow the one before."""
-        return 4 * self._jumps <= 3 * self.received
+        """Whether its numbers are those of one sender: of two frames or more, most follow on."""
+        received = self.received
+        return received >= 2 and 2 * self._jumps < received
 
     def count(self) -> LinkCount:
         """The figures so far, as a value that later frames do not change."""

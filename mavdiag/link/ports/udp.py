@@ -104,6 +104,7 @@ class UdpIn(_Udp):
         self._fresh_s = fresh_s
         self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
         self._trusted: dict[SocketAddress, socket.socket] = {}
+        self._newly = False  # a peer has got its own socket, and what it sent before may wait in the common one
         self._units, self._filled_s = STRANGERS_BURST, time.monotonic()
         try:
             self._socket.bind(local)
@@ -147,28 +148,28 @@ class UdpIn(_Udp):
             if peer not in self._trusted and len(self._trusted) < TRUSTED_MAX and self._socket.fileno() >= 0:
                 own = _beside(self._socket, peer)
                 if own is not None:
-                    self._trusted[peer] = own
+                    self._trusted[peer], self._newly = own, True
                     self._peers.setdefault(peer, time.monotonic())
 
     def _drain(self) -> list[Chunk]:
         chunks: list[Chunk] = []
         sources: list[SocketAddress] = []
+        if self._socket.fileno() >= 0 and (self._newly or not self._trusted):
+            self._read(self._socket, chunks, sources, _DRAIN_MAX)
+            self._newly = False
         for link in self._trusted.values():
             self._read(link, chunks, sources, _DRAIN_MAX)
-        if self._socket.fileno() >= 0:
-            if self._trusted:
-                self._refill()
-                if self._units >= 1.0:
-                    self._units = self._read(self._socket, chunks, sources, self._units)
-            else:
-                self._read(self._socket, chunks, sources, _DRAIN_MAX)
+        if self._trusted and self._refilled() >= 1.0:
+            self._units = self._read(self._socket, chunks, sources, self._units)
         self.sources = sources
         return chunks
 
-    def _refill(self) -> None:
+    def _refilled(self) -> float:
+        """How many datagrams of strangers may be read now."""
         now_s = time.monotonic()
         self._units = min(STRANGERS_BURST, self._units + STRANGERS_HZ * (now_s - self._filled_s))
         self._filled_s = now_s
+        return self._units
 
     def _note_sender(self, peer: SocketAddress) -> None:
         strangers = len(self._peers) - len(self._trusted)
