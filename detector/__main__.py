@@ -22,6 +22,7 @@ from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
+from mavdiag.printable import printable
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics
@@ -143,7 +144,7 @@ def _say(text: str) -> None:
     """One log line on stderr, with the local time. A closed or full stderr must not stop the watch."""
     stamp = "" if text.startswith("ready") else f"{datetime.now().astimezone():%H:%M:%S} "
     with contextlib.suppress(OSError):
-        typer.echo(stamp + text, err=True)
+        commandline.say(stamp + printable(text), err=True)
 
 
 def main() -> NoReturn:

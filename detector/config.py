@@ -3,16 +3,16 @@
 Unknown keys are refused by name, so that a misspelt one is not silently without effect.
 """
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mavdiag.errors import UsageError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
+from mavdiag.storage import read_toml
 from mavdiag.telemetry import Axis
 
 __all__ = ["SessionSettings", "Settings", "load_settings", "split_metrics_address"]
@@ -104,13 +104,9 @@ def split_metrics_address(text: str) -> tuple[str, int]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the --config path") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text; write the configuration as TOML") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{path}: not TOML: {error}") from error
+        return read_toml(path)
+    except InputError as error:
+        raise UsageError(f"{error}; check --config") from error
 
 
 def _reason(path: Path | None, error: ValidationError) -> str:

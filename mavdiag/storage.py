@@ -3,15 +3,17 @@
 import os
 import stat
 import tempfile
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from mavdiag.errors import InputError, UsageError
 
-__all__ = ["check_output", "open_regular", "read_text", "write_atomically"]
+__all__ = ["TOML_BYTES", "check_output", "open_regular", "parse_toml", "read_text", "read_toml", "write_atomically"]
 
+TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for a larger one's worst (our choice)
 TEXT_BYTES = 64 << 20  # baselines have some hundred kilobytes (our choice)
 
 
@@ -24,7 +26,7 @@ def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
     try:
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; check the path") from error
+        raise InputError(f"{path}: no such file") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: is a folder; name a file") from error
     except (OSError, ValueError) as error:
@@ -39,15 +41,30 @@ def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
         yield file
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
     """The text of a file. Raises InputError, naming it, if it cannot be read."""
     try:
-        with open_regular(path, TEXT_BYTES) as file:
-            return file.read(TEXT_BYTES + 1).decode()
+        with open_regular(path, most_bytes) as file:
+            return file.read(most_bytes).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read (not UTF-8 text)") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file. Raises InputError, naming it, if it cannot be used."""
+    return parse_toml(read_text(path, TOML_BYTES), str(path))
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """The content of a TOML text. name: of the file. Raises InputError, naming it, if it cannot be used."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise InputError(f"{name}: not TOML: nested too deep") from error
+    except ValueError as error:  # a number of thousands of digits is one too
+        raise InputError(f"{name}: not TOML: {error}") from error
 
 
 def check_output(path: Path) -> None:

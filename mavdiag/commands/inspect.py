@@ -13,6 +13,7 @@ from mavdiag.commands.options import AsJson, Vehicle
 from mavdiag.link.keys import read_key
 from mavdiag.link.link import open_link
 from mavdiag.logs import read_log
+from mavdiag.printable import printable
 from mavdiag.telemetry import FloatArray, Log, Series
 from mavdiag.units import NS_PER_S
 
@@ -86,9 +87,9 @@ def _print(log: Log, found: list[Summary]) -> None:
     from rich.table import Table
 
     console = Console(highlight=False)
-    console.print(f"{log.name}: profile {log.profile}", soft_wrap=True, markup=False)
+    console.print(printable(f"{log.name}: profile {log.profile}"), soft_wrap=True, markup=False)
     for note in log.notes:
-        console.print(f"note: {note}", soft_wrap=True, markup=False)
+        console.print(printable(f"note: {note}"), soft_wrap=True, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("signal", "samples", "rate\nHz", "jitter\nms", "longest\ngap s"):
         table.add_column(heading, justify="left" if heading == "signal" else "right", no_wrap=True)

@@ -10,7 +10,7 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Log
 
-__all__ = ["RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
+__all__ = ["LOG_BYTES", "RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
