@@ -36,7 +36,7 @@ def open_regular(path: Path, most_bytes: int) -> Iterator[BinaryIO]:
         if not stat.S_ISREG(found.st_mode):
             raise InputError(f"{path}: is not a regular file; name a file")
         if found.st_size > most_bytes:
-            size = f"{found.st_size / 1e6:.0f} MB, and {most_bytes / 1e6:.0f} MB is the most that is read"
+            size = f"{found.st_size // 1024:,} KiB, and {most_bytes // 1024:,} KiB is the most that is read"
             raise InputError(f"{path}: is too large ({size})")
         yield file
 

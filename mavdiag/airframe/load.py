@@ -134,11 +134,7 @@ def with_layout(airframe: Airframe, name: str) -> Airframe:
 
 def load_airframe(path: Path) -> Airframe:
     """Read an airframe file. Raises InputError, naming the file and the key, if it cannot be used."""
-    try:
-        table = read_toml(path)
-    except InputError as error:
-        raise InputError(f"airframe file {error}") from error
-    return _parse(table, str(path))
+    return _parse(read_toml(path), str(path))
 
 
 def _parse(table: dict[str, Any], file: str) -> Airframe:

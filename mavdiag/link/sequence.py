@@ -139,9 +139,9 @@ class SequenceTracker:
 
     @property
     def sound(self) -> bool:
-        """Whether its numbers are those of one sender: of two frames or more, most follow on."""
-        received = self.received
-        return received >= 2 and 2 * self._jumps < received
+        """Whether its numbers are those of one sender: of eight frames or more most follow on, or of three all."""
+        received, jumps = self.received, self._jumps
+        return received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
 
     def count(self) -> LinkCount:
         """The figures so far, as a value that later frames do not change."""
