@@ -51,7 +51,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"absent\.toml: cannot be read"):
+    with pytest.raises(UsageError, match=r"absent\.toml: no such file"):
         load_settings(tmp_path / "absent.toml", {})
 
 
