@@ -17,7 +17,7 @@ from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
-from sitl_plant.hil.command import serve_ardupilot
+from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
@@ -32,6 +32,8 @@ app = commandline.application("Fly an emulated multirotor with propeller faults 
 app.command()(campaign)
 app.command()(stand)
 app.command()(serve_ardupilot)
+app.command()(serve_px4)
+app.command()(serve_hil)
 
 
 @app.command()

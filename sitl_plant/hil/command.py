@@ -13,19 +13,21 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.errors import UsageError
+from mavdiag.link.ports import open_endpoint
 from sitl_plant.config import PlantConfig, fault_injection
 from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.datagrams import Datagrams
 from sitl_plant.hil.outputs import AutopilotName, OutputMap, output_map
 from sitl_plant.hil.parameters import parameter_file
-from sitl_plant.hil.serve import serve_json
+from sitl_plant.hil.px4 import Bridge
+from sitl_plant.hil.serve import serve_frames, serve_json
 from sitl_plant.hil.simulation import FLYING_M, HilPlan, Simulation
-from sitl_plant.options import TruthFile, VehicleName, with_options
+from sitl_plant.options import TruthFile, VehicleName, parse_speed, with_options
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.truth_file import TruthWriter, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
-__all__ = ["HilOptions", "OnsetFrom", "hil_options", "serve_ardupilot"]
+__all__ = ["HilOptions", "OnsetFrom", "hil_options", "serve_ardupilot", "serve_hil", "serve_px4"]
 
 _ROTOR = "Damaged rotor, as the vehicle's file counts."
 
@@ -160,4 +162,56 @@ def serve_ardupilot(
         f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
         f"{counts.resent} answered again, {counts.restarts} restarts of the autopilot, "
         f"{counts.foreign} foreign datagrams, {counts.ignored} of a replaced autopilot"
+    )
+
+
+Rate = Annotated[float, typer.Option(metavar="HZ", min=50.0, max=1000.0, help="Rate of HIL_SENSOR.")]
+
+
+@with_options(hil_options)
+def serve_px4(
+    options: HilOptions,
+    listen: Annotated[
+        str, typer.Option(metavar="tcpin:HOST:PORT", help="Where PX4 in simulation connects to.")
+    ] = "tcpin:127.0.0.1:4560",
+    rate: Rate = 250.0,
+    speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second, if PX4 keeps step.")] = "1",
+) -> None:
+    """Be the simulator of PX4, until the duration is over, SIGINT or SIGTERM. Exit code 0, or 2 for an error.
+
+    PX4 and the plant wait for each other, if PX4 was built so.
+    """
+    pace = parse_speed(speed)
+    _serve_mavlink(options, listen, rate, period_s=1.0 / (rate * pace) if pace else 0.0, hardware=False)
+
+
+@with_options(hil_options)
+def serve_hil(
+    options: HilOptions,
+    endpoint: Annotated[str, typer.Argument(help="/dev/ttyX,BAUD, or another address of a flight controller.")],
+    rate: Rate = 250.0,
+) -> None:
+    """Be sensors and motors of a PX4 flight controller in HIL mode, in real time. Exit code 0, or 2 for an error."""
+    _serve_mavlink(options, endpoint, rate, period_s=1.0 / rate, hardware=True)
+
+
+def _serve_mavlink(options: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
+    """hardware: a flight controller, which has a clock of its own."""
+    if options.parameters_of:
+        typer.echo(parameter_file(options.vehicle, options.parameters_of, hardware=hardware), nl=False)
+        return
+    outputs = output_map(options.vehicle, "px4")
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(open_endpoint(address))
+        simulation = stack.enter_context(options.simulation("px4-hil", rate_hz))
+        stop = stack.enter_context(commandline.stop_signals())
+        bridge = Bridge(simulation, outputs, rate_hz)
+        options.announce("a flight controller" if hardware else "PX4", endpoint.address, outputs)
+        started_s = time.monotonic()
+        span, lockstep = options.duration_s, not hardware
+        serve_frames(endpoint, bridge, period_s=period_s, lockstep=lockstep, duration_s=span, stop=stop, say=_say)
+        traffic = endpoint.traffic
+    typer.echo(
+        f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "
+        f"{traffic.sent} messages sent, {traffic.dropped} dropped, {bridge.restarts} restarts of the autopilot"
     )
