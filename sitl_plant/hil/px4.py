@@ -49,6 +49,7 @@ class _Due(NamedTuple):
 class Bridge:
     """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR.
 
+    period_s: of HIL_SENSOR.
     answered: whether controls came since the last `advance`. lockstep: whether they say that PX4 waits for us.
     in_hil: what the last heartbeat of an autopilot says; None before the first.
     controls: messages so far. restarts: of the autopilot.
@@ -57,7 +58,7 @@ class Bridge:
     def __init__(self, simulation: Simulation, outputs: OutputMap, rate_hz: float) -> None:
         self.simulation = simulation
         self._outputs = outputs
-        self._period_s = 1.0 / rate_hz
+        self.period_s = 1.0 / rate_hz
         self._encoder = Encoder(SYSID, COMPID)
         self._instruments = Instruments(simulation.config.seed)
         self.controls = self.restarts = 0
@@ -94,7 +95,7 @@ class Bridge:
 
     def advance(self) -> list[bytes]:
         """Fly one period with the latest controls, and say what the sensors show."""
-        row = self.simulation.step(self._duties, self._period_s)
+        row = self.simulation.step(self._duties, self.period_s)
         self.answered = False
         sent = [self._sensor(row)]
         if self._is_due("gps"):

@@ -52,10 +52,10 @@ def serve_frames(
 ) -> None:
     """Fly PX4 over MAVLink until `duration_s` of flight or `stop`.
 
-    period_s: wall clock from one sensor message to the next, 0 for as fast as it goes.
+    period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
     lockstep: wait for the controls where they ask for it; else say if an autopilot is not in HIL mode.
     """
-    decoder, pace, flying, told = Decoder(WANTED), _Pace(period_s), False, False
+    decoder, pace, flying, told = Decoder(WANTED), _Pace(), False, False
     feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
     while bridge.simulation.t_s < duration_s and not stop():
         flying = flying and endpoint.connected
@@ -71,17 +71,17 @@ def serve_frames(
         if flying and not pace.left_s(lockstep and bridge.lockstep and not bridge.answered):
             for message in bridge.advance():
                 endpoint.send(message)
-            pace.note_sent()
+            pace.note_sent(period_s if lockstep and bridge.lockstep else bridge.period_s)
         if not (lockstep or told) and bridge.in_hil is False:
             told = True
             say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
 
 
 class _Pace:
-    """When the next sensor message goes out. period_s: from one to the next."""
+    """When the next sensor message goes out."""
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s, self.begun = period_s, False
+    def __init__(self) -> None:
+        self.begun = False
         self._sent_s = self._next_s = 0.0
 
     def begin(self) -> None:
@@ -94,7 +94,7 @@ class _Pace:
         until_s = max(self._next_s, self._sent_s + PATIENCE_S) if waits else self._next_s
         return min(POLL_S, max(0.0, until_s - time.monotonic()))
 
-    def note_sent(self) -> None:
-        """One has gone out."""
+    def note_sent(self, period_s: float) -> None:
+        """One has gone out; the next is due after `period_s`."""
         self._sent_s = time.monotonic()
-        self._next_s = max(self._next_s + self._period_s, self._sent_s - SLIP_S)
+        self._next_s = max(self._next_s + period_s, self._sent_s - SLIP_S)

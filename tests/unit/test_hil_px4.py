@@ -116,16 +116,21 @@ def test_px4_asks_for_the_truth_at_another_rate() -> None:
     assert Counter(msgid for msgid, _ in sent(link, RATE_HZ))[115] == pytest.approx(125, abs=2)
 
 
-def test_a_build_without_lockstep_and_a_controller_without_hil_are_noticed() -> None:
+def test_a_build_without_lockstep_is_noticed() -> None:
     link = bridge()
     hear(link, controls_bytes(0, [0.0] * 4, flags=0))
     assert (link.answered, link.lockstep) == (True, False)
-    hear(link, mavlink_bytes(0, 0, 18, 8, 0, 4, 3))  # a companion computer
-    assert link.in_hil is None
-    hear(link, mavlink_bytes(0, 0, 2, 12, 81, 4, 3))
-    assert link.in_hil is False
-    hear(link, mavlink_bytes(0, 0, 2, 12, 81 | 32, 4, 3))
-    assert link.in_hil is True
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "base_mode", "in_hil"),
+    [(18, 8, 0, None), (2, 12, 81, False), (2, 12, 81 | 32, True)],
+    ids=["companion computer", "HIL mode off", "HIL mode on"],
+)
+def test_a_heartbeat_tells_of_hil_mode(kind: int, autopilot: int, base_mode: int, in_hil: bool | None) -> None:
+    link = bridge()
+    hear(link, mavlink_bytes(0, 0, kind, autopilot, base_mode, 4, 3))
+    assert link.in_hil is in_hil
 
 
 def test_outputs_that_are_no_numbers_stand_still() -> None:
@@ -139,7 +144,8 @@ def test_a_restarted_autopilot_finds_the_vehicle_on_the_ground() -> None:
     link = bridge()
     hear(link, controls_bytes(0, [0.62] * 4))
     sent(link, 100)
-    assert link.simulation.takeoff_s is not None
+    risen_s = link.simulation.takeoff_s
+    assert risen_s is not None
     link.restart()
     assert (link.restarts, link.lockstep, link.simulation.takeoff_s) == (1, False, None)
     assert of(sent(link, 1), 107)[0][0] < 10_000
