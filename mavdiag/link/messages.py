@@ -42,8 +42,12 @@ class MessageId(IntEnum):
     COMMAND_LONG = 76
     COMMAND_ACK = 77
     ATTITUDE_TARGET = 83
+    HIL_ACTUATOR_CONTROLS = 93
     HIGHRES_IMU = 105
+    HIL_SENSOR = 107
     TIMESYNC = 111
+    HIL_GPS = 113
+    HIL_STATE_QUATERNION = 115
     SCALED_IMU2 = 116
     SCALED_IMU3 = 129
     AUTOPILOT_VERSION = 148
@@ -105,6 +109,7 @@ class ModeFlag(IntFlag):
     """MAV_MODE_FLAG of HEARTBEAT.base_mode, as far as used."""
 
     CUSTOM_MODE_ENABLED = 1
+    HIL_ENABLED = 32
     SAFETY_ARMED = 128
 
 
