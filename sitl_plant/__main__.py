@@ -5,12 +5,7 @@ Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an er
 
 import json
 import time
-<<<<<<< HEAD
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
-=======
-from contextlib import ExitStack
->>>>>>> hil
+from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
@@ -19,7 +14,7 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.errors import UsageError
-from mavdiag.link.keys import KeptSigning, open_signing
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
@@ -54,6 +49,9 @@ def run(
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
+    fresh: Annotated[
+        bool, typer.Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
+    ] = False,
     truth: TruthFile = None,
     signing_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
@@ -62,6 +60,8 @@ def run(
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
     pace = parse_speed(speed)
+    if fresh and not plan.dialect.unasked:
+        raise UsageError(f"--fresh-link needs --profile ardupilot or px4, not {plan.dialect.profile.name}")
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(truth_file(truth))
@@ -70,18 +70,16 @@ def run(
         if signing_key is not None:
             kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
         signing = None if kept is None else kept.signing
-        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing) for end in ends]
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing, fresh=fresh) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-<<<<<<< HEAD
-        watch = _keeping(kept, _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None))
-=======
         written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
 
         def watch(samples: PlantSamples) -> None:
             written.write(samples, plant.take_changes())
+            if kept is not None:
+                kept.step(time.time_ns())
 
->>>>>>> hil
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
@@ -95,6 +93,8 @@ def record(
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
+    if plan.config.commanded:
+        raise UsageError("nobody commands a vehicle that is recorded: use run, or another --trajectory")
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
     duration = RECORD_S if plan.duration_s is None else plan.duration_s
@@ -108,18 +108,6 @@ def record(
 
 def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> TruthWriter:
     return TruthWriter(file, plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
-
-
-def _keeping(kept: KeptSigning | None, watch: Callable[[PlantSamples], None]) -> Callable[[PlantSamples], None]:
-    """The same with each block, and the stamp of signing follows the wall clock."""
-    if kept is None:
-        return watch
-
-    def both(samples: PlantSamples) -> None:
-        kept.step(time.time_ns())
-        watch(samples)
-
-    return both
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:

@@ -99,6 +99,10 @@ class PlantConfig:
         return dryden(self.turbulence_m_s, self.altitude_m, self.wind_m_s)
 
     def _check_ground(self) -> None:
+        if self.commanded and (self.start != "ground" or self.landed_s is not None or self.flown_vehicle.recorded):
+            raise UsageError(
+                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
+            )
         if self.start == "ground" and not self.altitude_m > 0.0:
             raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
         flight = self.path()
@@ -113,6 +117,11 @@ class PlantConfig:
         recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
         ground_s = (recorded.ground.arm_s, recorded.ground.lift_s) if recorded else (ARM_S, LIFT_S)
         return path(shape, *form, Nose(self.nose), ground, land_s if ground else math.inf, ground_s)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the vehicle waits for commands, see `Plant.lead`."""
+        return self.trajectory == Shape.COMMANDED
 
     @property
     def flown_vehicle(self) -> Vehicle:

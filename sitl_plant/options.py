@@ -102,6 +102,7 @@ def flight_plan(
         raise UsageError(f"duration must be positive, not {duration:g}")
     if as_recorded and vehicle not in ("qdrone2", RECORDED):
         raise UsageError(f"--as-recorded is the QDrone 2's: leave --vehicle {vehicle} out")
+    commanded = trajectory is Shape.COMMANDED
     kind = vehicle_from(RECORDED if as_recorded else vehicle)
     taken = None
     if pickup:
@@ -113,8 +114,8 @@ def flight_plan(
         airframe=in_session_number(specimen(kind, drone), session, propellers / 100),
         trajectory=trajectory,
         nose=nose,
-        start="ground" if takeoff else "hover",
-        landed_s=duration,
+        start="ground" if takeoff or commanded else "hover",
+        landed_s=None if commanded else duration,
         fault=fault,
         rotor=rotor,
         onset_s=onset,

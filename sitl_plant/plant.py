@@ -29,6 +29,7 @@ from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_mo
 from sitl_plant.physics.recorded_log import RecordedLog
 from sitl_plant.physics.recorded_set import recorded_flight
 from sitl_plant.physics.streams import Streams
+from sitl_plant.physics.trajectory import Leg
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
 
@@ -53,6 +54,7 @@ class PlantSamples:
     attitude: (n, 9) T's estimate (Eq 2.33).
     duty: (n, r) 0..1, commanded.
     battery_v: (n,) measured.
+    charge_ah: (n,) truth, drawn from the battery since it was full.
     motors: (n,) 0 disarmed, 1 armed and idle, 2 flying.
     quaternion: (n, 4) truth, body to world, w first.
     position: (n, 3) truth, of the centre of gravity.
@@ -72,6 +74,7 @@ class PlantSamples:
     attitude: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    charge_ah: FloatArray
     motors: IntArray
     quaternion: FloatArray
     position: FloatArray
@@ -168,6 +171,12 @@ class Plant:
         """Put a full battery in."""
         self._state.battery[:] = self._model.battery.open_circuit, 0.0
         self._note(Renewal.BATTERY)
+
+    def lead(self, leg: Leg) -> None:
+        """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
+        if not self.config.commanded:
+            raise UsageError(f"the path {self.config.trajectory} is followed without commands")
+        self._set_model(self._model._replace(path=self._model.path._replace(leg=leg)))
 
     def take_changes(self) -> tuple[Change, ...]:
         """What was changed since the last call, for the truth file; of more than 1000 changes the last."""
@@ -278,6 +287,7 @@ def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamp
         attitude=rows.attitude,
         duty=rows.duty,
         battery_v=rows.battery_v,
+        charge_ah=rows.charge_ah,
         motors=rows.motors.astype(np.int64),
         quaternion=rows.rigid[:, 6:10],
         position=rows.rigid[:, :3],
