@@ -275,7 +275,9 @@ def test_a_real_arducopter_reads_the_plant(tmp_path: Path) -> None:
         with process(start, cwd=tmp_path):
             assert plant.wait(120.0) == 0
         assert plant.stdout is not None
-        assert "0 foreign" in plant.stdout.read()
+        said = plant.stdout.read()
+    assert "0 foreign" in said
+    assert int(said.split(" frames")[0].split()[-1]) > 5000
 
 
 def test_a_real_px4_reads_the_plant(tmp_path: Path) -> None:
