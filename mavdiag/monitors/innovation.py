@@ -110,9 +110,9 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     largest |z| of the row. It knows nothing of rotors.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
-    SG window and up to 1 s. False alarms: see `thresholds`; aerobatics, landings and wind that the healthy flights lacked
-    raise it without a fault. Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts;
-    the threshold catches none); anything slow.
+    SG window and up to 1 s. False alarms: see `thresholds`; aerobatics, landings and wind that the healthy flights
+    lacked raise it without a fault. Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller
+    cuts; the threshold catches none); anything slow.
 
     >>> from mavdiag.testing import example_rows, example_context
     >>> rng = np.random.default_rng(4)
