@@ -239,7 +239,8 @@ def _as_text(found: Inspection) -> str:
     parts += [_messages(found.messages)] if found.messages else []
     parts += [_signals(found.found)] if found.found else []
     parts += [_units(found.units), _lines(found.airframe.layout_statement), _monitors(found.monitors)]
-    if link is not None and not all(one.works for one in found.monitors) and not found.answers:
+    lacking = any(why.startswith("no ") for one in found.monitors for why in one.missing)
+    if link is not None and lacking and not found.answers:
         parts.append(_lines(STREAMS_ADVICE))
     return "\n".join(parts)
 

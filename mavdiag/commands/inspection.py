@@ -48,6 +48,7 @@ __all__ = [
 USUAL = 3.0  # steps above this multiple of the median are gaps, and no jitter (our choice)
 WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
+DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
 SLACK = 0.98  # a rate that is this share of what is needed will do
 
 # The slowest gyro that a monitor can work with [Hz].
@@ -100,7 +101,7 @@ class Clock:
     """The vehicle's clock beside the receiver's.
 
     behind_s: receiver's time less the vehicle's, at the fastest transport.
-    drift_ppm: by how much that grows; None within less than some seconds.
+    drift_ppm: by how much that grows; None within less than `DRIFT_S`.
     spread_ms: how much later than the fastest a sample may come (95 %).
     signals_ms: by how much later than the gyro each signal comes, at the fastest; other clocks and stamps show here.
     """
@@ -119,15 +120,20 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
     behind: FloatArray = (gyro.host_ns - gyro.t_ns) / NS_PER_S
     second = (gyro.t_ns - gyro.t_ns[0]) // NS_PER_S
     least = np.array([behind[second == one].min() for one in np.unique(second)])
-    slope, start = np.polyfit(np.arange(len(least)), least, 1) if len(least) >= 4 else (0.0, float(least.min()))
+    known = len(least) >= DRIFT_S
+    slope, start = np.polyfit(np.arange(len(least)), least, 1) if known else (0.0, float(least.min()))
     late = behind - (start + slope * second)
     others = (one for one in telemetry.series if len(one) >= 20 and one.signal is not Signal.BODY_RATE)
     signals = {
         one.signal.value: 1e3 * (float(((one.host_ns - one.t_ns) / NS_PER_S).min()) - float(behind.min()))
         for one in others
     }
-    drift = 1e6 * float(slope) if len(least) >= 4 else None
-    return Clock(float(behind.min()), drift, 1e3 * float(np.percentile(late - late.min(), LATE_SHARE)), signals)
+    return Clock(
+        float(behind.min()),
+        1e6 * float(slope) if known else None,
+        1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
+        signals,
+    )
 
 
 @dataclass(frozen=True, slots=True)
