@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, not_judged, records_of, words_of
+from detector.judging import Alert, Judge, alert_after, not_judged, records_of, rescaled, words_of
 from detector.judging_notices import imu_notes, layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
 from detector.needs import Demand, demand_of
@@ -214,7 +214,7 @@ class Session:
         if state.baseline is not None and (state.judge is None or state.judge.baseline is not state.baseline):
             try:
                 check_link(state.baseline, profile=self.spec.profile.name, dt_s=state.baseline.link.dt_s)
-                chain = chain_of(state.baseline, self.spec.unix_ns(now))
+                chain = chain_of(rescaled(state.baseline, self._settings.threshold_scale), self.spec.unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(), now))

@@ -30,6 +30,7 @@ from mavdiag.commands.options import AsJson, Vehicle
 from mavdiag.errors import UsageError
 from mavdiag.link.asking import Asked, Asker
 from mavdiag.link.codec import message_name
+from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
@@ -39,6 +40,7 @@ from mavdiag.logs import read_log
 from mavdiag.logs.log import read_bytes
 from mavdiag.logs.tlog import decode_tlog
 from mavdiag.monitors import MONITORS
+from mavdiag.printable import printable
 from mavdiag.telemetry import Instant, Log, Signal
 from mavdiag.units import NS_PER_S
 
@@ -92,6 +94,9 @@ def inspect(
     ] = None,
     vehicle: Vehicle = None,
     profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure a log or a live link: rates, units, clock, rotors, and which monitors work or what they lack.
@@ -104,8 +109,9 @@ def inspect(
     live = source.startswith(ADDRESSES)
     if ask and not live:
         raise UsageError("--ask is for a link; a log holds what it holds")
+    key = None if signing_key is None else read_key(signing_key)
     if live:
-        with open_link(source, vehicle, profile) as link:
+        with open_link(source, vehicle, profile, key) as link:
             found = _live(link, source, duration, vehicle if ask else None, ask=ask)
     else:
         found = _logged(Path(source), source, vehicle, profile)
@@ -155,7 +161,7 @@ def _counts(link: Link) -> Mapping[int, int]:
 
 def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
     """Ask for streams and parameters; what came of it, a line for each stream."""
-    asker, asked = Asker(vehicle), Asked()
+    asker, asked = Asker(vehicle, link.signing), Asked()
     wants: tuple[Want, ...] = ()
     rates: dict[int, float] = {}
     since: dict[int, int] = {}
@@ -168,7 +174,7 @@ def _ask(link: Link, vehicle: int) -> tuple[str, ...]:
         if link.stream is not None and time.monotonic() - began > LISTEN_S:
             profile = link.stream.profile
             if not wants:
-                asker = Asker(link.vehicle or vehicle)
+                asker = Asker(link.vehicle or vehicle, link.signing)
                 wants = _wants(link)
                 rates = {msgid: n / LISTEN_S for msgid, n in _counts(link).items()}
                 since.update(_counts(link))
@@ -247,7 +253,9 @@ def _as_text(found: Inspection) -> str:
 
 def _lines(text: str, indent: str = "  ") -> str:
     """A sentence, in lines of at most `WIDTH` characters."""
-    return textwrap.fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        printable(text), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _clock(clock: Clock) -> str:

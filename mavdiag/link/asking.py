@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.parameters import Reading
+from mavdiag.link.signing import Signing
 from mavdiag.link.wants import Want
 from mavdiag.telemetry import Instant
 
@@ -37,11 +38,10 @@ class Asked:
 
 
 class Asker:
-    """Asks one vehicle. vehicle: its system id, whose on-board computer we are."""
+    """Asks one vehicle. vehicle: its system id, whose on-board computer we are. signing: signs what is sent."""
 
-    def __init__(self, vehicle: int) -> None:
-        self._vehicle = vehicle
-        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER)
+    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
+        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
         self._target = (vehicle, Component.AUTOPILOT1)
 
     def beat(self, asked: Asked, now: Instant) -> tuple[Asked, list[bytes]]:
