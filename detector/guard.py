@@ -6,6 +6,7 @@ No clock, no socket: the link's counts and `now` in, effects out.
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import SocketAddress
@@ -44,17 +45,17 @@ class Guard:
         found = (self._link.source(sysid, now.ns, within_s) for sysid in self._link.vehicles)
         return [source for source in dict.fromkeys(found) if isinstance(source, tuple)]
 
-    def look(self, now: Instant) -> list[tuple[int | None, Effect]]:
-        """What is new: the vehicle that it is about (None for the link) and what to tell."""
-        found: list[tuple[int | None, Effect]] = []
+    def look(self, now: Instant) -> tuple[list[Turn], list[str]]:
+        """What is new: what to tell about vehicles, and about the link."""
+        turns, texts = list[Turn](), list[str]()
         for sysid in self._link.vehicles:
-            known = self._known.setdefault(sysid, _Known())
-            found += [(sysid, effect) for effect in self._second(sysid, known)]
+            effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
+            turns += [Turn(sysid, effects)] if effects else []
         refused = 0 if self._signing is None else sum(self._signing.refused.values())
         if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
             self._told, self._told_at = refused, now
-            found.append((None, Note(self.summary())))
-        return found
+            texts.append(self.summary())
+        return turns, texts
 
     def summary(self) -> str:
         """What was refused so far, in one line; empty if nothing was."""

@@ -4,15 +4,18 @@ Frames are passed on as they came, if they passed: none that was refused. What a
 vehicle unchanged: whoever forwards to an endpoint gives it that right.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
+from typing import TypeAlias
 
 from detector.journal import Recorder
 from mavdiag.link.ports import Endpoint
 from mavdiag.link.ports.stream import frame_length
 
 __all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
+
+Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
@@ -57,11 +60,19 @@ class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
     recorder: a file that gets what the vehicle's link brings.
+    upward: sees what a link behind brought, and returns what of it goes to the vehicle.
     wants: whether anybody gets it.
     """
 
-    def __init__(self, main: Endpoint, behind: Sequence[Endpoint], *, recorder: Recorder | None = None) -> None:
-        self._main, self._behind, self._recorder = main, tuple(behind), recorder
+    def __init__(
+        self,
+        main: Endpoint,
+        behind: Sequence[Endpoint],
+        *,
+        recorder: Recorder | None = None,
+        upward: Upward = lambda frames, behind: frames,
+    ) -> None:
+        self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
         self.wants = bool(self._behind) or recorder is not None
         self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
@@ -81,7 +92,7 @@ class Relay:
                 endpoint.send(message)
         for endpoint, splitter in zip(self._behind, self._up, strict=True):
             for data, _ in endpoint.receive(0.0):
-                for message in packed(splitter.split(data)):
+                for message in packed(self._upward(splitter.split(data), endpoint)):
                     self._main.send(message)
 
     def send_to_all(self, frame: bytes) -> None:

@@ -80,9 +80,13 @@ def run(app: typer.Typer, name: str) -> NoReturn:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM ask for an end instead of ending the process at once; yields whether one came."""
+    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came.
+
+    SIGHUP is left alone where it is ignored, as `nohup` has it.
+    """
     caught: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    hung_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    numbers = (signal.SIGINT, signal.SIGTERM, *hung_up)
     before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
     try:
         yield lambda: bool(caught)

@@ -12,6 +12,8 @@ from detector.config import Settings
 from detector.daemon import Daemon, Host
 from detector.fitting import FittingJob, Outcome
 from detector.journal import Journal, Recorder
+from detector.metrics import Metrics
+from detector.notify import Notifier
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
@@ -111,6 +113,9 @@ class Bench:
     journal: Path | None = None
     record: Path | None = None
     airframe: Airframe | None = None
+    baselines: dict[int, Baseline] = field(default_factory=dict)
+    notifier: Notifier | None = None
+    metrics: Metrics | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -138,6 +143,9 @@ class Bench:
             journal=self.file,
             recorder=self.recorder,
             signing=signing,
+            baselines=self.baselines,
+            notifier=self.notifier,
+            metrics=self.metrics,
         )
 
     def run(self, seconds: float) -> None:

@@ -15,11 +15,20 @@ from itertools import repeat
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.link.parameters import with_parameters
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
+from mavdiag.link.profiles import (
+    IMU_MESSAGES,
+    LAST_RESORT,
+    PROFILES,
+    Profile,
+    by_attitude,
+    detect_profile,
+    with_imu,
+)
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.timeline import Timeline
+from mavdiag.link.waiting import Waiting
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -30,12 +39,9 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
-BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
-VEHICLES_MAX = 128  # on one link (our choice)
-COMMANDS_MAX = (
-    8  # for one vehicle's computer that are handed out at a time, so that a flood is not answered (our choice)
-)
-FULL = f"{VEHICLES_MAX} vehicles are on this link, and it takes no more; choose one with --vehicle"
+REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
+VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
+LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -44,6 +50,10 @@ _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
 _COMMANDS: Mapping[int, tuple[int, ...]] = {
     msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
     for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
+}
+_PARAMETER_TARGETS: Mapping[int, tuple[int, ...]] = {
+    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component"))
+    for msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET)
 }
 
 
@@ -82,6 +92,7 @@ class Received:
     acks: its autopilot's answers to our commands.
     commands: commands of others to its on-board computer.
     parameters: of its autopilot that passed by since the vehicle entered, by name.
+    parameter_requests: frames of others that ask for, or set, parameters of its on-board computer.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -90,6 +101,7 @@ class Received:
     acks: tuple[Ack, ...] = ()
     commands: tuple[Command, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    parameter_requests: tuple[Frame, ...] = ()
 
 
 class VehicleStream:
@@ -104,6 +116,7 @@ class VehicleStream:
         self._signals = signals
         self._decoder = SampleDecoder(profile, signals)
         self._state = SampleState()
+        self._own, self._since_ns = profile, 0
         self._imu: list[Frame] = []
         self._settled = False  # whether the IMU message is chosen for good
         self.parameters: Mapping[str, float] = {}
@@ -143,44 +156,16 @@ class VehicleStream:
 
     def _choose_imu(self, frames: Sequence[Frame]) -> None:
         self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
-        chosen = with_imu(self.profile, self._imu, USEFUL_FRAMES)
-        if chosen is not self.profile:
+        chosen = with_imu(self._own, self._imu, USEFUL_FRAMES)
+        self._since_ns = self._since_ns or next((frame.host_ns for frame in frames), 0)
+        waited_ns = frames[-1].host_ns - self._since_ns if frames else 0
+        if not self._imu and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
+            chosen = by_attitude(self._own)
+        if chosen.imu != self.profile.imu:
             self._decoder = SampleDecoder(chosen, self._signals)
         self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
         if self._settled:
             self._imu = []
-
-
-@dataclass(slots=True)
-class _Pending:
-    """A system id that has not entered.
-
-    since_ns: since when it is watched [ns].
-    frames: its autopilot's latest.
-    beat: its autopilot's latest heartbeat.
-    beats: how many like it came, each at its time after the one before.
-    checked_ns: when its profile was looked for last [ns].
-    reason: why it waits though its autopilot was received.
-    """
-
-    since_ns: int
-    frames: list[Frame] = field(default_factory=list)
-    beat: Frame | None = None
-    beats: int = 0
-    checked_ns: int | None = None
-    reason: str = ""
-
-    def note(self, frames: Iterable[Frame]) -> None:
-        """Take in heartbeats."""
-        least_s, most_s = BEATS_S
-        for frame in filter(is_autopilot_heartbeat, frames):
-            before = self.beat
-            like = before is not None and frame.payload[4:6] == before.payload[4:6]  # type and autopilot
-            span_s = 0.0 if before is None else (frame.host_ns - before.host_ns) / NS_PER_S
-            if before is None or not like or span_s > most_s:
-                self.beat, self.beats = frame, 1
-            elif span_s >= least_s:
-                self.beat, self.beats = frame, self.beats + 1
 
 
 class LinkDecoder:
@@ -195,6 +180,7 @@ class LinkDecoder:
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
     vehicles: the stream of each vehicle that has entered, by system id.
+    most: how many vehicles may enter.
     """
 
     def __init__(
@@ -211,13 +197,14 @@ class LinkDecoder:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
-        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys()
+        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys()
         self._decoder = Decoder(wanted, signing=signing, passed=passed)
         self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
-        self._pending: dict[int, _Pending] = {}
+        self._pending: dict[int, Waiting] = {}
         self.vehicles: dict[int, VehicleStream] = {}
+        self.most = VEHICLES_MAX
 
     @property
     def decoder(self) -> Decoder:
@@ -261,9 +248,9 @@ class LinkDecoder:
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands = self._commands(frames)
+        commands, requests = self._commands(frames), self._parameter_requests(frames)
         found: dict[int, Received] = {}
-        for sysid in sorted((own.keys() | commands.keys()) & self.vehicles.keys()):
+        for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
             some = own.get(sysid, [])
             found[sysid] = Received(
                 tuple(some),
@@ -272,12 +259,13 @@ class LinkDecoder:
                 _acks(some),
                 tuple(commands.get(sysid, ())),
                 self.vehicles[sysid].parameters,
+                tuple(requests.get(sysid, ())),
             )
         return found
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
-        pending = self._pending.setdefault(sysid, _Pending(now_ns))
+        pending = self._pending.setdefault(sysid, Waiting(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
         frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
         pending.frames = [*pending.frames, *frames][-kept:]
@@ -299,14 +287,14 @@ class LinkDecoder:
         del self._pending[sysid]
         return pending.frames
 
-    def _may_enter(self, sysid: int, pending: _Pending) -> bool:
+    def _may_enter(self, sysid: int, pending: Waiting) -> bool:
         """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
         if self._careful:
             sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
             if pending.beats < 2 or sender is None or not sender.sound:
                 return False
-        if len(self.vehicles) >= VEHICLES_MAX:
-            pending.reason, pending.frames = FULL, []
+        if len(self.vehicles) >= self.most:
+            pending.reason, pending.frames = f"there are {self.most} vehicles already (max_vehicles)", []
             return False
         return True
 
@@ -319,8 +307,21 @@ class LinkDecoder:
                 command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
                 if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
                     asked = found.setdefault(system, [])
-                    if len(asked) < COMMANDS_MAX:
+                    if len(asked) < REQUESTS_MAX:
                         asked.append(Command(command, frame.sysid, frame.compid))
+        return found
+
+    def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:
+        """Requests about parameters of the on-board computers of vehicles that have entered, by their system ids."""
+        found: dict[int, list[Frame]] = {}
+        for frame in frames:
+            if frame.msgid in _PARAMETER_TARGETS:
+                system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
+                everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
+                if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
+                    asked = found.setdefault(system, [])
+                    if len(asked) < REQUESTS_MAX:
+                        asked.append(frame)
         return found
 
 

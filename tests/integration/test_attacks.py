@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
+from detector_process import ended, port_of, ran, running
 from fastcrc.crc16 import mcrf4xx
 from made_session import baseline_for
 from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
-from test_detector_command import ended, port_of, ran, running
 
 from detector.config import Settings
 from detector.states import State
@@ -181,8 +181,9 @@ def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed
     bench.close()
 
 
-# All that the detector may send to a vehicle, and to those behind. No arming, no mode, no parameter.
+# All that the detector may send to a vehicle, and to those behind. No arming, no mode; parameters are read only.
 SENT = {
+    MessageId.PARAM_REQUEST_READ,
     MessageId.HEARTBEAT,
     MessageId.STATUSTEXT,
     MessageId.NAMED_VALUE_FLOAT,

@@ -22,13 +22,14 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
-from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.baseline_parts import Refusal
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
+from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.telemetry import Axis, Signal
 
 QDRONE2 = PROFILES["qdrone2"]
@@ -192,7 +193,7 @@ def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_of
     assert story.at(State.WAITING)
     assert story.session.healthy
     requests = [at for at, effect in story.log if isinstance(effect, AskInterval)]
-    assert min(b - a for a, b in itertools.pairwise(requests)) >= 5.0
+    assert min(b - a for a, b in itertools.pairwise(requests)) >= 2.0
     assert len(requests) < 12  # paced: the autopilot does not do it
     story.fly(3.0, every=2)
     assert story.at(State.MONITORING)
@@ -253,7 +254,7 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
     assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
     notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
     assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_trim, trim_step, rotor_signature do not judge, "
+        "rotor layout unknown: 5 outputs move; rotor_signature, rotor_trim, trim_step do not judge, "
         "and no rotor is named; name it with --layout or --airframe"
     ]
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
@@ -281,8 +282,9 @@ def test_missing_streams_are_asked_for_and_what_came_is_told() -> None:
         AskInterval(MessageId.ATTITUDE_TARGET, 1000),
         AskInterval(MessageId.RAW_IMU, 1000),
         AskInterval(MessageId.SERVO_OUTPUT_RAW, 40_000),
+        AskInterval(MessageId.ATTITUDE, 40_000),
     ]
-    for _ in range(3):
+    for _ in range(4):
         story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED))
     story.fly(6.0)
     assert "PROP got ATTITUDE_TARGET 100, RAW_IMU 100" in story.texts

@@ -14,13 +14,15 @@ from typing import Self, TypeAlias
 
 from mavdiag.errors import LinkError
 
-__all__ = ["RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
+__all__ = ["RETRY_MAX_S", "RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
 
 Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
 Clock: TypeAlias = Callable[[], int]  # the host clock [ns]
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
-RETRY_S = 0.25  # how often an endpoint that lost its peer or device looks for it, while it is polled
+# An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as
+# long each time, up to the second (our choices). It begins anew when a connection has lasted longer than that.
+RETRY_S, RETRY_MAX_S = 0.25, 4.0
 
 _ADVICE = {
     errno.EADDRINUSE: "the port is busy: stop the program that holds it, or name another port",
