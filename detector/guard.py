@@ -10,10 +10,11 @@ from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import SocketAddress
-from mavdiag.link.sequence import Source
+from mavdiag.link.sequence import PINNED_S, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Instant
+from mavdiag.units import NS_PER_S
 
 __all__ = ["Guard"]
 
@@ -24,8 +25,9 @@ SECONDS = 3  # seconds in a row, that two senders with one name show (our choice
 
 @dataclass(slots=True)
 class _Known:
-    """What is known of one vehicle: its new beginnings, for how many looks they went on, and what was told."""
+    """What is known of one vehicle: its source, new beginnings, for how many looks they went on, and what was told."""
 
+    source: Source = None
     restarts: int = 0
     looks: int = 0
     told: set[str] = field(default_factory=set)
@@ -42,8 +44,8 @@ class Guard:
 
     def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
         """Where the vehicles are heard from that were heard lately."""
-        found = (self._link.source(sysid, now.ns, within_s) for sysid in self._link.vehicles)
-        return [source for source in dict.fromkeys(found) if isinstance(source, tuple)]
+        heard = self._link.heard_since(now.ns - round(within_s * NS_PER_S))
+        return [source for source in dict.fromkeys(map(self._link.source, heard)) if isinstance(source, tuple)]
 
     def look(self, now: Instant) -> tuple[list[Turn], list[str]]:
         """What is new: what to tell about vehicles, and about the link."""
@@ -70,6 +72,11 @@ class Guard:
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         intruder, count = self._link.intruder(sysid), self._link.count(sysid)
+        source = self._link.source(sysid)
+        if known.source not in (None, source):
+            moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
+            yield Note(f"vehicle {sysid} is heard from {moved}")
+        known.source = source
         if intruder is not None and "source" not in known.told:
             known.told.add("source")
             where = _address(intruder.source)

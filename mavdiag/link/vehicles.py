@@ -221,10 +221,15 @@ class LinkDecoder:
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
         return None if sender is None else sender.count()
 
-    def source(self, sysid: int, now_ns: int, within_s: float) -> Source:
-        """Where a vehicle's autopilot is heard from; None if it was not heard for so long."""
+    def heard_since(self, host_ns: int) -> list[int]:
+        """The vehicles whose autopilots were heard at this time or later [ns]."""
+        senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
+        return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
+
+    def source(self, sysid: int) -> Source:
+        """Where a vehicle's autopilot is heard from; None on a link with one other end."""
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-        return None if sender is None or now_ns - sender.heard_ns > within_s * NS_PER_S else sender.source
+        return None if sender is None else sender.source
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""

@@ -144,6 +144,20 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     assert len(told) == (name in IN_ITS_NAME)
 
 
+def test_another_address_may_take_over_after_silence_and_this_is_told() -> None:
+    bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[MadeVehicle(1)])
+    bench.fly(3.0)
+    (vehicle,), bench.vehicles = bench.vehicles, []
+    bench.fly(2.0)
+    bench.fly(0.5, itertools.repeat([vehicle.heartbeat()]))
+    assert bench.daemon.fleet.link.source(1) == HERE
+    bench.fly(4.0, itertools.repeat([vehicle.heartbeat()]))
+    assert bench.daemon.fleet.link.source(1) == THERE
+    told = [text for text in bench.host.lines if "is heard from 10.0.0.66:4444 instead of 10.0.0.1:14550" in text]
+    assert len(told) == 1
+    bench.close()
+
+
 def test_two_senders_on_one_wire_are_told_once() -> None:
     """A serial line has no addresses: an old flight beside the genuine stream shows in the running numbers."""
     bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[MadeVehicle(1)])

@@ -115,8 +115,9 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         chunks = second(encoder, k)
         link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
         assert bool(link.vehicles) is (k > 0)
-    assert link.source(1, 3 * S, 10.0) == HERE
-    assert link.source(1, 30 * S, 10.0) is None
+    assert link.source(1) == HERE
+    assert link.heard_since(2 * S) == [1]
+    assert link.heard_since(30 * S) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
