@@ -133,14 +133,14 @@ def _health(config: Path | None, given: dict[str, object]) -> None:
     values, _ = collect_values(config, given, os.environ)
     metrics = values.get("metrics")
     healthy, words = ask_health(None if metrics is None else str(metrics))
-    typer.echo(words)
+    commandline.say(words)
     raise typer.Exit(0 if healthy else 1)
 
 
 def _check(settings: Settings) -> None:
     from detector.check import plan
 
-    typer.echo(plan(settings, *_baselines(settings), _airframe(settings)))
+    commandline.say(plan(settings, *_baselines(settings), _airframe(settings)))
 
 
 def _serve(settings: Settings) -> None:

@@ -19,12 +19,12 @@ from mavdiag.link.profiles import (
     PROFILES,
     Profile,
     detect_profile,
-    is_autopilot_heartbeat,
 )
 from mavdiag.link.samples import SampleDecoder, by_vehicle
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
+from mavdiag.link.waiting import Waiting
 from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -35,8 +35,7 @@ WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our ch
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
-BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
-COMMANDS_MAX = 8  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
+REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
     field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component")
@@ -98,38 +97,6 @@ class Received:
     parameter_requests: tuple[Frame, ...] = ()
 
 
-@dataclass(slots=True)
-class _Pending:
-    """A system id that has not entered.
-
-    since_ns: since when it is watched [ns].
-    frames: its autopilot's latest.
-    beat: its autopilot's latest heartbeat.
-    beats: how many like it came, each at its time after the one before.
-    checked_ns: when its profile was looked for last [ns].
-    reason: why it waits though its autopilot was received.
-    """
-
-    since_ns: int
-    frames: list[Frame] = field(default_factory=list)
-    beat: Frame | None = None
-    beats: int = 0
-    checked_ns: int | None = None
-    reason: str = ""
-
-    def note(self, frames: Iterable[Frame]) -> None:
-        """Take in heartbeats."""
-        least_s, most_s = BEATS_S
-        for frame in filter(is_autopilot_heartbeat, frames):
-            before = self.beat
-            like = before is not None and frame.payload[4:6] == before.payload[4:6]  # type and autopilot
-            span_s = 0.0 if before is None else (frame.host_ns - before.host_ns) / NS_PER_S
-            if before is None or not like or span_s > most_s:
-                self.beat, self.beats = frame, 1
-            elif span_s >= least_s:
-                self.beat, self.beats = frame, self.beats + 1
-
-
 class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
@@ -166,7 +133,7 @@ class LinkDecoder:
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
         self._most = most
-        self._pending: dict[int, _Pending] = {}
+        self._pending: dict[int, Waiting] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -184,10 +151,15 @@ class LinkDecoder:
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
         return None if sender is None else sender.count()
 
-    def source(self, sysid: int, now_ns: int, within_s: float) -> Source:
-        """Where a vehicle's autopilot is heard from; None if it was not heard for so long."""
+    def heard_since(self, host_ns: int) -> list[int]:
+        """The vehicles whose autopilots were heard at this time or later [ns]."""
+        senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
+        return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
+
+    def source(self, sysid: int) -> Source:
+        """Where a vehicle's autopilot is heard from; None on a link with one other end."""
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-        return None if sender is None or now_ns - sender.heard_ns > within_s * NS_PER_S else sender.source
+        return None if sender is None else sender.source
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""
@@ -228,7 +200,7 @@ class LinkDecoder:
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
-        pending = self._pending.setdefault(sysid, _Pending(now_ns))
+        pending = self._pending.setdefault(sysid, Waiting(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
         frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
         pending.frames = [*pending.frames, *frames][-kept:]
@@ -250,15 +222,14 @@ class LinkDecoder:
         del self._pending[sysid]
         return pending.frames
 
-    def _may_enter(self, sysid: int, pending: _Pending) -> bool:
+    def _may_enter(self, sysid: int, pending: Waiting) -> bool:
         """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
         if self._careful:
             sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
             if pending.beats < 2 or sender is None or not sender.sound:
                 return False
         if len(self.vehicles) >= self._most:
-            pending.reason = f"there are {self._most} vehicles already, and no more are watched; choose one"
-            pending.frames = []
+            pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False
         return True
 
@@ -271,7 +242,7 @@ class LinkDecoder:
                 command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
                 if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
                     asked = found.setdefault(system, [])
-                    if len(asked) < COMMANDS_MAX:
+                    if len(asked) < REQUESTS_MAX:
                         asked.append(Command(command, frame.sysid, frame.compid))
         return found
 
@@ -283,7 +254,9 @@ class LinkDecoder:
                 system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
                 everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
                 if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
-                    found.setdefault(system, []).append(frame)
+                    asked = found.setdefault(system, [])
+                    if len(asked) < REQUESTS_MAX:
+                        asked.append(frame)
         return found
 
 

@@ -9,7 +9,7 @@ from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import PINNED_S, SENDERS_MAX, Intruder, Senders, SequenceTracker
-from mavdiag.link.vehicles import COMMANDS_MAX, VEHICLES_MAX, LinkDecoder
+from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
@@ -115,8 +115,9 @@ def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
         chunks = second(encoder, k)
         link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
         assert bool(link.vehicles) is (k > 0)
-    assert link.source(1, 3 * S, 10.0) == HERE
-    assert link.source(1, 30 * S, 10.0) is None
+    assert link.source(1) == HERE
+    assert link.heard_since(2 * S) == [1]
+    assert link.heard_since(30 * S) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -142,8 +143,7 @@ def test_a_link_takes_so_many_vehicles_and_says_so() -> None:
         data = [(beat(one), k * S) for one in encoders]
         link.feed(data, k * S, [HERE] * len(data))
     assert len(link.vehicles) == VEHICLES_MAX
-    (reason,) = set(link.waiting.values())
-    assert reason.startswith(f"there are {VEHICLES_MAX} vehicles already")
+    assert set(link.waiting.values()) == {"there are 128 vehicles already (max_vehicles)"}
     assert all(not one.frames for one in link._pending.values())
 
 
@@ -151,7 +151,7 @@ def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
     link, encoder, station = LinkDecoder(PROFILES["ardupilot"]), Encoder(1, 1), Encoder(255, 190)
     link.feed(second(encoder, 0), 0)
     ask = [(station.encode(MessageId.COMMAND_LONG, 1, Component.ONBOARD_COMPUTER, MavCmd.REQUEST_MESSAGE), S)] * 5000
-    assert len(link.feed(ask, S)[1].commands) == COMMANDS_MAX
+    assert len(link.feed(ask, S)[1].commands) == REQUESTS_MAX
 
 
 def test_only_the_chosen_vehicle_is_heard() -> None:
