@@ -1,15 +1,15 @@
 """How far a vehicle's clocks are from each other, and how that drifts, as seen by a receiver behind a jittery link.
 
-A message that is stamped c_ns on a clock arrives at host_ns = c_ns + (origin of the clock) + delay, with delay >= 0. The
-least host_ns - c_ns of a window, the clock's lead, is its origin to within the least delay. So the difference of two
-leads is the offset of two clocks without the receiver's jitter; the receiver's own drift is in both and cancels. Quartz
-drifts by tens of parts in a million: 50 ppm are 180 ms in an hour.
+A message that is stamped c_ns on a clock arrives at host_ns = c_ns + (origin of the clock) + delay, with delay >= 0.
+The least host_ns - c_ns of a window, the clock's lead, is its origin to within the least delay. So the difference of
+two leads is the offset of two clocks without the receiver's jitter; the receiver's own drift is in both and cancels.
+Quartz drifts by tens of parts in a million: 50 ppm are 180 ms in an hour.
 
-The window slides by whole seconds of the receiver's clock, and within a second the offset goes on a straight line, never
-faster than `SLEW`. So nothing jumps, and how the samples are cut into blocks does not matter.
+The window slides by whole seconds of the receiver's clock. Within a second the offset goes on a straight line, never
+faster than `SLEW_NS`. So nothing jumps, and how the samples are cut into blocks does not matter.
 
-Clocks since boot that are within a second of each other, but for whole turns of the one of 49.7 days, count as one: their
-stamps stay exactly as sent until their leads have moved apart by more than changing delays explain.
+Clocks since boot that are within a second of each other, but for whole turns of the one of 49.7 days, count as one:
+their stamps stay exactly as sent until their leads have moved apart by more than changing delays explain.
 """
 
 from collections.abc import Mapping, Sequence
