@@ -64,8 +64,11 @@ def _content(record: Record, when: When) -> tuple[str, dict[str, object]]:
         case TextSuppressed(text, count):
             return "suppressed", {"text": text, "count": count}
         case Baseline():
-            frame = record.airframe
-            return "baseline", {"digest": record.digest, "airframe": frame.name, "layout": frame.layout_statement}
+            return "baseline", {
+                "digest": record.digest,
+                "airframe": record.airframe.name,
+                "layout": record.layout_statement,
+            }
         case Note(text):
             return "note", {"text": text}
 

@@ -4,10 +4,10 @@ from collections.abc import Iterable
 
 from detector.alerts import Kind, Notice
 from detector.values import Note
-from mavdiag.airframe.airframe import NEED_LAYOUT
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput
+from mavdiag.monitors import NEED_LAYOUT
 
 __all__ = ["layout_notices", "notes_on", "vehicle_notices"]
 

@@ -16,11 +16,11 @@ from pydantic import (
     ValidationError,
 )
 
-from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.baseline_parts import Link, MonitorEntry, NotNegative, Part, Provenance, Refusal, Window
 from mavdiag.errors import BaselineError, InputError, MavdiagError
-from mavdiag.monitors import monitor_of
+from mavdiag.monitors import NEED_LAYOUT, monitor_of
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
@@ -91,12 +91,18 @@ class Baseline(Part):
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
+    def layout_statement(self) -> str:
+        """The rotor layout and where it is known from; or that it is unknown, what does not judge, the remedy."""
+        lost = f"; {', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
+        return self.airframe.layout_statement + (lost if self.airframe.layout is None else "")
+
+    @property
     def layout_doubt(self) -> str:
         """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
         frame = self.airframe
         if frame.layout is None:
-            return frame.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
-        return frame.layout_statement if frame.layout_warning else ""
+            return self.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
+        return self.layout_statement if frame.layout_warning else ""
 
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
@@ -121,7 +127,7 @@ class Baseline(Part):
         frame, link = self.airframe, self.link
         lines = [
             f"airframe   {frame.name} ({frame.scope})",
-            frame.layout_statement,
+            self.layout_statement,
             f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid",
             f"window     {self.window.samples} samples, order {self.window.order}",
         ]

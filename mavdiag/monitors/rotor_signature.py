@@ -136,6 +136,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     # flights show (our choice).
     guard = Guard(least=3.5)
     evidence = RotorEvidence(8.0)  # a difference of 0.3 between mean correlations named the right rotor in 99 of 100
+    needs_layout = True
     spec_type = RotorSignatureSpec
     unit = "x healthy rms"
     feature = Feature.MOTION
@@ -213,8 +214,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 
 def _layout(flights: Flights, context: LearnContext) -> RotorLayout:
     """The rotor layout. Raises InputError if it is not known or the flights cannot be judged."""
-    if context.airframe.layout is None:
-        raise InputError("the rotor layout is not known; name the airframe")
+    layout = context.layout
     flown = [rows for flight in flights for rows in flight if rows.rates.commanded.any()]
     if not flown:
         raise InputError("no flight with a gyro and an attitude set-point")
@@ -223,7 +223,7 @@ def _layout(flights: Flights, context: LearnContext) -> RotorLayout:
         raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
     if not any((rows.block.valid & np.isfinite(rows.block.force[:, 2])).any() for rows in flown):
         raise InputError("no accelerometer, which separates a rotor from its opposite")
-    return context.airframe.layout
+    return layout
 
 
 def _no_answer(dt_s: float) -> ModelRecord:

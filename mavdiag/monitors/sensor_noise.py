@@ -118,6 +118,11 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
         return (SensorNoiseSpec(rms=(rms[0], rms[1], rms[2], rms[3], rms[4], rms[5])),)
 
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, float]:
+        """The noise with the new propellers; the statistic is relative to it, so old scores hold as they are."""
+        (new,) = self.fit(flights, context)
+        return new, 1.0
+
     def start(self) -> SensorNoiseState:
         """No row yet."""
         return _fresh()

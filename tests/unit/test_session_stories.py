@@ -22,13 +22,14 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
-from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.baseline_parts import Refusal
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
+from mavdiag.monitors import NEED_LAYOUT
 from mavdiag.telemetry import Axis, Signal
 
 QDRONE2 = PROFILES["qdrone2"]
@@ -253,7 +254,7 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
     assert said == [SendText(Severity.WARNING, "PROP rotor layout unknown: 3 monitors off")]
     notes = [one.text for one in effects if isinstance(one, Note) and "layout" in one.text]
     assert notes == [
-        "rotor layout unknown: 5 outputs move; rotor_trim, trim_step, rotor_signature do not judge, "
+        "rotor layout unknown: 5 outputs move; rotor_signature, rotor_trim, trim_step do not judge, "
         "and no rotor is named; name it with --layout or --airframe"
     ]
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
