@@ -39,6 +39,7 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
 from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -216,6 +217,8 @@ class Daemon:
                 self._relay.send_to_all(sender.text(effect))
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
+            case TimesyncMessage():
+                self._relay.send_to_vehicle(sender.timesync(effect))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
@@ -231,7 +234,7 @@ class Daemon:
 
     def _record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if isinstance(effect, AskInterval | Learn | SendFloat):
+        if isinstance(effect, AskInterval | Learn | SendFloat | TimesyncMessage):
             return
         if self._journal is not None:
             when = When(self._host.utc(), sysid, self.fleet.link.vehicles[sysid].vehicle_ns)

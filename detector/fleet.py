@@ -1,7 +1,7 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from detector.session import Session
@@ -9,6 +9,7 @@ from detector.states import State
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.link.profiles import Profile
+from mavdiag.link.timesync import Timesync, exchanged
 from mavdiag.link.vehicles import Command, LinkDecoder, Received
 from mavdiag.telemetry import Instant
 
@@ -40,6 +41,8 @@ class VehicleFigures:
     received, lost: its autopilot's frames, so far.
     gyro_hz: measured rate of the gyro.
     judged_s, events: so far.
+    timesync: round trip and offset of the vehicle's clock, as asked last.
+    drift_ppm: of the first clock of its messages against another one; None if they have one clock.
     """
 
     vehicle: int
@@ -49,6 +52,8 @@ class VehicleFigures:
     gyro_hz: float
     judged_s: float
     events: int
+    timesync: Timesync = Timesync()
+    drift_ppm: float | None = None
 
 
 @dataclass(slots=True)
@@ -58,11 +63,13 @@ class Vehicle:
     session: its session.
     outcome: what came of its last `Learn`, until the session gets it.
     events: that were opened, so far.
+    timesync: what is known of its clock by asking; asked and answered where we may negotiate.
     """
 
     session: Session
     outcome: Baseline | LearningFailed | None = None
     events: int = 0
+    timesync: Timesync = field(default_factory=Timesync)
 
     def step(self, received: Received, reboots: int, now: Instant) -> tuple[Effect, ...]:
         """Hand the session what came."""
@@ -70,7 +77,10 @@ class Vehicle:
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
-        return effects
+        if not self.session.spec.settings.negotiate:
+            return effects
+        self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
+        return (*effects, *messages)
 
 
 class Fleet:
@@ -111,4 +121,6 @@ class Fleet:
         state = vehicle.session.state
         received, lost = (count.received, count.lost) if count else (0, 0)
         judged_s = 0.0 if state.judge is None else state.judge.judged_s
-        return VehicleFigures(sysid, state.state, received, lost, state.streams.gyro.rate_hz, judged_s, vehicle.events)
+        gyro_hz, drift_ppm = state.streams.gyro.rate_hz, self.link.vehicles[sysid].timeline.drift_ppm
+        figures = (sysid, state.state, received, lost, gyro_hz, judged_s, vehicle.events)
+        return VehicleFigures(*figures, vehicle.timesync, drift_ppm)

@@ -6,6 +6,7 @@ from detector.states import State
 from detector.values import AskInterval, SendFloat, SendText
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.units import NS_PER_MS
 
 __all__ = ["HEALTH", "MavlinkSender"]
@@ -53,6 +54,10 @@ class MavlinkSender:
         return self._encoder.encode(
             MessageId.COMMAND_LONG, *target, MavCmd.SET_MESSAGE_INTERVAL, 0, effect.msgid, effect.interval_us
         )
+
+    def timesync(self, message: TimesyncMessage) -> bytes:
+        """TIMESYNC to the vehicle's autopilot."""
+        return self._encoder.encode(MessageId.TIMESYNC, message.tc1_ns, message.ts1_ns)
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

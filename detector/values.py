@@ -10,6 +10,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
 from mavdiag.link.messages import Severity
 from mavdiag.link.profiles import Profile
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 
@@ -152,4 +153,4 @@ class Note:
 
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
 """What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
-Effect: TypeAlias = Record | SendFloat | AskInterval | Learn
+Effect: TypeAlias = Record | SendFloat | AskInterval | Learn | TimesyncMessage

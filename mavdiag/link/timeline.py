@@ -76,6 +76,12 @@ class Timeline:
     rival: Rival | None = None
     reboots: int = 0
 
+    @property
+    def drift_ppm(self) -> float | None:
+        """How fast another clock of the vehicle drifts against the reference [ppm]; None if its messages have one."""
+        apart = (offset for offset in self.clocks.offsets if offset is not None and not offset.shared)
+        return next((-offset.drift_ppm for offset in apart), None)
+
     def since_boot_ns(self, host_ns: int) -> int | None:
         """The vehicle's time since boot at the receiver's time, to a few milliseconds; None if it is not known."""
         leads = (lead_ns(self.clocks, clock) for clock in (Clock.BOOT_MS, Clock.BOOT_US))

@@ -177,7 +177,7 @@ class LinkDecoder:
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
-        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
+        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
         self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys())
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles = profile, only, profiles

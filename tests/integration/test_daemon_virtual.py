@@ -294,3 +294,22 @@ class NoMetrics:
 
     def show(self, vehicles: object, *, overflowed: int, late: int, cpu_s: float) -> None:
         self.late = late
+
+
+def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
+    vehicle = MadeVehicle(1)
+    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
+    bench.run(25.0)
+    asked = of(received(bench.far), MessageId.TIMESYNC)
+    assert [frame.fields[field_index(MessageId.TIMESYNC, "tc1")] for frame in asked] == [0, 0, 0]
+    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
+    place = field_index(MessageId.TIMESYNC, "ts1")
+    stamp = asked[-1].fields[place]
+    assert isinstance(stamp, int)
+    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 5_000_000_000, stamp))
+    bench.run(0.2)
+    [answer] = of(received(bench.far), MessageId.TIMESYNC)
+    assert answer.fields[place] == 4711
+    [figures] = bench.daemon.fleet.figures()
+    assert figures.timesync.round_trip_s is not None
+    assert figures.timesync.offset_s is not None
