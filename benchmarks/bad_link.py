@@ -101,7 +101,10 @@ def report(rate_hz: float, seed: int, healthy: int, faults: Sequence[str] = FAUL
         config = PlantConfig(drone=DRONE, trajectory=SHAPES[k % 4], seed=seed + 500 + k, wind_m_s=k % 3)
         pairs.append(flown(config, rate_hz, HEALTHY_S, baseline, seed + 500 + k))
     judged = [sum(found.judged_s for found in some) / 60 for some in ([p.good for p in pairs], [p.bad for p in pairs])]
-    for name, some, minutes in (("perfect", [p.good for p in pairs], judged[0]), ("bad", [p.bad for p in pairs], judged[1])):
+    for name, some, minutes in (
+        ("perfect", [p.good for p in pairs], judged[0]),
+        ("bad", [p.bad for p in pairs], judged[1]),
+    ):
         alarms, events = sum(len(one.declared) for one in some), sum(one.events for one in some)
         print(f"  healthy, {name:7} link: {minutes:.1f} min judged, {alarms} declared faults, {events} events")
     worst = max(abs(pair.counted_error) for pair in pairs) if pairs else 0.0

@@ -9,8 +9,8 @@ Each loop with a fault must be declared. It stops after the hours asked for, or 
 real: emulators, one after the other, as processes over UDP on loopback, and the daemon in this process. Each emulator
 is a vehicle that has rebooted; every second one has a fault 10 s before its end.
 
-Memory is the resident set; its growth is the slope of a straight line through it after the first quarter. The latency of
-a verdict is from the sending of a gyro sample to the end of the look in which its row was judged.
+Memory is the resident set; its growth is the slope of a straight line through it after the first quarter. The latency
+of a verdict is from the sending of a gyro sample to the end of the look in which its row was judged.
 """
 
 import argparse
@@ -18,7 +18,6 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,32 +33,39 @@ from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, decode_statustext
 from mavdiag.link.conversion import SOURCES
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.ports import open_endpoint
-from mavdiag.telemetry import Instant
-from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from mavdiag.link.ports import Endpoint, open_endpoint
+from mavdiag.telemetry import Instant, IntArray
+from mavdiag.units import NS_PER_MS, NS_PER_S
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
 from sitl_plant.recording import recorded
 
-HEALTHY_S, FAULTY_S, ONSET_S, PAUSE_S = 290.0, 14.0, 8.0, 1.5
+HEALTHY_S, FAULTY_S, ONSET_S, PAUSE_S = 120.0, 14.0, 8.0, 1.5
 TICK_S = 0.04
 FAULT, ROTOR = "F2/SV2", 2
-STAMPS = {source.message: (struct.Struct("<I" if source.counter.turn else "<Q"), source.counter.tick_ns)
-          for source in SOURCES if source.counter is not None}  # every stamp is the first field on the wire
+STAMPS = {
+    source.message: (struct.Struct("<I" if source.counter.turn else "<Q"), source.counter.tick_ns)
+    for source in SOURCES
+    if source.counter is not None
+}  # every stamp is the first field on the wire
 BINS = 2000  # of 1 ms
+
+
+def _no_ages() -> IntArray:
+    return np.zeros(BINS, np.int64)
 
 
 @dataclass(slots=True)
 class Record:
     """What is measured on the way. ages: rows judged at each age [ms]."""
 
-    ages: np.ndarray[tuple[int], np.dtype[np.int64]] = field(default_factory=lambda: np.zeros(BINS, np.int64))
+    ages: IntArray = field(default_factory=_no_ages)
     judged_ns: int | None = None
     memory: list[tuple[float, float]] = field(default_factory=list)
 
-    def look(self, fleet: Fleet, host_ns: int, sent_ns: Callable[[int], int]) -> None:
-        """Note the rows that this look judged. sent_ns: when a row's sample was sent, on the host's clock."""
+    def look(self, fleet: Fleet, host_ns: int, lead_ns: int) -> None:
+        """Note the rows that this look judged. lead_ns: of the host's clock over the vehicle's."""
         for vehicle in fleet.vehicles.values():
             judge = vehicle.session.state.judge
             now_ns = None if judge is None else judge.memory.now_ns
@@ -68,10 +74,7 @@ class Record:
             if self.judged_ns is not None and 0 < now_ns - self.judged_ns < NS_PER_S:
                 step_ns = round(judge.baseline.link.dt_s * NS_PER_S)
                 rows = np.arange(self.judged_ns + step_ns, now_ns + 1, step_ns)
-                ages = (host_ns - np.array([sent_ns(int(rows[0])), sent_ns(now_ns)])) / NS_PER_MS if len(rows) else []
-                if len(rows):
-                    each = np.linspace(ages[0], ages[1], len(rows)).astype(np.int64).clip(0, BINS - 1)
-                    np.add.at(self.ages, each, 1)
+                np.add.at(self.ages, ((host_ns - lead_ns - rows) // NS_PER_MS).clip(0, BINS - 1), 1)
             self.judged_ns = now_ns
 
     def print_figures(self) -> None:
@@ -87,7 +90,9 @@ class Record:
 
 def loop_of(fault: str | None, seconds: float, rate_hz: float, seed: int) -> list[tuple[int, int, bytes]]:
     """(flight time [ns], message, payload) of a flight in hover."""
-    config = PlantConfig(drone=DRONE, trajectory="hover", seed=seed, fault=fault, rotor=ROTOR, onset_s=ONSET_S if fault else 0.0)
+    config = PlantConfig(
+        drone=DRONE, trajectory="hover", seed=seed, fault=fault, rotor=ROTOR, onset_s=ONSET_S if fault else 0.0
+    )
     plan, decoder = FlightPlan(config, dialect_named("qdrone2"), rate_hz), Decoder()
     return [
         (t_ns, frame.msgid, frame.payload)
@@ -120,7 +125,7 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
         chunks = list[tuple[bytes, int]]()
         for t_ns, msgid, payload in loops[turn % 2]:
             while base_ns + at_ns + t_ns > now_ns:
-                texts += _look(fleet, record, chunks, now_ns, base_ns, at_ns)
+                texts += _look(fleet, record, chunks, now_ns, base_ns)
                 chunks, now_ns = [], now_ns + round(TICK_S * NS_PER_S)
             chunks.append((encode(msgid, shifted(msgid, payload, at_ns)), now_ns))
         onset_ns = at_ns + round(ONSET_S * NS_PER_S)
@@ -133,24 +138,30 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
         record.memory.append((at_ns / NS_PER_S / 3600, resident_mb()))
         if time.process_time() - told_s > 60.0:
             told_s = time.process_time()
-            print(f"{at_ns / NS_PER_S / 3600:.2f} h, {resident_mb():.1f} MB, {found} found, {missed} missed", flush=True)
+            print(
+                f"{at_ns / NS_PER_S / 3600:.2f} h, {resident_mb():.1f} MB, {found} found, {missed} missed", flush=True
+            )
     judged_s = sum(one.judged_s for one in fleet.figures())
     ran_h, spent_s = at_ns / NS_PER_S / 3600, time.process_time() - started_s
-    print(f"{ran_h:.2f} of {hours:g} h at {rate_hz:g} Hz in {spent_s / 60:.1f} min of processor, {judged_s / 3600:.2f} h judged")
+    print(
+        f"{ran_h:.2f} of {hours:g} h at {rate_hz:g} Hz, {judged_s / 3600:.2f} h judged, "
+        f"{spent_s / 60:.1f} min of processor"
+    )
     print(f"{found} faults found, {missed} missed, {false} texts of a fault without one")
     record.print_figures()
 
 
 def _look(
-    fleet: Fleet, record: Record, chunks: list[tuple[bytes, int]], now_ns: int, base_ns: int, loop_ns: int
+    fleet: Fleet, record: Record, chunks: list[tuple[bytes, int]], now_ns: int, base_ns: int
 ) -> list[tuple[int, str]]:
     """One look at the link; the texts of declared faults, with their time since the beginning."""
-    said = []
-    for turn in fleet.step(chunks, Instant(now_ns)):
-        for effect in turn.effects:
-            if isinstance(effect, SendText) and effect.severity <= Severity.CRITICAL:
-                said.append((now_ns - base_ns, effect.text))
-    record.look(fleet, now_ns, lambda row_ns: base_ns + row_ns)
+    said = [
+        (now_ns - base_ns, effect.text)
+        for turn in fleet.step(chunks, Instant(now_ns))
+        for effect in turn.effects
+        if isinstance(effect, SendText) and effect.severity <= Severity.CRITICAL
+    ]
+    record.look(fleet, now_ns, base_ns)
     return said
 
 
@@ -177,7 +188,7 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
                 if stream.vehicle_ns is not None and time.monotonic() - started_s > 3.0:
                     lead_ns = min(lead_ns, stream.timeline.host_ns - stream.vehicle_ns)
             if lead_ns < 1 << 62:
-                record.look(daemon.fleet, host_ns, lambda row_ns, lead_ns=lead_ns: row_ns + lead_ns)
+                record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):
                     if decode_statustext(frame).severity <= Severity.CRITICAL:
@@ -191,24 +202,39 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
         found, missed = found + bool(late), missed + (faulty and not late)
         false += len(times) - len(late)
         record.judged_ns = None
-        print(f"flight {flights}: {'fault' if faulty else 'healthy'}, {len(late)} texts of it, {resident_mb():.1f} MB", flush=True)
+        print(
+            f"flight {flights}: {'fault' if faulty else 'healthy'}, {len(late)} texts of it, {resident_mb():.1f} MB",
+            flush=True,
+        )
     daemon.end()
-    overflowed = link.traffic.overflowed
-    print(f"{minutes:g} min at {rate_hz:g} Hz, {flights} flights: {found} faults found, {missed} missed, {false} texts of a fault without one")
-    print(f"{overflowed} datagrams overflowed")
+    print(f"{minutes:g} min at {rate_hz:g} Hz, {flights} flights, {link.traffic.overflowed} datagrams overflowed")
+    print(f"{found} faults found, {missed} missed, {false} texts of a fault without one")
     record.print_figures()
 
 
-def _watching(settings: Settings, host: Host, link, behind, baseline: Baseline) -> Daemon:
+def _watching(settings: Settings, host: Host, link: Endpoint, behind: Endpoint, baseline: Baseline) -> Daemon:
     daemon = Daemon(settings, host, link, [behind], baseline=baseline, fitter=ProcessFitter())
     daemon.begin()
     return daemon
 
 
-def _emulator(address: str, rate_hz: float, span_s: float, seed: int, onset_s: float | None) -> "subprocess.Popen[bytes]":
+def _emulator(
+    address: str, rate_hz: float, span_s: float, seed: int, onset_s: float | None
+) -> "subprocess.Popen[bytes]":
     """An emulated vehicle in flight, as a process."""
     out = address.replace("udpin", "udpout")
-    options = ["--out", out, "--drone", str(DRONE), "--rate", str(rate_hz), "--duration", f"{span_s:.1f}", "--seed", str(seed)]
+    options = [
+        "--out",
+        out,
+        "--drone",
+        str(DRONE),
+        "--rate",
+        str(rate_hz),
+        "--duration",
+        f"{span_s:.1f}",
+        "--seed",
+        str(seed),
+    ]
     if onset_s is not None:
         options += ["--fault", FAULT, "--rotor", str(ROTOR), "--onset", f"{onset_s:.1f}"]
     return subprocess.Popen([sys.executable, "-m", "sitl_plant", "run", *options], stdout=subprocess.DEVNULL)

@@ -16,6 +16,7 @@ from mavdiag.telemetry import Instant
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
+NOT_ASKED = Timesync()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class VehicleFigures:
     gyro_hz: float
     judged_s: float
     events: int
-    timesync: Timesync = Timesync()
+    timesync: Timesync = NOT_ASKED
     drift_ppm: float | None = None
 
 

@@ -36,7 +36,9 @@ VEHICLE = 1
 A_TICK = 600  # hostile datagrams in one look at the link
 WARM = 0.1  # of the run, before which memory is not compared: tables of senders fill
 AUTOPILOT = (VEHICLE, 1)
-IDS = sorted({int(one) for one in MessageId} | {source.message for source in SOURCES} | {66, 69, 70, 84, 147, 263, 12901})
+IDS = sorted(
+    {int(one) for one in MessageId} | {source.message for source in SOURCES} | {66, 69, 70, 84, 147, 263, 12901}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +107,11 @@ class Source:
         return frame
 
 
-def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0) -> Found:
-    """Feed so many hostile datagrams beside a genuine vehicle. progress: seconds between two lines; 0 for none."""
+def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_tick: int = A_TICK) -> Found:
+    """Feed so many hostile datagrams beside a genuine vehicle, so many in each look at the link.
+
+    progress: seconds between two lines; 0 for none.
+    """
     settings = SessionSettings(negotiate=False)
     fleet = Fleet(
         lambda profile: SessionSpec(profile, baseline_for(), settings), profile=None, only=VEHICLE, datagrams=True
@@ -118,7 +123,7 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0) ->
         now_ns += round(TICK_S * NS_PER_S)
         flown_s += TICK_S
         genuine = vehicle.samples(round(TICK_S * RATE_HZ))
-        hostile = list(source.datagrams(min(A_TICK, count - fed), genuine))
+        hostile = list(source.datagrams(min(a_tick, count - fed), genuine))
         between = max(1, len(hostile) // len(genuine))
         mixed = [one for k, frame in enumerate(genuine) for one in (frame, *hostile[k * between : (k + 1) * between])]
         mixed += hostile[len(genuine) * between :]

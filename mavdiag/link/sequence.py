@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 __all__ = ["DecoderCount", "LinkCount", "SequenceTracker"]
 
-WINDOW = 64  # frames: how late one may come and still be recognised as late (a choice: 25 ms of 2,500 messages a second)
+WINDOW = (
+    64  # frames: how late one may come and still be recognised as late (a choice: 25 ms of 2,500 messages a second)
+)
 
 
 @dataclass(frozen=True, slots=True)

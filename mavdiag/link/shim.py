@@ -6,8 +6,8 @@
 
 In this order: a message is lost, changed in one bit, sent twice, overtaken by the next ones, queued for a line of so
 many bytes a second, and delayed. Jitter is drawn for each message by itself, as the network emulator of Linux does, so
-messages that follow each other faster than it overtake each other as well. What happens to a message depends on the seed
-and on the messages before it, not on how often `due` is asked.
+messages that follow each other faster than it overtake each other as well. What happens to a message depends on the
+seed and on the messages before it, not on how often `due` is asked.
 """
 
 import heapq
