@@ -42,6 +42,7 @@ from mavdiag.link.keys import KeptSigning
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -309,6 +310,8 @@ class Daemon:
                 self._relay.send_to_all(sender.text(effect))
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
+            case TimesyncMessage():
+                self._relay.send_to_vehicle(sender.timesync(effect))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
