@@ -22,7 +22,17 @@ from detector.reporting import Reporter
 from detector.requests import Requests
 from detector.sender import MavlinkSender
 from detector.states import State
-from detector.values import AskInterval, Effect, EventOpened, Learn, Note, SendFloat, SendText, SessionSpec
+from detector.values import (
+    AskInterval,
+    AskParameters,
+    Effect,
+    EventOpened,
+    Learn,
+    Note,
+    SendFloat,
+    SendText,
+    SessionSpec,
+)
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -275,6 +285,9 @@ class Daemon:
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
+            case AskParameters():
+                for request in sender.read(effect):
+                    self._relay.send_to_vehicle(request)
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)

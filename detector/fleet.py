@@ -14,7 +14,7 @@ from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionS
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Frame
 from mavdiag.link.profiles import Profile
-from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received
+from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
@@ -93,9 +93,17 @@ class Vehicle:
     events: int = 0
     awaiting: Awaiting | None = None
 
-    def step(self, received: Received, reboots: int, now: Instant) -> tuple[Effect, ...]:
-        """Hand the session what came."""
-        inbox = Inbox(received.telemetry, received.present, reboots, received.acks, self.outcome, received.parameters)
+    def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
+        """Hand the session what came. stream: the vehicle's."""
+        inbox = Inbox(
+            received.telemetry,
+            received.present,
+            stream.reboots,
+            received.acks,
+            self.outcome,
+            received.parameters,
+            stream.profile.imu,
+        )
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
@@ -161,7 +169,7 @@ class Fleet:
         turns: list[Turn] = []
         for sysid, vehicle in self.vehicles.items():
             one = received.get(sysid, Received())
-            effects = vehicle.step(one, streams[sysid].reboots, now)
+            effects = vehicle.step(one, streams[sysid], now)
             turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
         return turns
 

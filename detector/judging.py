@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from detector.alerts import Notice, alert_notice, label_of
-from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.link.wants import LABELS
 from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "rescaled", "words_of"]

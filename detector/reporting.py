@@ -4,7 +4,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from detector.journal import Journal, When, is_urgent, line, mark
-from detector.values import AskInterval, Effect, Learn, Note, SendFloat, SendText, StateChanged, TextSuppressed
+from detector.values import (
+    AskInterval,
+    AskParameters,
+    Effect,
+    Learn,
+    Note,
+    SendFloat,
+    SendText,
+    StateChanged,
+    TextSuppressed,
+)
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
@@ -32,7 +42,7 @@ class Reporter:
 
     def record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if isinstance(effect, AskInterval | Learn | SendFloat):
+        if isinstance(effect, AskInterval | AskParameters | Learn | SendFloat):
             return
         if self._journal is not None:
             self._journal.write(line(effect, self._when(sysid)), urgent=is_urgent(effect))

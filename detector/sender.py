@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from detector.states import State
-from detector.values import AskInterval, SendFloat, SendText
+from detector.values import AskInterval, AskParameters, SendFloat, SendText
 from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
@@ -58,6 +58,12 @@ class MavlinkSender:
     def frame(self, msgid: int, *fields: Argument) -> bytes:
         """Any other message, in the same sequence."""
         return self._encoder.encode(msgid, *fields)
+
+    def read(self, effect: AskParameters) -> list[bytes]:
+        """PARAM_REQUEST_READ by name, one for each parameter."""
+        target = (self._vehicle, Component.AUTOPILOT1)
+        by_name = (MessageId.PARAM_REQUEST_READ, *target)
+        return [self._encoder.encode(*by_name, name, -1) for name in effect.names]
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

@@ -175,7 +175,9 @@ def fly(
     """
     started_s, started_cpu_s = time.monotonic(), time.process_time()
     filters = ImuFilters(dialect, plant.config.seed)
-    autopilot = Autopilot(SYSID, [link.schedule for link in links], dialect.parameters_of(plant.rotors))
+    autopilot = Autopilot(
+        SYSID, [link.schedule for link in links], dialect.parameters_of(plant.rotors), dialect.streams
+    )
     clock = _Clock(plant.t_ns, speed)
     flight = _Flight(links, autopilot, clock)
     steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))

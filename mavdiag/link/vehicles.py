@@ -13,7 +13,16 @@ from dataclasses import dataclass, field
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.link.parameters import with_parameters
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
+from mavdiag.link.profiles import (
+    IMU_MESSAGES,
+    LAST_RESORT,
+    PROFILES,
+    Profile,
+    by_attitude,
+    detect_profile,
+    is_autopilot_heartbeat,
+    with_imu,
+)
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.timeline import Timeline
@@ -27,6 +36,7 @@ CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choic
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
+LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -101,6 +111,7 @@ class VehicleStream:
         self._signals = signals
         self._decoder = SampleDecoder(profile, signals)
         self._state = SampleState()
+        self._own, self._since_ns = profile, 0
         self._imu: list[Frame] = []
         self._settled = False  # whether the IMU message is chosen for good
         self.parameters: Mapping[str, float] = {}
@@ -140,8 +151,12 @@ class VehicleStream:
 
     def _choose_imu(self, frames: Sequence[Frame]) -> None:
         self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
-        chosen = with_imu(self.profile, self._imu, USEFUL_FRAMES)
-        if chosen is not self.profile:
+        chosen = with_imu(self._own, self._imu, USEFUL_FRAMES)
+        self._since_ns = self._since_ns or next((frame.host_ns for frame in frames), 0)
+        waited_ns = frames[-1].host_ns - self._since_ns if frames else 0
+        if not self._imu and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
+            chosen = by_attitude(self._own)
+        if chosen.imu != self.profile.imu:
             self._decoder = SampleDecoder(chosen, self._signals)
         self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
         if self._settled:

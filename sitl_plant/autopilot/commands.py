@@ -9,6 +9,7 @@ autopilot itself is believed. The emulated autopilot flies its own path: it take
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import TypeAlias
 
 from mavdiag.errors import UsageError
@@ -24,6 +25,7 @@ MAVLINK2 = 1 << 13  # MAV_PROTOCOL_CAPABILITY_MAVLINK2
 PARAM_FLOAT = 1 << 1  # MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
 MESSAGE_INTERVAL = 244  # its interval 0 means that the message is not carried
 REAL32 = 9  # MAV_PARAM_TYPE_REAL32
+ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
 VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_VERSION_TYPE_OFFICIAL
 
 Parameter: TypeAlias = tuple[str, float]
@@ -52,11 +54,20 @@ Action: TypeAlias = Reply | Forward
 class Autopilot:
     """The receiving half of the emulated autopilot, for all its links.
 
-    schedules: one for each link. parameters: read-only, as name and value.
+    schedules: one for each link.
+    parameters: read-only, as name and value.
+    streams: the messages that each MAV_DATA_STREAM sets.
     """
 
-    def __init__(self, sysid: int, schedules: Sequence[Schedule], parameters: Sequence[Parameter]) -> None:
+    def __init__(
+        self,
+        sysid: int,
+        schedules: Sequence[Schedule],
+        parameters: Sequence[Parameter],
+        streams: Mapping[int, tuple[int, ...]] = MappingProxyType({}),
+    ) -> None:
         self._identity = (sysid, int(Component.AUTOPILOT1))
+        self._streams = streams
         self._schedules = schedules
         self._parameters = tuple(parameters)
         self._routes: dict[tuple[int, int], int] = {}
@@ -68,6 +79,7 @@ class Autopilot:
             MessageId.PARAM_SET: self._read_parameter,
             MessageId.MISSION_REQUEST_LIST: self._count_mission,
             MessageId.TIMESYNC: self._tell_time,
+            MessageId.REQUEST_DATA_STREAM: self._set_stream,
         }
 
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
@@ -133,6 +145,15 @@ class Autopilot:
     def _count_mission(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Ground stations wait for an answer: there is no mission."""
         return [Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, 0))]
+
+    def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        """REQUEST_DATA_STREAM, which has no answer; start_stop 0 is silence, whatever the rate."""
+        stream, rate_hz, start = (_value(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
+        every = [msgid for messages in self._streams.values() for msgid in messages]
+        messages = every if stream == ALL_STREAMS else self._streams.get(int(stream), ())
+        if start in (0, 1):
+            self._schedules[link].set_stream(messages, rate_hz * start)
+        return []
 
     def _tell_time(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """TIMESYNC: a request has tc1 = 0 and gets its ts1 back beside the vehicle's time."""

@@ -6,7 +6,7 @@ departs from them, so that it is useful without being asked, the row says so.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import MessageId
@@ -28,6 +28,7 @@ class Dialect:
     ceiling_hz: the highest rate that is granted.
     send_delay_s: longest time from the sample to its stamp, if messages are stamped when they are sent.
     parameters: the answer to PARAM_REQUEST_LIST.
+    streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
     """
 
     profile: Profile
@@ -36,6 +37,7 @@ class Dialect:
     ceiling_hz: float
     send_delay_s: float = 0.0
     parameters: tuple[tuple[str, float], ...] = ()
+    streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
@@ -81,13 +83,39 @@ def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
     return {**_STATE, **vibration, **dict.fromkeys((profile.actuator, profile.rotor_speed, *more), 50.0)}
 
 
+# ArduPilot Copter 4.5, GCS_Mavlink.cpp, STREAM_..._msgs: which message belongs to which SRn parameter. ATTITUDE_TARGET,
+# EXTENDED_SYS_STATE and ATTITUDE_QUATERNION belong to none: no ground station resets them.
+_STREAMS: Mapping[int, tuple[int, ...]] = {
+    1: (MessageId.RAW_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3),  # RAW_SENSORS
+    2: (MessageId.SYS_STATUS,),  # EXTENDED_STATUS
+    3: (MessageId.SERVO_OUTPUT_RAW,),  # RC_CHANNELS
+    6: (MessageId.LOCAL_POSITION_NED,),  # POSITION
+    10: (MessageId.ATTITUDE,),  # EXTRA1
+    12: (  # EXTRA3
+        MessageId.VIBRATION,
+        MessageId.SYSTEM_TIME,
+        MessageId.ESC_TELEMETRY_1_TO_4,
+        MessageId.ESC_TELEMETRY_5_TO_8,
+        MessageId.ESC_TELEMETRY_9_TO_12,
+    ),
+}
+
 _COPTER = (("SYSID_THISMAV", 1.0), ("FRAME_CLASS", 1.0))
 
 _QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
 
 _ALL = (
-    Dialect(_QDRONE2, 0, _messages(_QDRONE2, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
-    Dialect(_SPEC, 0, _messages(_SPEC, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
+    *(
+        Dialect(
+            profile,
+            custom_mode=0,
+            others=_messages(profile, MessageId.HIGHRES_IMU),
+            ceiling_hz=1000.0,
+            parameters=_COPTER,
+            streams=_STREAMS,
+        )
+        for profile in (_QDRONE2, _SPEC)
+    ),
     # ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
     Dialect(
         _ARDUPILOT,
@@ -96,6 +124,7 @@ _ALL = (
         ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
         send_delay_s=0.0025,  # one loop
         parameters=(*_COPTER, ("INS_GYRO_FILTER", 20.0), ("INS_ACCEL_FILTER", 20.0), ("SCHED_LOOP_RATE", 400.0)),
+        streams=_STREAMS,
     ),
     # PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
     Dialect(

@@ -1,6 +1,6 @@
 """Which messages go out on one link, and when: each at its own rate, changed by SET_MESSAGE_INTERVAL."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,12 @@ class Schedule:
         wanted_ns = beat.default_ns if interval_us == DEFAULT_INTERVAL else max(0, round(interval_us * 1e3))
         beat.restart(wanted_ns, self._now_ns + 1)
         return MavResult.ACCEPTED
+
+    def set_stream(self, messages: Collection[int], rate_hz: float) -> None:
+        """Obey REQUEST_DATA_STREAM: carried messages get this rate, or the ceiling; 0 is silence."""
+        interval_us = max(1e6 / rate_hz, self._shortest_us) if rate_hz > 0 else NEVER
+        for msgid in self._beats.keys() & set(messages):
+            self.set_interval(msgid, interval_us)
 
     def interval_us(self, msgid: int) -> int:
         """The content of MESSAGE_INTERVAL: the interval, `NEVER` if silent, 0 if the message is not carried."""

@@ -8,6 +8,7 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from sitl_plant.autopilot.commands import Action, Autopilot, Forward, Reply
+from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.schedule import Schedule
 
 GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)
@@ -128,6 +129,26 @@ def test_the_time_is_told_once_and_an_answer_is_not_answered() -> None:
     one = autopilot()
     assert replies(one.step(0, frame(GCS, MessageId.TIMESYNC, 0, 77), NOW_NS), MessageId.TIMESYNC) == [(NOW_NS, 77)]
     assert one.step(0, frame(GCS, MessageId.TIMESYNC, NOW_NS, 77), NOW_NS) == []
+
+
+@pytest.mark.parametrize(
+    ("stream", "rate_hz", "start", "raw_imu_us", "attitude_us"),
+    [(1, 4, 1, 250_000, 100_000), (0, 4, 1, 250_000, 250_000), (0, 4, 0, -1, -1), (10, 60_000, 1, 10_000, 1000)],
+)
+def test_a_ground_station_sets_the_rates_of_a_stream_on_its_link(
+    stream: int, rate_hz: int, start: int, raw_imu_us: int, attitude_us: int
+) -> None:
+    rates: dict[int, float] = {MessageId.RAW_IMU: 100.0, MessageId.ATTITUDE: 10.0, 83: 100.0}
+    schedules = [Schedule(rates, 1000.0) for _ in range(2)]
+    one = Autopilot(1, schedules, PARAMETERS, dialect_named("ardupilot").streams)
+    asked = frame(GCS, MessageId.REQUEST_DATA_STREAM, *PLANT, stream, rate_hz, start)
+    assert one.step(1, asked, NOW_NS) == []
+    told = [[schedule.interval_us(msgid) for msgid in rates] for schedule in schedules]
+    assert told == [[10_000, 100_000, 10_000], [raw_imu_us, attitude_us, 10_000]]
+
+
+def test_px4_ignores_stream_requests() -> None:
+    assert not dialect_named("px4").streams
 
 
 def test_there_is_no_mission() -> None:
