@@ -117,7 +117,8 @@ class Daemon:
             most=settings.max_vehicles,
             measured=metrics is not None,
         )
-        self._files = tuple((name, file) for name, file in (("journal", journal), ("record", recorder)) if file)
+        files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
+        self._files = tuple((name, file) for name, file in files if file is not None)
         self._reporter = Reporter(journal, host.say, self._when, settings.save)
         self._requests = Requests(self.fleet, settings, self._sender)
         self._senders: dict[int, MavlinkSender] = {}
@@ -175,7 +176,8 @@ class Daemon:
         if now - self._beat_at >= 0:
             self._beat()
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
@@ -183,7 +185,8 @@ class Daemon:
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
         self._host.say(summary)
 
     def figures(self) -> DaemonFigures:

@@ -176,7 +176,7 @@ def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: 
     assert code == 0
     told = [line for line in rest.splitlines() if f"record {tmp_path}/f.tlog: " in line]
     assert len(told) == 1
-    assert "cannot be written (the entry did not fit); watching goes on without it" in told[0]
+    assert "cannot be written (not all of it fitted); watching goes on without it" in told[0]
     assert "entries lost to the record" in rest.splitlines()[-1]
     assert " 0 lost on the way" in rest
     assert (tmp_path / "f.tlog").stat().st_size <= 20_000
