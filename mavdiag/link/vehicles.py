@@ -35,6 +35,7 @@ WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (ou
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
+REQUESTS_MAX = 8  # about parameters of one on-board computer at a time, so that a flood is not answered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
@@ -288,7 +289,7 @@ class LinkDecoder:
                 everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
                 if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
                     found.setdefault(system, []).append(frame)
-        return found
+        return {sysid: some[:REQUESTS_MAX] for sysid, some in found.items()}
 
 
 def _acks(frames: Iterable[Frame]) -> tuple[Ack, ...]:
