@@ -24,7 +24,9 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
+from mavdiag.printable import printable
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics
@@ -77,6 +79,9 @@ def detect(
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
     ] = None,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="Watch this system id only.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None,
     profile: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]"),
@@ -139,6 +144,8 @@ def _serve(settings: Settings) -> None:
         notifier = stack.enter_context(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
+        key = settings.signing_key
+        signing = None if key is None else stack.enter_context(closing(open_signing(key, "detector", time.time_ns())))
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
         journal = (
@@ -161,6 +168,7 @@ def _serve(settings: Settings) -> None:
             recorder=recorder,
             metrics=metrics,
             notifier=notifier,
+            signing=signing,
         )
         daemon.run(stop)
 
@@ -196,7 +204,7 @@ def _say(text: str) -> None:
     """One log line on stderr, with the local time. A closed or full stderr must not stop the watch."""
     stamp = "" if text.startswith("ready") else f"{datetime.now().astimezone():%H:%M:%S} "
     with contextlib.suppress(OSError):
-        typer.echo(stamp + text, err=True)
+        commandline.say(stamp + printable(text), err=True)
 
 
 def main() -> NoReturn:

@@ -4,7 +4,6 @@ Unknown names are refused, so that a misspelt one is not silently without effect
 every setting.
 """
 
-import tomllib
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -12,9 +11,10 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mavdiag.errors import UsageError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
+from mavdiag.storage import read_toml
 from mavdiag.telemetry import Axis
 
 __all__ = [
@@ -93,6 +93,7 @@ class Settings(SessionSettings):
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     metrics: str | None = None  # address to serve figures on
+    signing_key: Path | None = None  # file with the key of MAVLink 2 signing
     vehicle: SystemId | None = None  # the only system id to watch
     max_vehicles: SystemId = 128  # further ones are not watched
     profile: str | None = None  # of the link; default: by what the vehicle sends
@@ -180,13 +181,9 @@ def _settable() -> list[str]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the --config path") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text; write the configuration as TOML") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: not TOML: {error}") from error
+        return read_toml(path)
+    except InputError as error:
+        raise UsageError(f"{error}; check --config") from error
 
 
 def _reason(error: ValidationError, where: Mapping[str, str]) -> str:

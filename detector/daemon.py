@@ -15,6 +15,7 @@ from detector.config import Settings
 from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
+from detector.guard import Guard
 from detector.journal import Journal, Recorder, When
 from detector.notify import Notifier
 from detector.relay import Relay
@@ -37,8 +38,10 @@ from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import message_name
-from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
+from mavdiag.link.keys import KeptSigning
+from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -100,13 +103,16 @@ class Daemon:
         recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
         notifier: Notifier | None = None,
+        signing: KeptSigning | None = None,
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
         self._airframe, self._notifier = airframe, notifier or Notifier({})
         kind = parse_address(settings.connect).kind
         datagrams = kind in _DATAGRAMS
-        self._relay = Relay(link, behind, datagrams=datagrams, recorder=recorder, upward=self._upward)
+        self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
+        self._passed: list[tuple[bytes, int]] = []
+        self._kept, self._signing = signing, None if signing is None else signing.signing
         self._announces = kind in _ANNOUNCING
         self.fleet = Fleet(
             self._spec,
@@ -116,7 +122,10 @@ class Daemon:
             adapt=self._adapted,
             most=settings.max_vehicles,
             measured=metrics is not None,
+            signing=self._signing,
+            passed=self._passed if self._relay.wants else None,
         )
+        self._guard = Guard(self.fleet.link, self._signing)
         files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
         self._files = tuple((name, file) for name, file in files if file is not None)
         self._reporter = Reporter(journal, host.say, self._when, settings.save)
@@ -163,18 +172,20 @@ class Daemon:
     def tick(self) -> None:
         """One look: take what came, let the sessions go on, do what they want."""
         now = self._now()
-        chunks = self._chunks()
-        self._relay.pass_on(chunks)
+        chunks, sources = self._chunks()
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now)
+        turns = self.fleet.step(chunks, now, sources)
+        self._relay.pass_on(self._passed)
+        self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
         if self._metrics is not None:
             self._metrics.observe(turns, self._host.now_ns())
         if now - self._beat_at >= 0:
             self._beat()
+            self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
         for _, file in self._files:
             file.flush()
@@ -213,17 +224,36 @@ class Daemon:
             return None
         return spec if own is None else replace(spec, baseline=own)
 
-    def _chunks(self) -> list[Chunk]:
+    def _chunks(self) -> tuple[list[Chunk], list[Source]]:
+        """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
         chunks: list[Chunk] = []
+        sources: list[Source] = []
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
                 break
             chunks += more
-        return chunks
+            sources += self._link.sources
+        return chunks, sources
+
+    def _watch(self, now: Instant) -> None:
+        """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
+        self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
+        found = self._guard.look(now)
+        if self._kept is not None:
+            failure = self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
+            found += [(None, Note(failure))] if failure else []
+        for sysid, effect in found:
+            if sysid is None:
+                text = effect.text if isinstance(effect, Note) else ""
+                self._reporter.mark("note", {"text": text})
+                self._host.say(text)
+            else:
+                self._act(sysid, effect)
+                self._reporter.record(sysid, effect)
 
     def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle))
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
 
     def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
         """What of a link behind goes to the vehicle; what is for us is answered."""
@@ -311,6 +341,7 @@ class Daemon:
         ]
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
         lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files if file.lost)
+        parts += [self._guard.summary()] if self._guard.summary() else []
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
         parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU")
         return "; ".join(parts)

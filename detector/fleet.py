@@ -1,6 +1,6 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -14,6 +14,8 @@ from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionS
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Frame
 from mavdiag.link.profiles import Profile
+from mavdiag.link.sequence import Source
+from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 
@@ -136,6 +138,7 @@ class Fleet:
     adapt: what is different for the vehicle of a system id; None for one that is left alone.
     most: how many vehicles may enter.
     measured: whether the time from a sample to its verdict is measured.
+    signing, passed: as in `LinkDecoder`.
     vehicles: those that are watched, by system id.
     """
 
@@ -149,16 +152,20 @@ class Fleet:
         adapt: Adapt = lambda sysid, spec: spec,
         most: int = VEHICLES_MAX,
         measured: bool = False,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
-        self.link = LinkDecoder(profile, only, datagrams)
-        self.link.most = most
+        self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
         self._spec_of, self._adapt, self._measured = spec_of, adapt, measured
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant) -> list[Turn]:
-        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too."""
-        received, streams = self.link.feed(chunks, now.ns), self.link.vehicles
+    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> list[Turn]:
+        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
+
+        sources: where each chunk comes from; empty for a link with one other end.
+        """
+        received, streams = self.link.feed(chunks, now.ns, sources), self.link.vehicles
         for sysid in streams.keys() - self.vehicles.keys() - self._left:
             spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
             if spec is None:

@@ -7,6 +7,7 @@ from detector.values import AskInterval, AskParameters, SendFloat, SendText
 from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
+from mavdiag.link.signing import Signing
 from mavdiag.units import NS_PER_MS
 
 __all__ = ["HEALTH", "MavlinkSender"]
@@ -27,11 +28,11 @@ HEALTH: Mapping[State, int] = {
 
 
 class MavlinkSender:
-    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id."""
+    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id. signing: signs what is sent."""
 
-    def __init__(self, vehicle: int) -> None:
+    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
         self._vehicle = vehicle
-        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER)
+        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
 
     def heartbeat(self, state: State) -> bytes:
         """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must send none."""

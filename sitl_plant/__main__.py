@@ -6,7 +6,7 @@ Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an er
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
@@ -15,6 +15,7 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.errors import UsageError
+from mavdiag.link.keys import KeptSigning, open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
@@ -46,6 +47,9 @@ def run(
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
     truth: TruthFile = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
@@ -54,10 +58,14 @@ def run(
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(_truth_file(truth))
         plant = Plant(plan.config)
-        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
+        kept = None
+        if signing_key is not None:
+            kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
+        signing = None if kept is None else kept.signing
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None)
+        watch = _keeping(kept, _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None))
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
@@ -109,6 +117,18 @@ def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | N
             file.flush()
 
     return write
+
+
+def _keeping(kept: KeptSigning | None, watch: Callable[[PlantSamples], None]) -> Callable[[PlantSamples], None]:
+    """The same with each block, and the stamp of signing follows the wall clock."""
+    if kept is None:
+        return watch
+
+    def both(samples: PlantSamples) -> None:
+        kept.step(time.time_ns())
+        watch(samples)
+
+    return both
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:

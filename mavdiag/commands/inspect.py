@@ -10,8 +10,10 @@ import numpy as np
 import typer
 
 from mavdiag.commands.options import AsJson, Vehicle
+from mavdiag.link.keys import read_key
 from mavdiag.link.link import open_link
 from mavdiag.logs import read_log
+from mavdiag.printable import printable
 from mavdiag.telemetry import FloatArray, Log, Series
 from mavdiag.units import NS_PER_S
 
@@ -48,11 +50,15 @@ def inspect(
     duration: Annotated[float, typer.Option(metavar="S", help="How long to listen to an endpoint.")] = 5.0,
     vehicle: Vehicle = None,
     profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Hear only what is signed with this key (MAVLink 2 signing).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure each signal of a log or a live link: rate, jitter, gaps, and its range in SI units."""
     if source.startswith(ADDRESSES):
-        with open_link(source, vehicle, profile) as link:
+        key = None if signing_key is None else read_key(signing_key)
+        with open_link(source, vehicle, profile, key) as link:
             log = link.record(duration)
     else:
         log = read_log(Path(source), vehicle, profile)
@@ -81,9 +87,9 @@ def _print(log: Log, found: list[Summary]) -> None:
     from rich.table import Table
 
     console = Console(highlight=False)
-    console.print(f"{log.name}: profile {log.profile}", soft_wrap=True, markup=False)
+    console.print(printable(f"{log.name}: profile {log.profile}"), soft_wrap=True, markup=False)
     for note in log.notes:
-        console.print(f"note: {note}", soft_wrap=True, markup=False)
+        console.print(printable(f"note: {note}"), soft_wrap=True, markup=False)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("signal", "samples", "rate\nHz", "jitter\nms", "longest\ngap s"):
         table.add_column(heading, justify="left" if heading == "signal" else "right", no_wrap=True)

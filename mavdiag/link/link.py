@@ -14,6 +14,7 @@ from mavdiag.errors import InputError
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.profiles import Profile, profile_named
 from mavdiag.link.samples import joined
+from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.link.vehicles import LinkDecoder, VehicleStream
 from mavdiag.telemetry import Log, Telemetry
 
@@ -24,28 +25,36 @@ SILENT_NOTE = "it sends no message with a measurement; let it send ATTITUDE_TARG
 PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
 
 
-def open_link(address: str, vehicle: int | None = None, profile: str | None = None) -> "Link":
+def open_link(address: str, vehicle: int | None = None, profile: str | None = None, key: bytes | None = None) -> "Link":
     """Open one end of a link and follow one vehicle on it.
 
     address: see `mavdiag.link.ports`.
     vehicle: its system id; None takes the only one there is.
     profile: name of its link profile; None finds it by what it sends.
+    key: of MAVLink 2 signing, 32 bytes, as `keys.read_key` has it: only what is signed with it is heard.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
     chosen = None if profile is None else profile_named(profile)
-    return Link(open_endpoint(address), vehicle, chosen)
+    signing = None if key is None else Signing(key, stamp=stamp_at(time.time_ns()))
+    return Link(open_endpoint(address), vehicle, chosen, signing)
 
 
 class Link:
     """One vehicle on a live link. It iterates what came since the last time, for as long as it is open.
 
     endpoint: an open port; it is closed with the link.
-    vehicle, profile: as in `open_link`.
+    vehicle, profile: as in `open_link`. signing: lets only genuine frames pass.
     """
 
-    def __init__(self, endpoint: Endpoint, vehicle: int | None = None, profile: Profile | None = None) -> None:
-        self._endpoint, self._vehicle = endpoint, vehicle
-        self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams)
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        vehicle: int | None = None,
+        profile: Profile | None = None,
+        signing: Signing | None = None,
+    ) -> None:
+        self._endpoint, self._vehicle, self._signing = endpoint, vehicle, signing
+        self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams, signing=signing)
 
     @property
     def address(self) -> str:
@@ -80,7 +89,8 @@ class Link:
 
         Raises InputError if there are several vehicles and none was named.
         """
-        received = self._decoder.feed(self._endpoint.receive(timeout_s), time.monotonic_ns())
+        chunks = self._endpoint.receive(timeout_s)
+        received = self._decoder.feed(chunks, time.monotonic_ns(), self._endpoint.sources)
         known = sorted(self._decoder.vehicles)
         if self._vehicle is None and known:
             if len(known) > 1:
@@ -118,6 +128,9 @@ class Link:
         for sysid, reason in waiting.items():
             return f"{self.address}: vehicle {sysid}: {reason}"
         senders = sorted({sysid for sysid, _ in self._decoder.decoder.senders})
+        if self._signing is not None and self._signing.refused:
+            refused = ", ".join(f"{count} {cause}" for cause, count in self._signing.refused.items())
+            return f"{self.address}: no frame with a valid signature; refused: {refused}; check the key"
         if not senders:
             return f"{self.address}: nothing was received; is the vehicle sending to this address?"
         names = ", ".join(map(str, senders))

@@ -4,11 +4,13 @@ A vehicle enters with a heartbeat of its autopilot (component 1), once its frame
 cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now` in, values out.
 
 Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
-all together.
+all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
+seconds apart, and running numbers that are one sender's; and at most `VEHICLES_MAX` at all.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
@@ -24,7 +26,8 @@ from mavdiag.link.profiles import (
     with_imu,
 )
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
-from mavdiag.link.sequence import LinkCount
+from mavdiag.link.sequence import Intruder, LinkCount, Source
+from mavdiag.link.signing import Signing
 from mavdiag.link.timeline import Timeline
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -38,6 +41,9 @@ WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 REQUESTS_MAX = 8  # about parameters of one on-board computer at a time, so that a flood is not answered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
+RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
+BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
+COMMANDS_MAX = 8  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
 USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
@@ -169,15 +175,31 @@ class _Pending:
     """A system id that has not entered.
 
     since_ns: since when it is watched [ns].
-    frames: its latest.
+    frames: its autopilot's latest.
     beat: its autopilot's latest heartbeat.
+    beats: how many like it came, each at its time after the one before.
+    checked_ns: when its profile was looked for last [ns].
     reason: why it waits though its autopilot was received.
     """
 
     since_ns: int
     frames: list[Frame] = field(default_factory=list)
     beat: Frame | None = None
+    beats: int = 0
+    checked_ns: int | None = None
     reason: str = ""
+
+    def note(self, frames: Iterable[Frame]) -> None:
+        """Take in heartbeats."""
+        least_s, most_s = BEATS_S
+        for frame in filter(is_autopilot_heartbeat, frames):
+            before = self.beat
+            like = before is not None and frame.payload[4:6] == before.payload[4:6]  # type and autopilot
+            span_s = 0.0 if before is None else (frame.host_ns - before.host_ns) / NS_PER_S
+            if before is None or not like or span_s > most_s:
+                self.beat, self.beats = frame, 1
+            elif span_s >= least_s:
+                self.beat, self.beats = frame, self.beats + 1
 
 
 class LinkDecoder:
@@ -188,8 +210,11 @@ class LinkDecoder:
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.
     profiles: the profiles to choose from.
-    vehicles: the stream of each vehicle that has entered, by system id.
+    careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
+    signing: lets only genuine frames pass; None passes all.
+    passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
     most: how many vehicles may enter.
+    vehicles: the stream of each vehicle that has entered, by system id.
     """
 
     def __init__(
@@ -198,16 +223,23 @@ class LinkDecoder:
         only: int | None = None,
         datagrams: bool = True,
         profiles: Collection[Profile] = tuple(PROFILES.values()),
+        *,
+        careful: bool = False,
+        most: int = VEHICLES_MAX,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
-        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys())
+        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys()
+        self._decoder = Decoder(wanted, signing=signing, passed=passed)
+        self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
-        self._profile, self._only, self._profiles = profile, only, profiles
+        self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
+        self._most = most
         self._pending: dict[int, _Pending] = {}
         self.vehicles: dict[int, VehicleStream] = {}
-        self.most = VEHICLES_MAX
 
     @property
     def decoder(self) -> Decoder:
@@ -221,14 +253,33 @@ class LinkDecoder:
 
     def count(self, sysid: int) -> LinkCount | None:
         """What came from one vehicle's autopilot so far; None if nothing did."""
-        return self._decoder.senders.get((sysid, Component.AUTOPILOT1))
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None else sender.count()
 
-    def feed(self, chunks: Iterable[tuple[bytes, int]], now_ns: int) -> dict[int, Received]:
+    def source(self, sysid: int, now_ns: int, within_s: float) -> Source:
+        """Where a vehicle's autopilot is heard from; None if it was not heard for so long."""
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None or now_ns - sender.heard_ns > within_s * NS_PER_S else sender.source
+
+    def intruder(self, sysid: int) -> Intruder | None:
+        """Who else sends as a vehicle's autopilot; None if nobody does."""
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None else sender.intruder
+
+    def feed(
+        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+    ) -> dict[int, Received]:
         """Take bytes, each with its time of arrival [ns]; return what is new, by system id.
 
         Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
+        sources: where each of the chunks comes from; empty for a link with one other end.
         """
-        frames = [frame for data, host_ns in chunks for frame in self._decode(data, host_ns)]
+        frames: list[Frame] = []
+        decoder, decode = self._decoder, self._decode
+        pairs = zip(chunks, sources, strict=True) if sources else zip(chunks, repeat(None), strict=False)
+        for (data, host_ns), source in pairs:
+            decoder.source = source
+            frames += decode(data, host_ns)
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
@@ -251,23 +302,37 @@ class LinkDecoder:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
         pending = self._pending.setdefault(sysid, _Pending(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
+        frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
         pending.frames = [*pending.frames, *frames][-kept:]
-        pending.beat = next(filter(is_autopilot_heartbeat, reversed(frames)), pending.beat)
+        pending.note(frames)
         watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) >= min(kept, CLEAR_FRAMES)
-        if pending.beat is None or (self._profile is None and not watched):
+        if pending.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, pending):
             return []
+        if pending.checked_ns is not None and now_ns - pending.checked_ns < RECHECK_S * NS_PER_S:
+            return []
+        pending.checked_ns = now_ns
         profile = self._profile
         if profile is None:
             recognised = detect_profile([pending.beat, *pending.frames], self._profiles)
             profile, pending.reason = recognised.profile, recognised.reason
-        if profile is not None and len(self.vehicles) >= self.most:
-            pending.reason = f"there are {self.most} vehicles already (max_vehicles)"
-            return []
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)
+        self._kept.add(sysid << 8 | Component.AUTOPILOT1)
         del self._pending[sysid]
         return pending.frames
+
+    def _may_enter(self, sysid: int, pending: _Pending) -> bool:
+        """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
+        if self._careful:
+            sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+            if pending.beats < 2 or sender is None or not sender.sound:
+                return False
+        if len(self.vehicles) >= self._most:
+            pending.reason = f"there are {self._most} vehicles already, and no more are watched; choose one"
+            pending.frames = []
+            return False
+        return True
 
     def _commands(self, frames: Iterable[Frame]) -> dict[int, list[Command]]:
         """Commands to the on-board computers of vehicles that have entered, by the vehicle's system id."""
@@ -277,7 +342,9 @@ class LinkDecoder:
                 fields = frame.fields
                 command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
                 if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
-                    found.setdefault(system, []).append(Command(command, frame.sysid, frame.compid))
+                    asked = found.setdefault(system, [])
+                    if len(asked) < COMMANDS_MAX:
+                        asked.append(Command(command, frame.sysid, frame.compid))
         return found
 
     def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:

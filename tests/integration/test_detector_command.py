@@ -75,7 +75,7 @@ def test_importing_the_command_brings_nothing_heavy() -> None:
         (("--learn", "ten"), "Invalid value for '--learn'"),
         (("--lern", "10"), "No such option: --lern"),
         (("--baseline", "absent.json"), "absent.json: no such file; make a baseline with `mavdiag identify`"),
-        (("--baseline", os.devnull), "not a baseline"),
+        (("--baseline", os.devnull), "is not a regular file"),
         (("--learn", "10", "--connect", "udp:1"), "malformed address 'udp:1'"),
         (("--learn", "10", "--connect", "/dev/absent,57600"), "no such device"),
         (
@@ -87,7 +87,7 @@ def test_importing_the_command_brings_nothing_heavy() -> None:
             "choose another --record file",
         ),
         (("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--airframe", "absent.toml"), "absent.toml"),
-        (("--learn", "10", "--config", "absent.toml"), "absent.toml: cannot be read"),
+        (("--learn", "10", "--config", "absent.toml"), "absent.toml: no such file; check --config"),
         (("--learn", "10", "--vehicle", "300"), "vehicle: "),
     ],
 )

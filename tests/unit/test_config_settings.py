@@ -51,7 +51,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"absent\.toml: cannot be read"):
+    with pytest.raises(UsageError, match=r"absent\.toml: no such file"):
         load_settings(tmp_path / "absent.toml", {})
 
 
@@ -87,7 +87,7 @@ def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
         ("LERN", "3", "MAVDIAG_DETECTOR_LERN: there is no such setting; known are learn, "),
         ("VEHICLES", "3", "MAVDIAG_DETECTOR_VEHICLES: there is no such setting"),
         ("LEARN", "soon", "MAVDIAG_DETECTOR_LEARN: learn: Input should be a valid number"),
-        ("CONFIG", "absent.toml", "absent.toml: cannot be read"),
+        ("CONFIG", "absent.toml", "absent.toml: no such file"),
     ],
 )
 def test_what_is_wrong_in_the_environment_is_named(name: str, text: str, words: str) -> None:

@@ -24,10 +24,12 @@ from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = [
+    "PEER_FRESH_S",
     "Address",
     "Chunk",
     "Endpoint",
     "Kind",
+    "SocketAddress",
     "Traffic",
     "check_address",
     "open_endpoint",

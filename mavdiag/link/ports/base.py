@@ -7,7 +7,7 @@ import errno
 import select
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self, TypeAlias
@@ -65,14 +65,18 @@ class Endpoint(ABC):
     """One end of a link. Once it is open, nothing that the peer or the wire does raises.
 
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
+    sources: the sender of each chunk that the latest `receive` returned; empty where there is one other end.
     """
 
     datagrams = False
+    sources: Sequence[SocketAddress] = ()
 
     def __init__(self, address: str, clock: Clock) -> None:
         self._address = address
         self._clock = clock
         self._received = self._sent = self._dropped = self._overflowed = 0
+        self._trust: Sequence[SocketAddress] = ()
+        self._alone = False
 
     @property
     def address(self) -> str:
@@ -100,6 +104,13 @@ class Endpoint(ABC):
             wait([self], min(left, RETRY_S))
         self._received += len(chunks)
         return chunks
+
+    def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
+        """Name the senders that matter. Where strangers can send too, a flood of theirs does not hide these.
+
+        alone: only they are answered.
+        """
+        self._trust, self._alone = tuple(sources), alone
 
     @abstractmethod
     def send(self, data: bytes) -> None:

@@ -180,6 +180,7 @@ class TcpServer(Endpoint):
         super().__init__(address, clock)
         self._listener = _tcp_socket(family)
         self._clients: dict[_Stream, bytes] = {}  # each with the beginning of a frame that is not yet complete
+        self._names: dict[_Stream, SocketAddress] = {}
         try:
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(local)
@@ -212,10 +213,12 @@ class TcpServer(Endpoint):
         for client in self._clients:
             client.close()
         self._clients.clear()
+        self._names.clear()
 
     def _drain(self) -> list[Chunk]:
         self._accept()
         chunks: list[Chunk] = []
+        sources: list[SocketAddress] = []
         for client, begun in list(self._clients.items()):
             for _ in range(_DRAIN_READS):
                 data = client.read()
@@ -226,23 +229,26 @@ class TcpServer(Endpoint):
                 begun = data[cut:]
                 if cut:
                     chunks.append((data[:cut], self._clock()))
+                    sources.append(self._names[client])
             self._clients[client] = begun
             if data is None:
                 client.close()
-                del self._clients[client]
+                del self._clients[client], self._names[client]
+        self.sources = sources
         return chunks
 
     def _accept(self) -> None:
         while True:
             try:
-                link, _ = self._listener.accept()
+                link, name = self._listener.accept()
             except OSError:  # nobody there, gone again, or closed
                 return
             if len(self._clients) >= CLIENTS_MAX:
                 link.close()
                 continue
             _tune(link)
-            self._clients[_Stream(link)] = b""
+            client = _Stream(link)
+            self._clients[client], self._names[client] = b"", name
 
 
 def whole_frames(data: bytes) -> int:
