@@ -13,11 +13,12 @@ from made_vehicle import MadeVehicle
 
 from detector.config import SessionSettings, Settings
 from detector.fleet import Fleet
-from detector.own_parameters import PARAMETERS, REQUESTS
+from detector.own_parameters import PARAMETERS
 from detector.rate_guard import GUARDED
 from detector.requests import Requests
 from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
+from mavdiag.link.addressed import PARAMETER_REQUESTS
 from mavdiag.link.codec import Decoder
 from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
@@ -28,7 +29,7 @@ TICK_NS = 40_000_000
 COMMANDS = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}
 HEARD = COMMANDS | {source.message for profile in PROFILES.values() for source in sources(profile)}
 MESSAGES = sorted(int(message) for message in HEARD if message in dialect.mavlink_map)
-ASKED = GUARDED | REQUESTS
+ASKED = GUARDED | PARAMETER_REQUESTS
 
 
 def wild(sysid: int, compid: int, rng: np.random.Generator, messages: list[int] = MESSAGES) -> bytes:

@@ -5,11 +5,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from mavdiag.link.addressed import REQUESTS_MAX
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import PINNED_S, SENDERS_MAX, Intruder, Senders, SequenceTracker
-from mavdiag.link.vehicles import COMMANDS_MAX, VEHICLES_MAX, LinkDecoder
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
@@ -151,7 +152,7 @@ def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
     link, encoder, station = LinkDecoder(PROFILES["ardupilot"]), Encoder(1, 1), Encoder(255, 190)
     link.feed(second(encoder, 0), 0)
     ask = [(station.encode(MessageId.COMMAND_LONG, 1, Component.ONBOARD_COMPUTER, MavCmd.REQUEST_MESSAGE), S)] * 5000
-    assert len(link.feed(ask, S)[1].commands) == COMMANDS_MAX
+    assert len(link.feed(ask, S)[1].commands) == REQUESTS_MAX
 
 
 def test_only_the_chosen_vehicle_is_heard() -> None:
