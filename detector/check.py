@@ -29,6 +29,7 @@ def _lines(
     yield f"watches    {_watched(settings)}"
     if settings.signing_key is not None:
         read_key(settings.signing_key)
+        check_output(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
         yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
         yield f"judges by  {settings.baseline}: {_summary(baseline, settings)}"

@@ -5,10 +5,8 @@ datagram. Heartbeats come from the same loop and ask the session first: a daemon
 its work, falls silent.
 """
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
@@ -16,6 +14,7 @@ from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
 from detector.guard import Guard
+from detector.host import Host
 from detector.journal import Journal, Recorder, When
 from detector.notify import Notifier
 from detector.relay import Relay
@@ -58,29 +57,6 @@ FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose ot
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
 _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
-
-
-class Host:
-    """The machine as the daemon sees it: clocks and a place for log lines. Tests bring their own."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self.say = say
-
-    def now_ns(self) -> int:
-        """The monotonic clock [ns]."""
-        return time.monotonic_ns()
-
-    def utc(self) -> datetime:
-        """The wall clock."""
-        return datetime.now(UTC)
-
-    def cpu_s(self) -> float:
-        """Processor time used so far [s]."""
-        return time.process_time()
-
-    def sleep(self, span_s: float) -> None:
-        """Wait."""
-        time.sleep(span_s)
 
 
 class Daemon:
@@ -128,9 +104,10 @@ class Daemon:
             passed=self._passed if self._relay.wants else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        self._files = tuple((name, file) for name, file in (("journal", journal), ("record", recorder)) if file)
+        files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
+        self._files = tuple((name, file) for name, file in files if file is not None)
         self._reporter = Reporter(journal, host.say, self._when, settings.save)
-        self._requests = Requests(self.fleet, settings, self._sender)
+        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
@@ -189,7 +166,8 @@ class Daemon:
             self._beat()
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
@@ -197,7 +175,8 @@ class Daemon:
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
         self._host.say(summary)
 
     def figures(self) -> DaemonFigures:

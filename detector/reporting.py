@@ -55,11 +55,6 @@ class Reporter:
         if self._journal is not None:
             self._journal.write(mark(kind, self._when(None), content))
 
-    def flush(self) -> None:
-        """Write through what must survive a power cut."""
-        if self._journal is not None:
-            self._journal.flush()
-
     def save(self, sysid: int, baseline: Baseline) -> None:
         """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""
         path = self._path

@@ -5,14 +5,23 @@ cameras and other companions on the link are no vehicles. No clock, no socket: b
 
 Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
 all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
-seconds apart, and running numbers that are one sender's; and at most `VEHICLES_MAX` at all.
+seconds apart, and running numbers that are one sender's; and at most so many as it is told.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
 
-from mavdiag.link.codec import Decoder, Frame, field_index
+from mavdiag.link.addressed import (
+    COMMANDS,
+    PARAMETER_REQUESTS,
+    Ack,
+    Command,
+    acks_in,
+    commands_in,
+    parameters_asked_in,
+)
+from mavdiag.link.codec import Decoder, Frame
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
@@ -35,44 +44,6 @@ WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our ch
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
-REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
-
-_ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
-    field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component")
-)
-_COMMANDS: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
-    for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
-}
-_PARAMETER_TARGETS: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component"))
-    for msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET)
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """What an autopilot answered to a command of ours.
-
-    command: MAV_CMD.
-    result: MAV_RESULT.
-    """
-
-    command: int
-    result: int
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A command that was addressed to a vehicle's on-board computer.
-
-    command: MAV_CMD.
-    sysid, compid: who sent it.
-    """
-
-    command: int
-    sysid: int
-    compid: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +98,7 @@ class LinkDecoder:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
-        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys()
+        wanted |= IMU_MESSAGES.keys() | others | COMMANDS | PARAMETER_REQUESTS
         self._decoder = Decoder(wanted, signing=signing, passed=passed)
         self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
@@ -183,7 +154,7 @@ class LinkDecoder:
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands, requests = self._commands(frames), self._parameter_requests(frames)
+        commands, requests = commands_in(frames), parameters_asked_in(frames)
         found: dict[int, Received] = {}
         for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
             some = own.get(sysid, [])
@@ -191,7 +162,7 @@ class LinkDecoder:
                 tuple(some),
                 self.vehicles[sysid].step(some),
                 any(frame.compid == Component.AUTOPILOT1 for frame in some),
-                _acks(some),
+                acks_in(some),
                 tuple(commands.get(sysid, ())),
                 self.vehicles[sysid].parameters,
                 tuple(requests.get(sysid, ())),
@@ -232,40 +203,3 @@ class LinkDecoder:
             pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False
         return True
-
-    def _commands(self, frames: Iterable[Frame]) -> dict[int, list[Command]]:
-        """Commands to the on-board computers of vehicles that have entered, by the vehicle's system id."""
-        found: dict[int, list[Command]] = {}
-        for frame in frames:
-            if frame.msgid in _COMMANDS:
-                fields = frame.fields
-                command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
-                if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
-                    asked = found.setdefault(system, [])
-                    if len(asked) < REQUESTS_MAX:
-                        asked.append(Command(command, frame.sysid, frame.compid))
-        return found
-
-    def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:
-        """Requests about parameters of the on-board computers of vehicles that have entered, by their system ids."""
-        found: dict[int, list[Frame]] = {}
-        for frame in frames:
-            if frame.msgid in _PARAMETER_TARGETS:
-                system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
-                everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
-                if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
-                    asked = found.setdefault(system, [])
-                    if len(asked) < REQUESTS_MAX:
-                        asked.append(frame)
-        return found
-
-
-def _acks(frames: Iterable[Frame]) -> tuple[Ack, ...]:
-    """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
-    found: list[Ack] = []
-    for frame in frames:
-        if frame.msgid == MessageId.COMMAND_ACK and frame.compid == Component.AUTOPILOT1:
-            fields = frame.fields
-            if fields[_ACK_COMPONENT] in (Component.ALL, Component.ONBOARD_COMPUTER):
-                found.append(Ack(int(fields[_ACK_COMMAND]), int(fields[_ACK_RESULT])))
-    return tuple(found)
