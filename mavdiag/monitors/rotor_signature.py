@@ -28,7 +28,7 @@ from mavdiag.monitors.model_residual import (
     ResidualState,
     stride_of,
 )
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -173,8 +173,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
-        force = np.isfinite(block.force[:, 2:]).all(axis=1)
-        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, slice(2, 3) if signal is Signal.SPECIFIC_FORCE else ALL)
 
     @property
     def memory_s(self) -> float:

@@ -17,7 +17,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
 from mavdiag.monitors.healthy import Three, three
 from mavdiag.monitors.trim import SIGNALS, Source, rises, source_of, spread_of, tilt_of, trim_of
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -124,10 +124,7 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
-        outputs = block.actuator[:, : self.spec.layout.rotors]
-        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
-            return block.known(signal)
-        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
+        return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
 
     @property
     def memory_s(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
@@ -33,6 +33,7 @@ TUMBLING_RAD_S = (
 )
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
+ONLY_Z = slice(2, 3)  # of the accelerometer
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
@@ -113,7 +114,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
-        return block.known(signal, 2) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
 
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
@@ -141,7 +142,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
 def _known(block: Block) -> BoolArray:
     sound = block.valid & np.isfinite(block.rate).all(axis=1)
-    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, 2) & (block.thrust > MIN_THRUST), dtype=np.bool_)
+    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, ONLY_Z) & (block.thrust > MIN_THRUST), dtype=np.bool_)
 
 
 def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
