@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Looks", "Reading", "cut", "known_from"]
+__all__ = ["Looks", "Reading", "Waiting", "cut", "known_from"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,57 +29,86 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
-    """All values up to the last look, None if there are none, and those that wait for a later one.
+class Waiting:
+    """Values of one chunk that were not all looked at yet.
 
-    at: (looks + 1,) where each look begins and ends.
+    values: all of the chunk.
     ratio: (n,) statistic over threshold, -1 where it is not valid.
+    first: the first that was not looked at.
     """
 
-    values: Statistic | None
-    rest: tuple[Statistic, ...]
-    at: list[int]
+    values: Statistic
     ratio: FloatArray
+    first: int = 0
+
+    @classmethod
+    def of(cls, values: Statistic, threshold: float) -> "Waiting":
+        """A chunk of which nothing was looked at."""
+        ratio = values.value / threshold
+        return cls(values, ratio if values.valid.all() else np.where(values.valid, ratio, -1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """The values of each look, as they lie in their chunks, and what waits for a later one.
+
+    at: of each chunk the (looks + 1,) rows where the looks begin and end.
+    """
+
+    chunks: tuple[Waiting, ...]
+    rest: tuple[Waiting, ...]
+    at: list[list[int]]
 
     def part(self, number: int) -> Statistic | None:
         """The values of a look, None if it has none."""
-        first, stop = self.at[number], self.at[number + 1]
-        return None if self.values is None or first == stop else self.values.part(first, stop)
+        parts = [one.values.part(first, stop) for one, first, stop in self._spans(number)]
+        return None if not parts else parts[0] if len(parts) == 1 else _joined(parts)
 
     def highest(self, number: int) -> float | None:
         """The highest ratio of a look: -1 if no value is valid, None if there is none."""
-        first, stop = self.at[number], self.at[number + 1]
-        return None if first == stop else float(self.ratio[first:stop].max())
+        return max((float(one.ratio[first:stop].max()) for one, first, stop in self._spans(number)), default=None)
 
-    def reading(self, number: int, t_ns: int) -> Reading | None:
-        """What a look gave; None if no value is valid."""
-        ratio, values = self.highest(number), self.values
-        if values is None or ratio is None or ratio < 0:
+    def reading(self, number: int, t_ns: int, ratio: float) -> Reading | None:
+        """What a look gave, with the highest ratio of it; None if no value is valid."""
+        if ratio < 0:
             return None
-        first, stop = self.at[number], self.at[number + 1]
-        last = first + int(np.flatnonzero(values.valid[first:stop])[-1])
-        rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-        return Reading(t_ns, ratio, float(values.value[last]), rotors)
+        for one, first, stop in reversed(self._spans(number)):
+            values, last = one.values, stop - 1
+            if not values.valid[last]:
+                good = np.flatnonzero(values.valid[first:stop])
+                if len(good) == 0:
+                    continue
+                last = first + int(good[-1])
+            rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
+            return Reading(t_ns, ratio, float(values.value[last]), rotors)
+        return None
+
+    def _spans(self, number: int) -> list[tuple[Waiting, int, int]]:
+        """The chunks of a look that hold some of it, with the rows."""
+        cuts = [(one, at[number], at[number + 1]) for one, at in zip(self.chunks, self.at, strict=True)]
+        return [one for one in cuts if one[1] < one[2]]
 
 
-def known_from(waiting: Sequence[Statistic], delay_s: float) -> int | None:
+def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
     """When the first of these values was known [ns]; None if there are none."""
-    return None if not waiting else int(waiting[0].t_ns[0]) + round(delay_s * NS_PER_S)
-
-
-def cut(waiting: Sequence[Statistic], delay_s: float, threshold: float, looks: Sequence[int]) -> Looks:
-    """Cut values at these times. delay_s: how much later than its time stamp a value is known."""
     if not waiting:
-        return Looks(None, (), [0] * (len(looks) + 1), np.empty(0))
-    values = waiting[0] if len(waiting) == 1 else _joined(waiting)
-    known_ns = values.t_ns + round(delay_s * NS_PER_S)
-    at = [0, *np.searchsorted(known_ns, looks, side="right").tolist()]
-    rest = (values.part(at[-1], len(values)),) if at[-1] < len(values) else ()
-    values = values.part(0, at[-1]) if rest else values
-    return Looks(values, rest, at, np.where(values.valid, values.value / threshold, -1.0))
+        return None
+    return int(waiting[0].values.t_ns[waiting[0].first]) + round(delay_s * NS_PER_S)
 
 
-def _joined(waiting: Sequence[Statistic]) -> Statistic:
+def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
+    """Cut values at these times. delay_s: how much later than its time stamp a value is known."""
+    t_ns = looks - round(delay_s * NS_PER_S)
+    at = [[one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()] for one in waiting]
+    rest = tuple(
+        one if stops[-1] == one.first else Waiting(one.values, one.ratio, stops[-1])
+        for one, stops in zip(waiting, at, strict=True)
+        if stops[-1] < len(one.ratio)
+    )
+    return Looks(tuple(waiting), rest, at)
+
+
+def _joined(parts: Sequence[Statistic]) -> Statistic:
     names = ("t_ns", "value", "valid", "level", "signal", "rotors")
-    columns = {name: np.concatenate([getattr(one, name) for one in waiting]) for name in names}
-    return Statistic(period_s=waiting[0].period_s, **columns)
+    columns = {name: np.concatenate([getattr(one, name) for one in parts]) for name in names}
+    return Statistic(period_s=parts[0].period_s, **columns)

@@ -49,46 +49,50 @@ def step(model: ArxModel, state: FreeRunState, u: FloatArray) -> tuple[FreeRunSt
     # y(t) = [ b_0 u(t) + b_1 u(t-1) + .. ] - a_1 y(t-1) - a_2 y(t-2) - ..
     driven = np.correlate(inputs, model.b[::-1])  # mode "valid"
     past = state.past_y
+    after = None if not past else _response(tuple(model.a.tolist()))
     if not past:
-        return FreeRunState(tuple(inputs[len(u) :].tolist()), ()), driven
-    response = _response(tuple(model.a.tolist()))
-    if response is None or not math.isfinite(float(driven.sum())):
+        outputs = driven
+    elif after is None or not math.isfinite(float(np.add.reduce(driven))):
         outputs = np.array(_recursion(driven.tolist(), model, past))
     else:
-        outputs = _responded(driven, response, model, past)
-    recent_y = tuple(outputs[-len(past) :].tolist())
-    return FreeRunState(tuple(inputs[len(u) :].tolist()), (*past, *recent_y)[-len(past) :]), outputs
+        outputs = _responded(driven, *after, np.array(past))
+    kept = len(past)
+    recent = outputs[max(0, len(outputs) - kept) :].tolist()
+    return FreeRunState(tuple(inputs[len(u) :].tolist()), (*past, *recent)[len(recent) :]), outputs
 
 
-def _responded(
-    driven: FloatArray, response: FloatArray, model: ArxModel, past: tuple[float, ...]
-) -> FloatArray:
-    """The recursion as sums over the impulse response, a stretch of samples at a time."""
-    # [ y(1) ]   [ h(0)             ]   [ w(1) - a_1 y(0) - a_2 y(-1) - .. ]
-    # [ y(2) ] = [ h(1)  h(0)       ] x [ w(2)            - a_2 y(0)  - .. ]
-    # [ ..   ]   [ ..               ]   [ ..                               ]
-    outputs = np.empty(len(driven))
-    before, coefficients = past, model.a.tolist()
+def _responded(driven: FloatArray, response: FloatArray, ringing: FloatArray, past: FloatArray) -> FloatArray:
+    """The recursion as sums over the impulse response h, a stretch of samples at a time."""
+    # [ y(1) ]   [ h(0)             ] [ w(1) ]   [ what 1/A goes on ]
+    # [ y(2) ] = [ h(1)  h(0)       ] [ w(2) ] + [ with after y(0), ]
+    # [ ..   ]   [ ..               ] [ ..   ]   [ y(-1) ..         ]
+    if len(driven) <= STRETCH:
+        n = len(driven)
+        return np.asarray(response[:n, :n] @ driven + ringing[:n] @ past, dtype=np.float64)
+    parts, before = [], past
     for first in range(0, len(driven), STRETCH):
-        part = driven[first : first + STRETCH].copy()
-        n, na = len(part), len(before)
-        for t in range(min(na, n)):
-            part[t] -= sum(coefficients[i + 1] * before[na + t - i - 1] for i in range(t, na))
-        outputs[first : first + n] = response[:n, :n] @ part
-        before = (*before, *outputs[first : first + n][-na:].tolist())[-na:]
-    return outputs
+        parts.append(_responded(driven[first : first + STRETCH], response, ringing, before))
+        before = np.concatenate((before, parts[-1]))[-len(past) :]
+    return np.concatenate(parts)
 
 
 @lru_cache(maxsize=64)
-def _response(a: tuple[float, ...]) -> FloatArray | None:
-    """(STRETCH, STRETCH): the impulse response of 1/A, from each sample on; None if it grows."""
+def _response(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray] | None:
+    """The response of 1/A to an impulse at each sample, (STRETCH, STRETCH), and to each past output, oldest first,
+    (STRETCH, na); None if it grows."""
     h = [1.0]
     for t in range(1, STRETCH):
         h.append(-sum(a[i] * h[t - i] for i in range(1, min(len(a), t + 1))))
     if not max(map(abs, h)) < GROWN:
         return None
     ages = np.subtract.outer(np.arange(STRETCH), np.arange(STRETCH))
-    return np.where(ages >= 0, np.array(h)[np.maximum(ages, 0)], 0.0)
+    response = np.where(ages >= 0, np.array(h)[np.maximum(ages, 0)], 0.0)
+    # y(1) has - a_na y(1-na) .. - a_1 y(0) in it, y(2) has - a_na y(2-na) .. - a_2 y(0), and so on
+    na = len(a) - 1
+    driven = np.zeros((STRETCH, na))
+    for t in range(min(na, STRETCH)):
+        driven[t, t:] = -np.array(a[: t : -1][: na - t])
+    return response, response @ driven
 
 
 def _last(values: FloatArray | None, count: int) -> tuple[float, ...]:

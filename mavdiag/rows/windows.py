@@ -68,7 +68,7 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     for first in range(0, known, window):
         part = out[first : first + window]
         last = len(part) - 1  # windows first .. first + last share the rows between the first and the last `last`
-        part[:] = np.add.reduce(x[first + last : first + window], axis=0)
+        part[:] = np.ones(window - last) @ x[first + last : first + window]
         if last:
             part[:last] += np.add.accumulate(x[first : first + last][::-1], axis=0)[::-1]
             part[1:] += np.add.accumulate(x[first + window : first + window + last], axis=0)
