@@ -198,10 +198,10 @@ class DecisionSpec:
         """Take one look's values: the latest reading and the events of every slot."""
         latest, events, fresh = list(state.latest), list(state.events), list[Event]()
         for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
-            ratio = one.highest(number)
+            ratio, reading = one.reading(number, t_ns)
             if ratio is None:
                 continue
-            latest[i] = one.reading(number, t_ns, ratio) or latest[i]  # it ages while nothing is valid
+            latest[i] = reading or latest[i]  # it ages while nothing is valid
             part = one.part(number) if ratio > 1.0 or events[i].open is not None else None
             if part is not None:
                 events[i], seen = slot.events.step(events[i], part)

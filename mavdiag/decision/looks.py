@@ -45,7 +45,7 @@ class Waiting:
     def of(cls, values: Statistic, threshold: float) -> "Waiting":
         """A chunk of which nothing was looked at."""
         ratio = values.value / threshold
-        return cls(values, ratio if values.valid.all() else np.where(values.valid, ratio, -1.0))
+        return cls(values, ratio if np.count_nonzero(values.valid) == len(ratio) else np.where(values.valid, ratio, -1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,15 +64,17 @@ class Looks:
         parts = [one.values.part(first, stop) for one, first, stop in self._spans(number)]
         return None if not parts else parts[0] if len(parts) == 1 else _joined(parts)
 
-    def highest(self, number: int) -> float | None:
-        """The highest ratio of a look: -1 if no value is valid, None if there is none."""
-        return max((float(one.ratio[first:stop].max()) for one, first, stop in self._spans(number)), default=None)
+    def reading(self, number: int, t_ns: int) -> tuple[float | None, Reading | None]:
+        """The highest ratio of a look, -1 if no value is valid, None if there is none; and what it gave, if valid."""
+        spans = self._spans(number)
+        if not spans:
+            return None, None
+        ratio = max([float(np.maximum.reduce(one.ratio[first:stop])) for one, first, stop in spans])
+        return ratio, None if ratio < 0 else self._latest(spans, t_ns, ratio)
 
-    def reading(self, number: int, t_ns: int, ratio: float) -> Reading | None:
-        """What a look gave, with the highest ratio of it; None if no value is valid."""
-        if ratio < 0:
-            return None
-        for one, first, stop in reversed(self._spans(number)):
+    @staticmethod
+    def _latest(spans: Sequence[tuple[Waiting, int, int]], t_ns: int, ratio: float) -> Reading | None:
+        for one, first, stop in reversed(spans):
             values, last = one.values, stop - 1
             if not values.valid[last]:
                 good = np.flatnonzero(values.valid[first:stop])

@@ -129,7 +129,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         given = np.clip(up / (spec.per_command * thrust), 0.0, CUT)
         usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
         rate = np.where(known[:, None], block.rate, 0.0)
-        columns = np.column_stack((up, thrust, rate[:, :2], np.linalg.norm(rate, axis=1)))
+        columns = np.column_stack((up, thrust, rate[:, :2], np.sqrt(np.einsum("nk,nk->n", rate, rate))))
         mean_state, mean, full = sliding_mean(state.mean, columns, known, window_rows(WINDOW_S, block.dt_s))
         expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
         loss = 1.0 - mean[:, 0] / expected
@@ -148,7 +148,7 @@ def _known(block: Block) -> BoolArray:
 def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
     """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
     lost = -layout.mixing[:, :2]
-    sizes = np.linalg.norm(turning, axis=1)[:, None] * np.linalg.norm(lost, axis=1)
+    sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * np.linalg.norm(lost, axis=1)
     cosine: FloatArray = np.divide(
         turning @ lost.T, sizes, out=np.zeros((len(turning), layout.rotors)), where=sizes > 0
     )

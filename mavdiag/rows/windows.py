@@ -79,7 +79,7 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
 def window_all(flags: BoolArray, window: int) -> BoolArray:
     """Whether each full window of flags is True throughout, (n,) -> (n - window + 1,)."""
     known = max(0, len(flags) - window + 1)
-    if known == 0 or flags.all():
+    if known == 0 or np.count_nonzero(flags) == len(flags):
         return np.ones(known, dtype=np.bool_)
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
@@ -92,6 +92,8 @@ def spans(flags: BoolArray) -> list[tuple[int, int]]:
     >>> spans(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
     """
+    if not np.count_nonzero(flags):
+        return []
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -143,7 +145,7 @@ def sliding_mean(
     n = len(x)
     if n == 0:
         return state, np.empty(x.shape), np.empty(0, dtype=np.bool_)
-    good = bool(valid.all())
+    good = np.count_nonzero(valid) == n
     # sums[h + i] = x[0] + .. + x[i], in that order whatever the chunks; mean[i] = (sums[h + i] - sums[h + i - w]) / w
     used = x if good else np.where(valid[:, None], x, 0.0)
     fresh = np.add.accumulate(np.concatenate((state.sums[-1][-1:], used)), axis=0)[1:]
