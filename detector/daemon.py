@@ -16,6 +16,7 @@ from detector.config import Settings
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
 from detector.journal import Journal, Recorder, When, line, mark
+from detector.pacing import Pacing
 from detector.relay import Relay
 from detector.sender import MavlinkSender
 from detector.states import State
@@ -102,7 +103,13 @@ class Daemon:
         self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
         self._announces = kind in _ANNOUNCING
         profile = None if settings.profile is None else PROFILES[settings.profile]
-        self.fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
+        self.fleet = Fleet(
+            self._spec,
+            profile=profile,
+            only=settings.vehicle,
+            datagrams=kind in _DATAGRAMS,
+            pacing=Pacing.of(settings.tick_s),
+        )
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
@@ -141,7 +148,7 @@ class Daemon:
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now)
+        turns = self.fleet.step(chunks, now, lambda: self._now() - now)
         self._report_new(known)
         self._carry_out(turns)
         if now - self._beat_at >= 0:
@@ -195,6 +202,9 @@ class Daemon:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+        self.fleet.delay, text = self.fleet.delay.news(self._now())
+        if text:
+            self._host.say(text)
         if self._metrics is not None:
             overflowed, cpu_s = self._link.traffic.overflowed, self._host.cpu_s()
             self._metrics.show(self.fleet.figures(), overflowed=overflowed, late=self._late, cpu_s=cpu_s)

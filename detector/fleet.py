@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from detector.pacing import Delay, Pacing, by_waiting
 from detector.session import Session
 from detector.states import State
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
@@ -13,6 +14,8 @@ from mavdiag.link.vehicles import Command, LinkDecoder, Received
 from mavdiag.telemetry import Instant
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
+
+ALL_IN_EVERY_STEP = Pacing()
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
 
@@ -80,22 +83,46 @@ class Fleet:
     profile: of all vehicles, None to go by what each sends.
     only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames.
+    pacing: how long one step may take.
+    delay: by how much that puts verdicts off.
     """
 
-    def __init__(self, spec_of: SpecOf, *, profile: Profile | None, only: int | None, datagrams: bool) -> None:
+    def __init__(
+        self,
+        spec_of: SpecOf,
+        *,
+        profile: Profile | None,
+        only: int | None,
+        datagrams: bool,
+        pacing: Pacing = ALL_IN_EVERY_STEP,
+    ) -> None:
         self.link = LinkDecoder(profile, only, datagrams)
-        self._spec_of = spec_of
+        self._spec_of, self._pacing = spec_of, pacing
         self.vehicles: dict[int, Vehicle] = {}
+        self._judged: dict[int, Instant] = {}
+        self.delay = Delay()
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant) -> list[Turn]:
-        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too."""
-        received, streams = self.link.feed(chunks, now.ns), self.link.vehicles
+    def step(
+        self, chunks: Iterable[tuple[bytes, int]], now: Instant, spent_s: Callable[[], float] = lambda: 0.0
+    ) -> list[Turn]:
+        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
+
+        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step.
+        """
+        self.link.take(chunks, now.ns)
+        streams = self.link.vehicles
         for sysid in streams.keys() - self.vehicles.keys():
             self.vehicles[sysid] = Vehicle(Session(self._spec_of(streams[sysid].profile), now))
+            self._judged[sysid] = now
         turns: list[Turn] = []
-        for sysid, vehicle in self.vehicles.items():
-            one = received.get(sysid, Received())
-            turns.append(Turn(sysid, vehicle.step(one, streams[sysid].reboots, now), one.commands))
+        for sysid, waited_s in by_waiting(self._judged, now):
+            if self._pacing.judges(waited_s, spent_s(), not turns):
+                one = self.link.received(sysid)
+                turns.append(
+                    Turn(sysid, self.vehicles[sysid].step(one, streams[sysid].reboots, now), one.commands)
+                )
+                self._judged[sysid] = now
+                self.delay = self.delay.waited(waited_s)
         return turns
 
     def finish(self) -> list[Turn]:

@@ -154,7 +154,7 @@ class DecisionSpec:
         events: list[Event] = []
         changes: list[Change] = []
         for number, t_ns in enumerate(looks):
-            state, fresh = self._read(state, parts, number, t_ns)
+            state, fresh = self._read(state, parts, number)
             state, change = self._decide(state, t_ns)
             if state.diagnosis.stage is Stage.FAULT:
                 state, graded = self._grade(state, parts, number, t_ns)
@@ -193,20 +193,21 @@ class DecisionSpec:
         return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
 
     def _read(
-        self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int
+        self, state: DecisionState, parts: Sequence[Looks], number: int
     ) -> tuple[DecisionState, list[Event]]:
         """Take one look's values: the latest reading and the events of every slot."""
-        latest, events, fresh = list(state.latest), list(state.events), list[Event]()
+        # What was read last ages while nothing is valid.
+        latest = tuple(one.readings[number] or old for one, old in zip(parts, state.latest, strict=True))
+        events, fresh = state.events, list[Event]()
         for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
-            ratio, reading = one.reading(number, t_ns)
-            if ratio is None:
+            ratio = one.highest[number]
+            if ratio is None or (ratio <= 1.0 and events[i].open is None):
                 continue
-            latest[i] = reading or latest[i]  # it ages while nothing is valid
-            part = one.part(number) if ratio > 1.0 or events[i].open is not None else None
-            if part is not None:
-                events[i], seen = slot.events.step(events[i], part)
+            if (part := one.part(number)) is not None:
+                after, seen = slot.events.step(events[i], part)
+                events = (*events[:i], after, *events[i + 1 :])
                 fresh += seen
-        return replace(state, latest=tuple(latest), events=tuple(events)), fresh
+        return replace(state, latest=latest, events=events), fresh
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""

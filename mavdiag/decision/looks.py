@@ -1,7 +1,7 @@
 """One slot's values cut at the times at which the decision looks at them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,45 +50,24 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looks:
-    """The values of each look, as they lie in their chunks, and what waits for a later one.
+    """The values of each look, and what waits for a later one.
 
-    at: of each chunk the (looks + 1,) rows where the looks begin and end.
+    chunks: where they lie; at: of each chunk the (looks + 1,) rows where the looks begin and end.
+    highest: of each look the highest ratio, -1 if no value is valid, None if there is none.
+    readings: of each look what it gave, None if no value is valid.
     """
 
     chunks: tuple[Waiting, ...]
     rest: tuple[Waiting, ...]
     at: list[list[int]]
+    highest: list[float | None]
+    readings: list[Reading | None]
 
     def part(self, number: int) -> Statistic | None:
         """The values of a look, None if it has none."""
-        parts = [one.values.part(first, stop) for one, first, stop in self._spans(number)]
+        cuts = [(one.values, at[number], at[number + 1]) for one, at in zip(self.chunks, self.at, strict=True)]
+        parts = [values.part(first, stop) for values, first, stop in cuts if first < stop]
         return None if not parts else parts[0] if len(parts) == 1 else _joined(parts)
-
-    def reading(self, number: int, t_ns: int) -> tuple[float | None, Reading | None]:
-        """The highest ratio of a look, -1 if no value is valid, None if there is none; and what it gave, if valid."""
-        spans = self._spans(number)
-        if not spans:
-            return None, None
-        ratio = max([float(np.maximum.reduce(one.ratio[first:stop])) for one, first, stop in spans])
-        return ratio, None if ratio < 0 else self._latest(spans, t_ns, ratio)
-
-    @staticmethod
-    def _latest(spans: Sequence[tuple[Waiting, int, int]], t_ns: int, ratio: float) -> Reading | None:
-        for one, first, stop in reversed(spans):
-            values, last = one.values, stop - 1
-            if not values.valid[last]:
-                good = np.flatnonzero(values.valid[first:stop])
-                if len(good) == 0:
-                    continue
-                last = first + int(good[-1])
-            rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-            return Reading(t_ns, ratio, float(values.value[last]), rotors)
-        return None
-
-    def _spans(self, number: int) -> list[tuple[Waiting, int, int]]:
-        """The chunks of a look that hold some of it, with the rows."""
-        cuts = [(one, at[number], at[number + 1]) for one, at in zip(self.chunks, self.at, strict=True)]
-        return [one for one in cuts if one[1] < one[2]]
 
 
 def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
@@ -99,7 +78,7 @@ def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
 
 
 def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
-    """Cut values at these times. delay_s: how much later than its time stamp a value is known."""
+    """Cut values at these times [ns]. delay_s: how much later than its time stamp a value is known."""
     t_ns = looks - round(delay_s * NS_PER_S)
     at = [[one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()] for one in waiting]
     rest = tuple(
@@ -107,7 +86,42 @@ def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
         for one, stops in zip(waiting, at, strict=True)
         if stops[-1] < len(one.ratio)
     )
-    return Looks(tuple(waiting), rest, at)
+    highest: list[float | None] = [None] * len(looks)
+    readings: list[Reading | None] = [None] * len(looks)
+    times = looks.tolist()
+    for one, edges in zip(waiting, at, strict=True):
+        filled = [k for k in range(len(times)) if edges[k] < edges[k + 1]]
+        if filled:
+            _look(one, filled, edges, times, highest, readings)
+    return Looks(tuple(waiting), rest, at, highest, readings)
+
+
+def _look(
+    one: Waiting,
+    filled: Sequence[int],
+    edges: Sequence[int],
+    times: Sequence[int],
+    highest: list[float | None],
+    readings: list[Reading | None],
+) -> None:
+    """Add one chunk's values to the looks that hold some of them."""
+    values, valid = one.values, one.values.valid
+    ratios = np.maximum.reduceat(one.ratio[: edges[-1]], [edges[k] for k in filled]).tolist()
+    for k, ratio in zip(filled, ratios, strict=True):
+        before = highest[k]
+        highest[k] = top = ratio if before is None else max(before, ratio)
+        last = edges[k + 1] - 1
+        if top < 0:
+            continue
+        if not valid[last]:
+            good = np.flatnonzero(valid[edges[k] : last])
+            if len(good) == 0:
+                held = readings[k]
+                readings[k] = None if held is None else replace(held, ratio=top)
+                continue
+            last = edges[k] + int(good[-1])
+        rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
+        readings[k] = Reading(times[k], top, float(values.value[last]), rotors)
 
 
 def _joined(parts: Sequence[Statistic]) -> Statistic:

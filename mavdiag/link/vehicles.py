@@ -182,6 +182,8 @@ class LinkDecoder:
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles = profile, only, profiles
         self._pending: dict[int, _Pending] = {}
+        self._frames: dict[int, list[Frame]] = {}
+        self._commanded: dict[int, list[Command]] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -203,23 +205,32 @@ class LinkDecoder:
 
         Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
         """
+        self.take(chunks, now_ns)
+        return {sysid: self.received(sysid) for sysid in sorted(self._frames.keys() | self._commanded.keys())}
+
+    def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int) -> None:
+        """Take bytes, each with its time of arrival [ns]; the frames of vehicles that have entered wait for
+        `received`, which need not be called after each `take`."""
         frames = [frame for data, host_ns in chunks for frame in self._decode(data, host_ns)]
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands = self._commands(frames)
-        found: dict[int, Received] = {}
-        for sysid in sorted((own.keys() | commands.keys()) & self.vehicles.keys()):
-            some = own.get(sysid, [])
-            found[sysid] = Received(
-                tuple(some),
-                self.vehicles[sysid].step(some),
-                any(frame.compid == Component.AUTOPILOT1 for frame in some),
-                _acks(some),
-                tuple(commands.get(sysid, ())),
-                self.vehicles[sysid].parameters,
-            )
-        return found
+        for sysid in own.keys() & self.vehicles.keys():
+            self._frames.setdefault(sysid, []).extend(own[sysid])
+        for sysid, commands in self._commands(frames).items():
+            self._commanded.setdefault(sysid, []).extend(commands)
+
+    def received(self, sysid: int) -> Received:
+        """What waits of a vehicle that has entered."""
+        some = self._frames.pop(sysid, [])
+        return Received(
+            tuple(some),
+            self.vehicles[sysid].step(some),
+            any(frame.compid == Component.AUTOPILOT1 for frame in some),
+            _acks(some),
+            tuple(self._commanded.pop(sysid, ())),
+            self.vehicles[sysid].parameters,
+        )
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""

@@ -179,7 +179,8 @@ class Decimator:
             reach = (n - 1) * stride + window
             rows = raw[:, first * stride : first * stride + reach]
             if math.isfinite(float(np.add.reduce(rows, axis=None))):
-                out[first : first + n] = (rows @ self._shifted[:reach, :n]).T
+                base = rows[:, :1]  # the taps add up to 1; without it a constant would get the rounding of its sums
+                out[first : first + n] = ((rows - base) @ self._shifted[:reach, :n] + base).T
             else:  # what is unknown spoils the windows that hold it, and no other
                 for i in range(n):
                     out[first + i] = rows[:, i * stride : i * stride + window] @ self._taps

@@ -192,22 +192,21 @@ def ema(state: FloatArray, x: FloatArray, alpha: float) -> tuple[FloatArray, Flo
 
     Begin with zeros; x must be finite. Chunks agree to rounding.
     """
-    # [ s(1) ]   [ alpha                      ] [ x(1) ]   [ 1 - alpha     ]
-    # [ s(2) ] = [ alpha (1 - alpha)   alpha  ] [ x(2) ] + [ (1 - alpha)^2 ] s(0)
-    # [ ..   ]   [ ..                         ] [ ..   ]   [ ..            ]
-    weights, kept = _exponential(alpha)
+    # [ s(1) ]   [ s(0) ]   [ alpha                      ] [ x(1) - s(0) ]
+    # [ s(2) ] = [ s(0) ] + [ alpha (1 - alpha)   alpha  ] [ x(2) - s(0) ]    so a constant stays exactly what it is
+    # [ ..   ]   [ ..   ]   [ ..                         ] [ ..          ]
+    weights = _exponential(alpha)
     out = np.empty(x.shape)
     for first in range(0, len(x), STRETCH):
         part = x[first : first + STRETCH]
         n = len(part)
-        np.add(weights[:n, :n] @ part, kept[:n] * state, out=out[first : first + n])
+        np.add(weights[:n, :n] @ (part - state), state, out=out[first : first + n])
         state = out[first + n - 1].copy()
     return state, out
 
 
 @lru_cache(maxsize=64)
-def _exponential(alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Weights of `STRETCH` samples, (STRETCH, STRETCH), and of the state before them, (STRETCH, 1)."""
+def _exponential(alpha: float) -> FloatArray:
+    """Weights of `STRETCH` samples, (STRETCH, STRETCH)."""
     ages = np.subtract.outer(np.arange(STRETCH), np.arange(STRETCH))
-    weights = np.where(ages >= 0, alpha * (1.0 - alpha) ** np.maximum(ages, 0), 0.0)
-    return weights, (1.0 - alpha) ** np.arange(1, STRETCH + 1)[:, None]
+    return np.where(ages >= 0, alpha * (1.0 - alpha) ** np.maximum(ages, 0), 0.0)
