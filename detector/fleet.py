@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 
 from detector.latency import Awaiting
+from detector.pacing import Delay, Pacing, by_waiting
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
@@ -21,6 +22,8 @@ from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, 
 from mavdiag.telemetry import Instant, IntArray, Signal
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
+
+ALL_IN_EVERY_STEP = Pacing()
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
 Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
@@ -149,8 +152,10 @@ class Fleet:
     adapt: what is different for the vehicle of a system id; None for one that is left alone.
     most: how many vehicles may enter.
     measured: whether the time from a sample to its verdict is measured.
+    pacing: how long one step may take.
     signing, passed: as in `LinkDecoder`.
     vehicles: those that are watched, by system id.
+    delay: by how much the pacing puts verdicts off.
     """
 
     def __init__(
@@ -163,20 +168,32 @@ class Fleet:
         adapt: Adapt = lambda sysid, spec: spec,
         most: int = VEHICLES_MAX,
         measured: bool = False,
+        pacing: Pacing = ALL_IN_EVERY_STEP,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
-        self._spec_of, self._adapt, self._measured = spec_of, adapt, measured
+        self._spec_of, self._adapt, self._measured, self._pacing = spec_of, adapt, measured, pacing
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
+        self._judged: dict[int, Instant] = {}
+        self.delay = Delay()
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> list[Turn]:
+    def step(
+        self,
+        chunks: Iterable[tuple[bytes, int]],
+        now: Instant,
+        sources: Sequence[Source] = (),
+        *,
+        spent_s: Callable[[], float] = lambda: 0.0,
+    ) -> list[Turn]:
         """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
 
         sources: where each chunk comes from; empty for a link with one other end.
+        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step.
         """
-        received, streams = self.link.feed(chunks, now.ns, sources), self.link.vehicles
+        self.link.take(chunks, now.ns, sources)
+        streams = self.link.vehicles
         for sysid in streams.keys() - self.vehicles.keys() - self._left:
             spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
             if spec is None:
@@ -184,11 +201,17 @@ class Fleet:
             else:
                 awaiting = Awaiting() if self._measured else None
                 self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
+                self._judged[sysid] = now
+        for sysid in self._left:
+            self.link.leave(sysid)
         turns: list[Turn] = []
-        for sysid, vehicle in self.vehicles.items():
-            one = received.get(sysid, Received())
-            effects = vehicle.step(one, streams[sysid], now)
-            turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
+        for sysid, waited_s in by_waiting(self._judged, now):
+            if self._pacing.judges(waited_s, spent_s(), not turns):
+                vehicle, one = self.vehicles[sysid], self.link.received(sysid)
+                effects = vehicle.step(one, streams[sysid], now)
+                turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
+                self._judged[sysid] = now
+                self.delay = self.delay.waited(waited_s)
         return turns
 
     def finish(self) -> list[Turn]:
