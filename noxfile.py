@@ -35,3 +35,9 @@ def clients(session: nox.Session) -> None:
 @nox.session
 def bench(session: nox.Session) -> None:
     session.run("make", "bench", external=True)
+
+
+@nox.session
+def wheels(session: nox.Session) -> None:
+    """Whether Debian needs a compiler; asks the package index."""
+    session.run("python", "packaging/check_wheels.py")

@@ -34,6 +34,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.signal import welch
 
+from mavdiag.airframe.trim import rises, trim_of
 from mavdiag.baseline import Baseline
 from mavdiag.chain import front_of
 from mavdiag.judging import Verdict, judge
@@ -42,7 +43,6 @@ from mavdiag.logs import read_log
 from mavdiag.monitors import monitor_of
 from mavdiag.monitors.model_residual import ModelResidual
 from mavdiag.monitors.rotor_trim import RotorTrim
-from mavdiag.monitors.trim import rises, trim_of
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.thresholds.guard import Guard

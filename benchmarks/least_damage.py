@@ -56,12 +56,12 @@ from rich.table import Table
 from scipy.optimize import brentq
 from scipy.stats import nct, ncx2, norm, t
 
+from mavdiag.airframe.trim import source_of, trim_of
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.chain import front_of
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn, rows_of
-from mavdiag.monitors.trim import source_of, trim_of
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest

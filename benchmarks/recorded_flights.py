@@ -84,7 +84,8 @@ def crazypad(console: Console, folder: Path) -> None:
     table = Table(title="CrazyPAD E8: logs flagged")
     for heading in ("taught by", "cut <=1.5 mm", "2-3", "3.5-5", ">5", "tape", "weight", "left-out healthy"):
         table.add_column(heading, justify="right")
-    judged = [(one, judge(one.log, taught([h.log for h in healthy]))) for one in others]
+    base = taught([one.log for one in healthy])
+    judged = [(one, judge(one.log, base)) for one in others]
     table.add_row("all five", *detected(judged), count(judged, "tape"), count(judged, "add_weight"), "")
     for left_out in healthy:
         base = taught([one.log for one in healthy if one is not left_out])

@@ -16,11 +16,12 @@ from pydantic import (
     ValidationError,
 )
 
-from mavdiag.airframe.airframe import NEED_LAYOUT, Airframe
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.baseline_parts import Link, MonitorEntry, NotNegative, Part, Provenance, Refusal, Window
 from mavdiag.errors import BaselineError, InputError, MavdiagError
-from mavdiag.monitors import monitor_of
+from mavdiag.monitors import NEED_LAYOUT, monitor_of
+from mavdiag.printable import printable
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
@@ -91,12 +92,18 @@ class Baseline(Part):
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
+    def layout_statement(self) -> str:
+        """The rotor layout and where it is known from; or that it is unknown, what does not judge, the remedy."""
+        lost = f"; {', '.join(NEED_LAYOUT)} do not judge, and no rotor is named; name it with --layout or --airframe"
+        return self.airframe.layout_statement + (lost if self.airframe.layout is None else "")
+
+    @property
     def layout_doubt(self) -> str:
         """What must be said of a rotor layout that is unknown, though a monitor wants it, or doubtful; else empty."""
         frame = self.airframe
         if frame.layout is None:
-            return frame.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
-        return frame.layout_statement if frame.layout_warning else ""
+            return self.layout_statement if any(one.monitor in NEED_LAYOUT for one in self.not_judgeable) else ""
+        return self.layout_statement if frame.layout_warning else ""
 
     def needs(self) -> frozenset[Signal]:
         """The signals that its monitors rest on."""
@@ -121,7 +128,7 @@ class Baseline(Part):
         frame, link = self.airframe, self.link
         lines = [
             f"airframe   {frame.name} ({frame.scope})",
-            frame.layout_statement,
+            self.layout_statement,
             f"link       {link.profile}, {1 / link.dt_s:.2f} Hz, {link.grid} grid",
             f"window     {self.window.samples} samples, order {self.window.order}",
         ]
@@ -141,7 +148,8 @@ class Baseline(Part):
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]
-        return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()])
+        lines += [f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()]
+        return "\n".join(map(printable, lines))
 
     def _advice(self) -> list[str]:
         """How much more would be needed for what is promised to be shown."""
@@ -194,7 +202,7 @@ def validated(raw: dict[str, Any]) -> Baseline:
     except MavdiagError as error:  # from a specification that checks itself
         raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"]) or "baseline"
         raise BaselineError(f"{where}: {first['msg']}; {REMEDY}") from error
 

@@ -13,8 +13,6 @@ from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
-from mavdiag.monitors.rotor_trim import RotorTrim
-from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.align import measure_grid
 from mavdiag.rows.front import Rows
 from mavdiag.rows.gate import Border
@@ -23,7 +21,6 @@ from mavdiag.units import NS_PER_S
 
 __all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "exit_code", "judge"]
 
-DOUBT = "trim shift: propeller, payload or session"  # what a trim alone can say
 MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
 
 
@@ -218,8 +215,8 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     axis = f" on {worst.axis}" if worst.axis is not None else ""
     count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
     evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
-    alone = {event.monitor for event in events} - {RunLength.name} == {RotorTrim.name}
-    doubt = f"; {DOUBT}" if alone else ""
+    doubts = {by_name(event.monitor).doubt for event in events if by_name(event.monitor).decides}
+    doubt = "".join(f"; {text}" for text in doubts if text and len(doubts) == 1)
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
     return f"{what}{evidence}{rotor}{graded}{doubt}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
 

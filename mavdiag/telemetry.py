@@ -26,12 +26,14 @@ __all__ = [
     "Series",
     "Signal",
     "Telemetry",
+    "Three",
     "pandas_module",
 ]
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
+Three: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, order=True)

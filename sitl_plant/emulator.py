@@ -14,6 +14,7 @@ import numpy as np
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
+from mavdiag.link.signing import Signing
 from sitl_plant.autopilot.commands import Autopilot, Forward, PlantOrder, Reply
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.imu_filters import FilteredSamples, ImuFilters
@@ -58,17 +59,26 @@ class FlightReport:
 class Link:
     """One link of the emulated vehicle: an endpoint, its schedule and sequence numbers, and what waits to be sent.
 
+    signing: signs what is sent, and refuses what is not signed; None for a link without.
     fresh: nothing is sent but what the real autopilot sends unasked.
     """
 
     def __init__(
-        self, endpoint: Endpoint, dialect: Dialect, rate_hz: float | None, rotors: int = 4, fresh: bool = False
+        self,
+        endpoint: Endpoint,
+        dialect: Dialect,
+        rate_hz: float | None,
+        rotors: int = 4,
+        signing: Signing | None = None,
+        *,
+        fresh: bool = False,
     ) -> None:
         self.endpoint = endpoint
         self.schedule = dialect.schedule(rate_hz, rotors, fresh)
-        self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
+        self._signing = signing
+        self._encoder = Encoder(SYSID, Component.AUTOPILOT1, signing)
         self._streamer = Streamer(dialect, self.schedule)
-        decoder = Decoder()
+        decoder = Decoder(signing=signing)
         self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
         self._senders: dict[tuple[int, int], Encoder] = {}
         self._waiting: deque[Message] = deque()
@@ -98,7 +108,7 @@ class Link:
         frame = action.frame
         source = (frame.sysid, frame.compid)
         if source not in self._senders and len(self._senders) < SENDERS_MAX and 0 not in source:
-            self._senders[source] = Encoder(*source)
+            self._senders[source] = Encoder(*source, self._signing)
         if source in self._senders:
             self.endpoint.send(self._senders[source].encode_payload(frame.msgid, frame.payload))
 

@@ -12,13 +12,9 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import UsageError
 from mavdiag.rows.gate import GateSpec
 
-__all__ = ["NEED_LAYOUT", "Airframe", "Scope"]
+__all__ = ["Airframe", "Scope"]
 
 Scope: TypeAlias = Literal["airframe", "type"]
-
-NEED_LAYOUT = ("rotor_trim", "trim_step", "rotor_signature")  # monitors that need a rotor layout
-UNJUDGED = f"{', '.join(NEED_LAYOUT)} do not judge, and no rotor is named"
-REMEDY = "name it with --layout or --airframe"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,8 +66,7 @@ class Airframe:
     def layout_statement(self) -> str:
         """The layout, what drives its rotors and where that is known from, or that it is unknown; one line."""
         if self.layout is None:
-            why = self.layout_basis or "nothing was found out about it"
-            return f"rotor layout unknown: {why}; {UNJUDGED}; {REMEDY}"
+            return f"rotor layout unknown: {self.layout_basis or 'nothing was found out about it'}"
         on = "" if self.outputs is None else f", its rotors on outputs {', '.join(map(str, self.outputs))}"
         basis = f" ({self.layout_basis})" if self.layout_basis else ""
         warning = f"; WARNING: {self.layout_warning}" if self.layout_warning else ""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import BoolArray, FloatArray
 
@@ -14,7 +15,6 @@ __all__ = ["Fit", "Stretch", "fit_outputs", "moving_outputs", "stretches_of"]
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
-MIN_OUTPUT = 0.05  # mean output below which a motor does not carry (our choice)
 DRIVERS = ("torque command", "rate error", "angular acceleration")
 
 

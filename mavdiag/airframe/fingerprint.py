@@ -25,6 +25,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.traits import TRAITS, beginning, traits
+from mavdiag.airframe.trim import LEVEL_RATIO, rises
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 
@@ -35,7 +36,6 @@ SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
 DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor takes for a rise (our choice)
-LEVEL_RATIO = 3.0  # payload and wind move roll and pitch: they count a third
 RAISED = math.log(1.5)  # of a noise: vibration that damage may have made (our choice)
 OTHER_MOTORS = 2  # a quadrotor is no hexarotor
 
@@ -191,15 +191,11 @@ def _trim(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None, rai
 
 
 def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -> tuple[float, FloatArray]:
-    """The rise of one rotor that explains a shift of the trim best, and what it leaves of the shift, (3,).
-
-    a_j = c_j' W shift / (c_j' W c_j) >= 0, W = diag(1/spread^2), c_j column j of the unmixing: least squares.
-    """
-    C, W = layout.unmixing, spread**-2
-    rises = np.maximum(np.einsum("k,kr->r", shift * W, C) / np.einsum("k,kr,kr->r", W, C, C), 0.0)
-    rests = shift[:, None] - C * rises
-    best = int(np.einsum("k,kr,kr->r", W, rests, rests).argmin())
-    return float(rises[best]), rests[:, best]
+    """The rise of one rotor, not below 0, that explains a shift of the trim best, and what it leaves of it, (3,)."""
+    rise = np.maximum(rises(shift[None], layout, spread)[0], 0.0)
+    rests = shift[:, None] - layout.unmixing * rise
+    best = int(np.linalg.norm(rests / spread[:, None], axis=0).argmin())
+    return float(rise[best]), rests[:, best]
 
 
 def _trim_words(learnt: Sequence[Figure], seen: FloatArray) -> list[str]:

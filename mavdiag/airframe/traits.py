@@ -13,13 +13,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits", "trim_of"]
+__all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits"]
 
 CALM_RAD_S = 2.0  # rms of the body rates over a second (our choice)
 TRIM_S = 1.0  # of one mean of the trim (our choice)
@@ -33,7 +34,6 @@ TURN_LAG_S = 0.2  # between outputs and acceleration (our choice)
 TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
 LAG_STEP_S = 0.02
 PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
-MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
 MOVES = 0.2  # of the busiest motor's rms (our choice)
 
@@ -68,26 +68,6 @@ def joined_rates(flight: Sequence[Rows]) -> list[RateBlock]:
     return out
 
 
-def trim_of(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
-    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it is known, (n,); zero elsewhere.
-
-    From the motors' outputs where they are sent, else from torque commands over the thrust, as in the rotor-trim
-    monitor.
-    """
-    outputs = block.actuator[:, : layout.rotors]
-    if outputs.shape[1] == layout.rotors:
-        level = outputs.mean(axis=1)
-        known = block.valid & np.isfinite(outputs).all(axis=1) & (level > MIN_OUTPUT)
-        if known.any():
-            share = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
-            return np.einsum("nr,kr->nk", share, layout.unmixing), known
-    if layout.torque_gain is None:
-        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
-
-
 @dataclass(frozen=True, slots=True)
 class Trait:
     """name: how a text calls it. log: its figure is a natural logarithm, and a text gives the ratio."""
@@ -120,7 +100,7 @@ def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
     blocks, rates = joined(flight), joined_rates(flight)
     calm = [_calm(block) for block in blocks]
-    trims = [] if layout is None else [trim_of(block, layout) for block in blocks]
+    trims = [] if layout is None else [shown_trim(block, layout) for block in blocks]
     means = (
         _means(value, known & ok, block.dt_s) for block, ok, (value, known) in zip(blocks, calm, trims, strict=False)
     )

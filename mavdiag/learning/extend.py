@@ -1,12 +1,11 @@
 """A baseline with more healthy flights: a new session, or a new set of propellers on the same airframe.
 
 The fits stay as they are; the new flights, which no fit has seen, add to what the thresholds rest on, to the envelope
-and to the healthy trim. New propellers change the trim and the vibration and nothing else, so one short hover tells
-what these are now, and the old flights still tell how much they vary.
+and to the healthy trim. New propellers change the trim, the vibration and what the sensors feel of it, so one short
+hover tells what these are now, and the old flights still tell how much they vary.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,11 +19,7 @@ from mavdiag.learning.guards import repeated, upsets
 from mavdiag.learning.learn import plain_scores, sources
 from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import by_name, monitor_of
-from mavdiag.monitors.base import LearnContext
-from mavdiag.monitors.healthy import Three, three
-from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
-from mavdiag.monitors.unbalance import Unbalance
-from mavdiag.monitors.vibration_level import VibrationLevel
+from mavdiag.monitors.base import Flights, LearnContext
 from mavdiag.rows.align import measure_grid
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.envelope import Covered, covered_by
@@ -32,8 +27,6 @@ from mavdiag.thresholds.heldout import Scores, pooled, score
 from mavdiag.thresholds.rule import threshold_of
 
 __all__ = ["extend"]
-
-RESTS_ON_PROPELLERS = (RotorTrim.name, Unbalance.name, VibrationLevel.name)
 
 
 def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool = False, created: str) -> Baseline:
@@ -55,12 +48,13 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
     old = baseline.provenance.logs
     propellers = max(one.propellers for one in old) + new_propellers
     sessions = _sessions(baseline, flights)
+    known, rows = {one.session for one in old}, [one.rows for one in learnt]
     entries = []
     for entry in baseline.monitors:
-        moved = _moved(baseline, entry, learnt) if new_propellers else entry
-        entries.append(_grown(moved, learnt, len({one.session for one in old} | set(sessions)), len(old)))
-    if not new_propellers:
-        entries = [_with_trim(entry, learnt, len({one.session for one in old})) for entry in entries]
+        moved = _moved(baseline, entry, rows) if new_propellers else entry
+        grown = _grown(moved, learnt, len(known | set(sessions)), len(old))
+        spec = grown.spec if new_propellers else monitor_of(grown.spec).extended(rows, len(known))
+        entries.append(grown.model_copy(update={"spec": spec}))
     envelope = _joined(baseline.envelope, covered_by(one.rows for one in learnt))
     logs = (*old, *sources(learnt, sessions, propellers))
     return sealed(
@@ -117,39 +111,15 @@ def _grown(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int, 
     return MonitorEntry(spec=entry.spec, threshold=threshold, scores=plain_scores(scores))
 
 
-def _with_trim(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int) -> MonitorEntry:
-    """The healthy trim as the mean over sessions, the new one among them."""
-    spec = entry.spec
-    if spec.kind != RotorTrim.name:
-        return entry
-    mean = np.array(spec.mean)
-    mean += (np.array(_trim(spec, flights)) - mean) / (sessions + 1)
-    return entry.model_copy(update={"spec": replace(spec, mean=three(mean))})
-
-
-def _moved(baseline: Baseline, entry: MonitorEntry, flights: Sequence[LearntFlight]) -> MonitorEntry:
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> MonitorEntry:
     """The entry for new propellers: its healthy level is that of the new flights, and its scores move along."""
-    spec = entry.spec
-    if spec.kind not in RESTS_ON_PROPELLERS or entry.scores is None:
+    if entry.scores is None:
         return entry
-    if spec.kind == RotorTrim.name:
-        return entry.model_copy(update={"spec": replace(spec, mean=three(_trim(spec, flights)))})
-    context = LearnContext(
-        baseline.airframe, baseline.airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples
-    )
-    (new,) = by_name(spec.kind).fit([one.rows for one in flights], context)
-    if spec.kind == Unbalance.name:
-        new, ratio = replace(new, corner_hz=spec.corner_hz), (new.power / spec.power) ** 0.5
-    else:
-        ratio = new.healthy / spec.healthy if spec.healthy else 1.0
-    maxima = tuple(ratio * x for x in entry.scores.maxima)
-    scores = HealthyScores(maxima=maxima, spans_s=entry.scores.spans_s)
-    return entry.model_copy(update={"spec": new, "scores": scores})
-
-
-def _trim(spec: RotorTrimSpec, flights: Sequence[LearntFlight]) -> Three:
-    """Healthy trim of these flights alone."""
-    return RotorTrim(spec).mean_of([one.rows for one in flights])
+    airframe = baseline.airframe
+    context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
+    spec, ratio = monitor_of(entry.spec).renewed(flights, context)
+    scores = HealthyScores(maxima=tuple(ratio * x for x in entry.scores.maxima), spans_s=entry.scores.spans_s)
+    return entry.model_copy(update={"spec": spec, "scores": scores})
 
 
 def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[LearntFlight]) -> None:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import joined, joined_rates, trim_of
+from mavdiag.airframe.traits import joined, joined_rates
+from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.repeats import repeated
@@ -38,7 +39,6 @@ GROUP_DISTANCE = 0.03  # of the hover command; one airframe's recorded sessions 
 NOTED_DISTANCE = 0.005  # of the hover command: as much as new propellers make (our choice)
 GROUP_RATIO = 6.0  # of the distance to the spread within the groups (our choice)
 GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certain (our choice)
-LEVEL_RATIO = 3.0  # payloads and wind move roll and pitch: they count a third, as for the rotor-trim monitor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,7 +196,7 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
 
 
 def _mean_trim(flight: LearntFlight, layout: RotorLayout) -> FloatArray | None:
-    found = [trim_of(block, layout) for block in joined(flight.rows)]
+    found = [shown_trim(block, layout) for block in joined(flight.rows)]
     known = np.concatenate([np.empty((0, 3)), *(trim[where] for trim, where in found)])
     return known.mean(axis=0) if len(known) else None
 

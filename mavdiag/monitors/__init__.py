@@ -18,7 +18,7 @@ from mavdiag.monitors.trim_step import TrimStep
 from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.monitors.vibration_level import VibrationLevel
 
-__all__ = ["BY_NAME", "MONITORS", "by_name", "monitor_of"]
+__all__ = ["BY_NAME", "MONITORS", "NEED_LAYOUT", "by_name", "monitor_of"]
 
 MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
     RunLength,
@@ -35,6 +35,8 @@ MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
 )
 
 BY_NAME: Mapping[str, type[Monitor[Any, Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})
+
+NEED_LAYOUT = tuple(monitor.name for monitor in MONITORS if monitor.needs_layout)
 
 
 def by_name(name: str) -> type[Monitor[Any, Any]]:

@@ -14,6 +14,8 @@ from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
@@ -58,6 +60,13 @@ class LearnContext:
     method: Method = Method.SRIV
     order: Order = (2, 2, 1)
     margin_rule: str = "p90"
+
+    @property
+    def layout(self) -> RotorLayout:
+        """The rotor layout. Raises InputError if it is not known."""
+        if self.airframe.layout is None:
+            raise InputError("the rotor layout is not known; name the airframe")
+        return self.airframe.layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +122,8 @@ class Monitor(ABC, Generic[Spec, State]):
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
     feature: what its level means for the fault, a name of `Feature`; None if nothing.
+    needs_layout: it cannot be fitted where the rotor layout is not known.
+    doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
     """
 
@@ -127,6 +138,8 @@ class Monitor(ABC, Generic[Spec, State]):
     clear_s: ClassVar[float] = 2.0  # our choice
     guard: ClassVar[Guard] = Guard()
     evidence: ClassVar[RotorEvidence | None] = None
+    needs_layout: ClassVar[bool] = False
+    doubt: ClassVar[str] = ""
     spec_type: ClassVar[type[Any]]
 
     def __init__(self, spec: Spec) -> None:
@@ -140,6 +153,17 @@ class Monitor(ABC, Generic[Spec, State]):
         Raises InputError or IdentificationError, with the reason as the operator reads it (without the monitor's
         name), if it cannot work on such flights.
         """
+
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
+        """Its fit once the propellers are new, and the factor of scores that the old ones gave.
+
+        flights: healthy ones with the new propellers. Raises as `fit`. Most fits do not rest on propellers, and stay.
+        """
+        return self.spec, 1.0
+
+    def extended(self, flights: Flights, sessions: int) -> Spec:
+        """Its fit with a further session of healthy flights. sessions: how many it rests on. Raises as `fit`."""
+        return self.spec
 
     @property
     @abstractmethod

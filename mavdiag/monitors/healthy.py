@@ -1,19 +1,16 @@
 """What the fits to healthy flights share: which rows they take, and how large a residual may be (METHOD section 4)."""
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, Three
 
 __all__ = ["LIMIT", "MEMORY_S", "Three", "cut_to_share", "three", "variance_law"]
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
 LIMIT = 1e6  # healthy rms; a normalised residual is cut here (our choice)
-
-Three: TypeAlias = tuple[float, float, float]
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:

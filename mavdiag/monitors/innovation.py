@@ -19,7 +19,7 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -109,10 +109,10 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     healthy flights had does not count. About 1 in healthy flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
-    Warm-up: half an SG window, 4 rows and 1 s. Latency: half an SG window and up to 1 s. False alarms: see
-    `thresholds`; aerobatics, landings and wind that the healthy flights lacked raise it without a fault. Blind spots:
-    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts; the threshold catches none);
-    anything slow.
+    Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
+    SG window and up to 1 s. False alarms: see `thresholds`; aerobatics, landings and wind that the healthy flights
+    lacked raise it without a fault. Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller
+    cuts; the threshold catches none); anything slow.
 
     >>> from mavdiag.testing import example_rows, example_context
     >>> rng = np.random.default_rng(4)
@@ -179,8 +179,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         e = _errors(pairs.u, pairs.y - np.array(spec.mean), np.array(spec.a), np.array(spec.b))
         z = np.clip(e / np.sqrt(np.array(spec.k0) + np.array(spec.k1) * pairs.busy), -LIMIT, LIMIT)
         window = window_rows(spec.window_s, rates.dt_s)
-        mean_state, mean, full = sliding_mean(state.mean, z**2, pairs.valid, window)
-        level = np.sqrt(np.maximum(mean.mean(axis=1), 0.0))
+        # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
+        used, all_of_them = pairs.valid, np.ones(int(pairs.valid.sum()), dtype=np.bool_)
+        mean_state, mean, whole = sliding_mean(state.mean, z[used] ** 2, all_of_them, window)
+        level, full = np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+        level[used], full[used] = np.sqrt(np.maximum(mean.mean(axis=1), 0.0)), whole
         worst = np.abs(z).max(axis=1, initial=0.0)
         return replace(state, mean=mean_state), Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
@@ -212,10 +215,13 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         return kept, _Pairs(state.past[:, :3], state.past[:, 3:], np.empty(0, dtype=np.bool_), nothing)
     at = np.minimum(np.searchsorted(waiting_ns, rates.t_ns), len(waiting_ns) - 1)
     fresh = np.concatenate((rates.u, waiting[at]), axis=1)
-    good = rates.commanded & (waiting_ns[at] == rates.t_ns) & np.isfinite(fresh).all(axis=1)
-    both = np.concatenate((state.past, np.where(np.isfinite(fresh), fresh, 0.0)))
+    good = rates.commanded & (waiting_ns[at] == rates.t_ns)
+    if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
+        finite = np.isfinite(fresh)
+        good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
+    both = np.concatenate((state.past, fresh))
     valid = np.concatenate((state.past_valid, good))
-    whole = np.logical_and.reduce([valid[i : len(valid) - LAG + i] for i in range(LAG + 1)])
+    whole = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
     used = int(at[-1]) + 1
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)

@@ -7,55 +7,45 @@ the centre or a damaged blade all shift the trim.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import Source, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.base import Feature, Flights, LearnContext, segments
 from mavdiag.monitors.healthy import Three, three
-from mavdiag.monitors.trim import SIGNALS, Source, rises, source_of, spread_of, tilt_of, trim_of
-from mavdiag.rows.block import Block
-from mavdiag.rows.conditions import Condition
+from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["RotorTrim", "RotorTrimSpec"]
 
-WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RotorTrimSpec:
+class RotorTrimSpec(TrimSpec):
     """Healthy trim.
 
-    layout: where the rotors are.
-    source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
     mean, spread: of the 5 s means of roll, pitch and yaw trim [fraction of hover].
-    window_s: length of the means [s].
     Raises InputError if they do not describe a vehicle.
     """
 
     kind: Literal["rotor_trim"] = "rotor_trim"
-    layout: RotorLayout
-    source: Source
     mean: Three
     spread: Three
-    window_s: float = WINDOW_S
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(x) for x in (*self.mean, *self.spread)) or min(*self.spread, self.window_s) <= 0:
             raise InputError("rotor_trim: the healthy trim must be finite, its spread and the window positive")
-        if self.source == "torque" and self.layout.torque_gain is None:
-            raise InputError(f"rotor_trim: what a torque command does to the motors of {self.layout.name} is not known")
+        self.check()
 
 
-class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
+class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
@@ -86,19 +76,14 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
 
     name = "rotor_trim"
     label = "rotor trim"
-    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
-    depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
     # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
     # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
     # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a
     # shift of less than 0.02 is what wind and new propellers make (thrust coefficients differ by 0.8 %, METHOD 3).
     guard = Guard(few_sessions=0.06, few_flights=12.0, least=0.02)
-    evidence = RotorEvidence(
-        10.0, relative=True, direct=False
-    )  # of 35 recorded cuts a lead of 0.12 was right each time
     spec_type = RotorTrimSpec
-    unit = "fraction of hover"
     feature = Feature.RISE
+    doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
@@ -106,33 +91,19 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
-        layout = context.airframe.layout
-        if layout is None:
-            raise InputError("the rotor layout is not known; name the airframe")
-        source = source_of(flights, layout)
+        layout, source = context.layout, source_of(flights, context.layout)
         mu, windows = _mean(flights, layout, source)
         return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread_of(windows - mu)),)
 
-    def mean_of(self, flights: Flights) -> Three:
-        """The trim of other healthy flights: the mean over them of their means. Raises IdentificationError."""
-        return three(_mean(flights, self.spec.layout, self.spec.source)[0])
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, float]:
+        """With the trim of the new propellers; how much it varies stays."""
+        mean, _ = _mean(flights, self.spec.layout, self.spec.source)
+        return replace(self.spec, mean=three(mean)), 1.0
 
-    @property
-    def signals(self) -> frozenset[Signal]:
-        """The outputs, or torque and thrust."""
-        return SIGNALS[self.spec.source]
-
-    def known(self, block: Block, signal: Signal) -> BoolArray:
-        """Of the outputs those that move a rotor."""
-        outputs = block.actuator[:, : self.spec.layout.rotors]
-        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
-            return block.known(signal)
-        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
-
-    @property
-    def memory_s(self) -> float:
-        """Its window [s]."""
-        return self.spec.window_s
+    def extended(self, flights: Flights, sessions: int) -> RotorTrimSpec:
+        """With the mean over sessions, the new one among them."""
+        mean, (fresh, _) = np.array(self.spec.mean), _mean(flights, self.spec.layout, self.spec.source)
+        return replace(self.spec, mean=three(mean + (fresh - mean) / (sessions + 1)))
 
     def start(self) -> MeanState:
         """An empty mean."""
@@ -145,7 +116,7 @@ class RotorTrim(Monitor[RotorTrimSpec, MeanState]):
         both = np.concatenate((trim, tilt_of(block)), axis=1)
         state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
         shift = mean[:, :3] - np.array(spec.mean)
-        rise = rises(shift, spec.layout, spec.spread, mean[:, 3:]).max(axis=1)
+        rise = np.maximum.reduce(rises(shift, spec.layout, spec.spread, mean[:, 3:]), axis=1)
         rotors = rises(shift, spec.layout, spec.spread)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
 

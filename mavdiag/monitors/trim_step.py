@@ -10,22 +10,19 @@ from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.healthy import Three
-from mavdiag.monitors.trim import SIGNALS, YAW_FLOOR, Source, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.monitors.base import Flights, LearnContext, segments
+from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
-from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["TrimStep", "TrimStepSpec", "TrimStepState"]
 
 TICK_S = 0.5  # a value twice a second (our choice)
-WINDOW_S = 5.0  # as the rotor-trim monitor's
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
 HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
@@ -35,24 +32,19 @@ UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrimStepSpec:
+class TrimStepSpec(TrimSpec):
     """How much the trim moves within a healthy flight.
 
-    layout: where the rotors are.
-    source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
     spread: of the 5 s means of roll, pitch and yaw trim about the reference [fraction of hover].
     turn_rad_s: mean yaw rate over half a second, half more than the healthy flights had; a faster turn is left out.
-    window_s, memory_s: lengths of the mean and of the reference's memory [s].
+    memory_s: of the reference [s].
     drift_per_s: largest drift that is followed [fraction of hover a second].
     Raises InputError if they do not describe a vehicle.
     """
 
     kind: Literal["trim_step"] = "trim_step"
-    layout: RotorLayout
-    source: Source
     spread: Three
     turn_rad_s: float = STRAIGHT_RAD_S
-    window_s: float = WINDOW_S
     memory_s: float = MEMORY_S
     drift_per_s: float = DRIFT_PER_S
 
@@ -60,8 +52,7 @@ class TrimStepSpec:
         figures = (*self.spread, self.turn_rad_s, self.window_s, self.memory_s, self.drift_per_s)
         if not all(math.isfinite(x) for x in figures) or min(figures) <= 0:
             raise InputError("trim_step: spread, turn, window, memory and drift must be positive numbers")
-        if self.source == "torque" and self.layout.torque_gain is None:
-            raise InputError(f"trim_step: what a torque command does to the motors of {self.layout.name} is not known")
+        self.check()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +71,7 @@ class TrimStepState:
     reference: FloatArray | None
 
 
-class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
+class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s,    a_j: rise of rotor j that explains m - m_ref (`trim`),    statistic = max_j a_j
@@ -106,20 +97,13 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
 
     name = "trim_step"
     label = "trim step"
-    needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
-    depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
     guard = Guard(least=0.01)  # half of what the rotor-trim monitor must allow for wind and propellers (our choice)
-    evidence = RotorEvidence(10.0, relative=True, direct=False)  # as the rotor-trim monitor's
     spec_type = TrimStepSpec
-    unit = "fraction of hover"
 
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[TrimStepSpec, ...]:
         """The spread of healthy shifts within flights."""
-        layout = context.airframe.layout
-        if layout is None:
-            raise InputError("the rotor layout is not known; name the airframe")
-        source = source_of(flights, layout)
+        layout, source = context.layout, source_of(flights, context.layout)
         fastest = max((_turn(rows.block) for flight in flights for rows in flight), default=0.0)
         first = TrimStepSpec(
             layout=layout, source=source, spread=UNKNOWN, turn_rad_s=max(TURN_ROOM * fastest, STRAIGHT_RAD_S)
@@ -134,23 +118,6 @@ class TrimStep(Monitor[TrimStepSpec, TrimStepState]):
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
         return (replace(first, spread=spread_of(found)),)
-
-    @property
-    def signals(self) -> frozenset[Signal]:
-        """The outputs, or torque and thrust."""
-        return SIGNALS[self.spec.source]
-
-    def known(self, block: Block, signal: Signal) -> BoolArray:
-        """Of the outputs those that move a rotor."""
-        outputs = block.actuator[:, : self.spec.layout.rotors]
-        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
-            return block.known(signal)
-        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
-
-    @property
-    def memory_s(self) -> float:
-        """Its window [s]."""
-        return self.spec.window_s
 
     def start(self) -> TrimStepState:
         """No row yet."""

@@ -14,7 +14,7 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -73,9 +73,7 @@ class UnbalanceSpec:
         known = [one for one in (self.mass_kg, self.hover_rad_s) if one is not None]
         positive = (self.dt_s, self.corner_hz, self.window_s, self.power, *self.spread, *known)
         if not all(math.isfinite(x) and x > 0 for x in positive) or len(known) == 1:
-            raise InputError(
-                "unbalance: period, corner, window, power, spread, and mass with rotor speed, are positive"
-            )
+            raise InputError("unbalance: period, corner, window, power, spread and mass with rotor speed, are positive")
         if not all(math.isfinite(x) for x in (*self.covariance, self.turning)):
             raise InputError("unbalance: the healthy covariances must be finite numbers")
         if self.corner_hz * self.dt_s >= 0.5:
@@ -198,11 +196,15 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         means = np.concatenate([_means(first, flight) for flight in flights])
         if len(means) == 0:
             raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
-        centre, spread = means.mean(axis=0).tolist(), means.std(axis=0).tolist()
-        if not (centre[0] > 0 and spread[1] > 0 and spread[2] > 0):
+        (power, x, y, turning), spread = means.mean(axis=0).tolist(), means.std(axis=0).tolist()
+        if not (power > 0 and spread[1] > 0 and spread[2] > 0):
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
-        covariance, width = (centre[1], centre[2]), (spread[1], spread[2])
-        return (replace(first, covariance=covariance, spread=width, turning=centre[3], power=centre[0]),)
+        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
+
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, float]:
+        """The vibration of the new propellers, by the same high-pass."""
+        (new,) = self.fit(flights, context)
+        return replace(new, corner_hz=self.spec.corner_hz), (new.power / self.spec.power) ** 0.5
 
     @property
     def unit(self) -> str:
@@ -216,8 +218,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its x and y."""
-        force = np.isfinite(block.force[:, :2]).all(axis=1)
-        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, slice(0, 2) if signal is Signal.SPECIFIC_FORCE else ALL)
 
     @property
     def memory_s(self) -> float:
@@ -269,9 +270,8 @@ def _carries_line(rate_hz: float) -> bool:
 
 
 def _fresh() -> UnbalanceState:
-    nothing = np.empty(0, dtype=np.int64)
-    no_flags = np.empty(0, dtype=np.bool_)
-    return UnbalanceState(np.empty((3, 0)), nothing, no_flags, np.empty((0, COLUMNS)), no_flags)
+    flags = np.empty(0, dtype=np.bool_)
+    return UnbalanceState(np.empty((3, 0)), np.empty(0, dtype=np.int64), flags, np.empty((0, COLUMNS)), flags)
 
 
 class _Filter:
@@ -335,8 +335,7 @@ class _Places:
         grown = np.maximum(mean[:, 0] - self._power, 1e-3 * self._power)
         turning = np.clip((mean[:, 3] - self._turning) / (FULL_TURN * grown), -1.0, 1.0)
         strength = clear * np.sqrt(square)[:, None]
-        both: FloatArray = (found + strength * turning[:, None] * self._sense) / 2
-        return both
+        return np.asarray((found + strength * turning[:, None] * self._sense) / 2, dtype=np.float64)
 
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:

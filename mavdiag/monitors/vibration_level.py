@@ -83,6 +83,11 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
             raise InputError("the vehicle sends no VIBRATION message with acceleration per axis")
         return (VibrationLevelSpec(healthy=float(np.concatenate(sizes).mean())),)
 
+    def renewed(self, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, float]:
+        """The level of the new propellers."""
+        (new,) = self.fit(flights, context)
+        return new, new.healthy / self.spec.healthy if self.spec.healthy else 1.0
+
     @property
     def memory_s(self) -> float:
         """Its window [s]."""

@@ -9,7 +9,7 @@ from sitl_plant.campaign.conditions import CONDITIONS
 from sitl_plant.campaign.intervals import Rate, Share, poisson, wilson
 from sitl_plant.campaign.worker import FlightResult
 
-__all__ = ["UNJUDGED", "ConditionDetection", "ConditionMonitor", "ConditionRow", "condition_rows"]
+__all__ = ["UNJUDGED", "ConditionDetection", "ConditionMonitor", "ConditionRow", "condition_row", "condition_rows"]
 
 UNJUDGED = ("not_judgeable", "error")
 
@@ -65,11 +65,12 @@ def condition_rows(flights: Sequence[FlightResult]) -> tuple[ConditionRow, ...]:
     for name in CONDITIONS:
         own = [flight for flight in flights if flight.conditions.condition == name]
         if own:
-            rows.append(_row(name, own))
+            rows.append(condition_row(name, own))
     return tuple(rows)
 
 
-def _row(name: str, flights: Sequence[FlightResult]) -> ConditionRow:
+def condition_row(name: str, flights: Sequence[FlightResult]) -> ConditionRow:
+    """What was found in these flights."""
     healthy = [flight for flight in flights if flight.cause == HEALTHY]
     flown_h = sum(flight.flown_s for flight in healthy) / S_PER_H
     judged_h = sum(flight.judged_s for flight in healthy) / S_PER_H

@@ -11,7 +11,7 @@ import numpy as np
 
 from mavdiag.units import S_PER_H
 from sitl_plant.campaign.causes import CAUSES, HEALTHY, RIGHT, Group
-from sitl_plant.campaign.condition_rows import UNJUDGED, ConditionRow, condition_rows
+from sitl_plant.campaign.condition_rows import UNJUDGED, ConditionRow, condition_row, condition_rows
 from sitl_plant.campaign.intervals import Rate, Share, poisson, wilson
 from sitl_plant.campaign.runner import Results
 from sitl_plant.campaign.worker import FlightResult
@@ -87,6 +87,7 @@ class Summary:
 
     healthy_hours: of healthy flights, and of the others up to their onset; alarms there are false.
     chance: share of healthy stretches, as long as those after an onset, in which an alarm would begin.
+    every: all conditions together.
     """
 
     seed: int
@@ -99,7 +100,8 @@ class Summary:
     detection: tuple[DetectionRow, ...]
     monitors: tuple[MonitorRow, ...]
     answers: tuple[AnswerRow, ...]
-    conditions: tuple[ConditionRow, ...] = ()
+    conditions: tuple[ConditionRow, ...]
+    every: ConditionRow
 
 
 _FACTORS: Mapping[str, Callable[[FlightResult], str]] = {
@@ -143,6 +145,7 @@ def summarise(results: Results) -> Summary:
         monitors=_monitor_rows(judged, faulty),
         answers=_answer_rows(results.flights),
         conditions=condition_rows(results.flights),
+        every=condition_row("all", results.flights),
     )
 
 

@@ -11,7 +11,7 @@ from sitl_plant.campaign.summary import DetectionRow, Summary
 
 __all__ = ["print_summary"]
 
-PIPED_WIDTH = 120
+PIPED_WIDTH = 1000  # no column is cut where nobody looks at a screen; a table takes what it needs
 CELL = "fault, phenomenology"  # rows that make a table of their own
 
 
@@ -42,8 +42,8 @@ def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -
 
 
 def _several(summary: Summary) -> tuple[ConditionRow, ...]:
-    """The rows of the named conditions, if there are several; of one alone the other tables tell."""
-    return summary.conditions if len(summary.conditions) > 1 else ()
+    """The rows of the named conditions and of all, if there are several; of one alone the other tables tell."""
+    return (*summary.conditions, summary.every) if len(summary.conditions) > 1 else ()
 
 
 def _conditions(summary: Summary) -> Table:

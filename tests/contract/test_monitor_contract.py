@@ -1,6 +1,7 @@
 """What every monitor keeps to. A new monitor needs no line here: the flights have every signal, and it is fitted."""
 
 import dataclasses
+import math
 from functools import cache
 from typing import Any
 
@@ -52,6 +53,16 @@ def rough_flight(seed: int) -> Telemetry:
     """Two stretches of flight with a break of 1.5 s between them, a gap of 80 ms, and one of 0.5 s in the set-point."""
     rough = without(flying(SAMPLES, seed), (10.0, 10.08), (18.0, 19.5))
     return without(rough, (4.0, 4.5), signals=(Signal.ATTITUDE_SETPOINT,))
+
+
+@every_monitor
+def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind: type[Monitor[Any, Any]]) -> None:
+    other = [flying_rows(flying(SAMPLES, 101))]
+    spec, factor = built(kind).renewed(other, CONTEXT)
+    assert 0.0 < factor < math.inf
+    for one in (spec, built(kind).extended(other, 2)):
+        assert type(one) is kind.spec_type
+        assert run(kind(one), other[0]).valid.any()
 
 
 def run(monitor: Monitor[Any, Any], rows: list[Rows]) -> Statistic:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, poisson
 
+from mavdiag.monitors import BY_NAME
 from sitl_plant.campaign.conditions import Conditions
 from sitl_plant.campaign.intervals import poisson as poisson_rate
 from sitl_plant.campaign.intervals import wilson
@@ -172,6 +173,18 @@ def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
     assert calm.detection == ()
 
 
+def test_all_conditions_together_have_a_row() -> None:
+    summary = summarise(in_conditions())
+    (calm, wind), every = summary.conditions, summary.every
+    assert every.condition == "all"
+    assert every.flown_h == pytest.approx(calm.flown_h + wind.flown_h)
+    assert every.judged_h == pytest.approx(calm.judged_h + wind.judged_h)
+    assert (every.alarms.count, every.faults.count) == (2, 1)
+    assert every.faults.high == pytest.approx(poisson_rate(1, every.judged_h).high)
+    assert (every.flagged.hits, every.flagged.of) == (1, 13)
+    assert every.detection == wind.detection
+
+
 def test_each_monitor_tells_what_it_judged_in_each_condition() -> None:
     own = (MonitorResult("latency", 1, 0, None, 30.0), MonitorResult("other", 0, 0, None, 0.0))
     flights = (flown(0, "wind-5", monitors=own), flown(1, "wind-5", monitors=()))
@@ -188,6 +201,19 @@ def test_the_tables_of_conditions_print(capsys: pytest.CaptureFixture[str]) -> N
     shown = capsys.readouterr().out
     for text in ("wind-2", "Healthy flight by condition", "Healthy flight by monitor", "2/2, 1/2"):
         assert text in shown
+    assert shown.count("│ all  ") == 5  # in the three tables of conditions, and those of alarms and faults
+
+
+def test_no_column_is_cut_where_the_output_is_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
+    own = tuple(MonitorResult(name, 0, 0, None, 30.0) for name in BY_NAME)
+    flights = (flown(0, "propellers-1", monitors=own), flown(1, "turbulence-5", monitors=own))
+    print_summary(summarise(Results(PLAN, (), flights, 0, 0)))
+    shown = capsys.readouterr().out
+    heading = next(line for line in shown.splitlines() if all(name in line for name in BY_NAME))
+    assert "condition" in heading
+    assert "│ propellers-1 " in shown
+    assert "…" not in shown
+    assert max(map(len, shown.splitlines())) < 250  # a table is as wide as it must be
 
 
 def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from mavdiag.errors import BaselineError, IdentificationError, InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.extend import extend
+from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.conditions import Condition
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -237,6 +238,30 @@ def test_the_scores_of_the_old_propellers_move_along() -> None:
     assert new.scores is not None
     moved = new.scores.maxima[: len(old.scores.maxima)]
     assert moved == pytest.approx([ratio * x for x in old.scores.maxima], rel=1e-5)
+
+
+def buzzing(seed: int, n: int = 2500, times: float = 1.0) -> Telemetry:
+    """A flight with propellers that shake one axis of the gyro, and no other."""
+    made = flying(n, seed)
+    rate = next(one.values for one in made.series if one.signal is Signal.BODY_RATE)
+    buzz = np.random.default_rng(seed).normal(0.0, times * 0.2, len(rate))
+    return changed(made, Signal.BODY_RATE, add=np.outer(buzz, [0.0, 0.0, 1.0]))
+
+
+def test_new_propellers_bring_a_noise_of_their_own() -> None:
+    options = LearnOptions(airframe=FRAME, monitors=("rotor_trim", "sensor_noise"))
+    old = learn([flown(i, MONDAY + i * 600 * NS_PER_S) for i in range(3)], options, created=NOW)
+    hover = flown(60, MONDAY + DAY, buzzing(60, 1600))
+    new = extend(old, [hover], new_propellers=True, created=LATER)
+    healthy = Log("h", "", "px4", buzzing(61), started_ns=MONDAY + DAY)
+    assert "sensor_noise" in judge(healthy, old).reason.split(";")[0]  # or there is nothing to show
+    assert judge(healthy, new).verdict is Verdict.HEALTHY
+    noisy = judge(Log("n", "", "px4", buzzing(62, times=6.0), started_ns=MONDAY + DAY), new)
+    assert (noisy.verdict, noisy.kind) == (Verdict.FAULT, FaultKind.SENSOR)
+    before, after = (entry(made, "sensor_noise").scores for made in (old, new))
+    assert before is not None
+    assert after is not None
+    assert after.maxima[: len(before.maxima)] == before.maxima  # they are relative to the propellers of their time
 
 
 def test_a_hover_that_is_too_short_for_a_trim_is_refused() -> None:

@@ -265,7 +265,7 @@ def silent(count: int) -> list[Log]:
 def test_an_unknown_layout_is_loud_in_the_baseline_and_in_every_verdict() -> None:
     baseline = taught(silent(2))
     line = (
-        "rotor layout unknown: the data carry no rotor outputs that move; rotor_trim, trim_step, rotor_signature "
+        "rotor layout unknown: the data carry no rotor outputs that move; rotor_signature, rotor_trim, trim_step "
         "do not judge, and no rotor is named; name it with --layout or --airframe"
     )
     assert line in str(baseline).splitlines()

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
+from mavdiag.airframe.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import InputError
-from mavdiag.monitors.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -93,3 +93,14 @@ def test_outputs_are_preferred_to_commands() -> None:
 def test_tilt_is_zero_where_no_set_point_is_known() -> None:
     rows = example_rows(2, setpoint=np.ones((2, 3)), setpoint_valid=np.array([True, False]))
     assert tilt_of(rows.block).tolist() == [[1.0, 1.0], [0.0, 0.0]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rise_does_not_depend_on_the_rows_beside_it(seed: int) -> None:
+    """To the last bit: a live link brings a few rows at once, a log all of them."""
+    shift, tilt = np.random.default_rng(seed).normal(0.0, 0.02, (2, 300, 3))
+    layout = layout_named("x")
+    whole = rises(shift, layout, (0.03, 0.03, 0.01), tilt[:, :2])
+    for i in range(300):
+        alone = rises(shift[i : i + 1], layout, (0.03, 0.03, 0.01), tilt[i : i + 1, :2])
+        np.testing.assert_array_equal(whole[i : i + 1], alone)

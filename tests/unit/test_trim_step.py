@@ -12,7 +12,8 @@ from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.trim_step import MEMORY_S, TICK_S, WINDOW_S, TrimStep, TrimStepSpec
+from mavdiag.monitors.trim import WINDOW_S
+from mavdiag.monitors.trim_step import MEMORY_S, TICK_S, TrimStep, TrimStepSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray

@@ -1,0 +1,110 @@
+"""Trim: by how much the motors must differ for the vehicle to stay where it is, and which rotor's rise explains it.
+
+    w_i = o_i/mean(o) - 1,    m = C w,    C = pinv(B), B the layout's signs
+    a_j = c_j' W m / (c_j' W c_j),    W = diag(1/sd^2)
+
+o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j is the least-
+squares rise of rotor j alone that explains a shift m, c_j its column of C.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.errors import InputError
+from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
+
+__all__ = [
+    "LEVEL_RATIO",
+    "MIN_OUTPUT",
+    "SIGNALS",
+    "YAW_FLOOR",
+    "Source",
+    "rises",
+    "shown_trim",
+    "source_of",
+    "spread_of",
+    "tilt_of",
+    "trim_of",
+]
+
+YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
+LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
+TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
+NO_TILT = np.zeros((1, 2))
+MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
+
+Source: TypeAlias = Literal["actuator", "torque"]
+SIGNALS: dict[Source, frozenset[Signal]] = {
+    "actuator": frozenset({Signal.ACTUATOR}),
+    "torque": frozenset({Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}),
+}
+
+
+def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
+    """The outputs where they are sent, for they are what the rotors really got.
+
+    Raises InputError if there is neither.
+    """
+    sources: tuple[Source, ...] = ("actuator", "torque")
+    for source in sources:
+        if any(trim_of(rows.block, layout, source)[1].any() for flight in flights for rows in flight):
+            return source
+    raise InputError(
+        f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
+    )
+
+
+def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
+    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
+    if source == "actuator":
+        outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
+        if outputs.shape[1] < layout.rotors:
+            return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
+        level = outputs.mean(axis=1)
+        known = block.valid & np.isfinite(outputs).all(axis=1) & (level > MIN_OUTPUT)
+        w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
+        return np.einsum("nr,kr->nk", w, layout.unmixing), known
+    if layout.torque_gain is None:
+        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
+    # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
+    known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
+    command = block.torque * np.array(layout.torque_gain)
+    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+
+
+def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
+    """As `trim_of`, from the motors' outputs where any may be used, else from torque commands over the thrust."""
+    trim, known = trim_of(block, layout, "actuator")
+    return (trim, known) if known.any() else trim_of(block, layout, "torque")
+
+
+def tilt_of(block: Block) -> FloatArray:
+    """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
+    return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
+
+
+def spread_of(shifts: FloatArray) -> Three:
+    """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
+    roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
+    yaw = float(np.hypot(yaw, YAW_FLOOR))
+    return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
+
+
+def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, tilt: FloatArray = NO_TILT) -> FloatArray:
+    """The rise of each rotor that explains a shift of the trim alone, (n, 3) -> (n, rotors) [fraction of hover].
+
+    tilt: (n, 2) by how much the commanded tilt differs [rad]: wind that holds a vehicle tilted tips the rotor discs
+    too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
+    full, which tells rotors of one sense of rotation apart.
+    """
+    variance = np.empty(shift.shape)
+    variance[:, :2] = np.square(spread[:2]) + TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
+    variance[:, 2] = spread[2] ** 2
+    C, W = layout.unmixing, 1.0 / variance
+    # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
+    return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
