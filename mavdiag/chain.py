@@ -197,10 +197,6 @@ class Chain:
         accounts = (Account(),) * len(self.slots)
         return ChainState(self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts)
 
-    def needs(self) -> frozenset[Signal]:
-        """The signals that its monitors rest on."""
-        return frozenset[Signal]().union(*(slot.monitor.signals for slot in self.slots))
-
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
         if telemetry.series:
