@@ -57,7 +57,12 @@ def detect(
     ] = None,
     layout: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"),
+        typer.Option(
+            "--layout",
+            "--frame",
+            metavar="NAME",
+            help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]",
+        ),
     ] = None,
     name: Annotated[
         str | None, typer.Option(metavar="LABEL", help='Label of what is learned.  [default: "vehicle" and its id]')
@@ -167,8 +172,8 @@ def _serve(settings: Settings) -> None:
             journal=journal,
             recorder=recorder,
             metrics=metrics,
-            signing=signing,
             notifier=notifier,
+            signing=signing,
         )
         daemon.run(stop)
 

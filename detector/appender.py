@@ -76,8 +76,8 @@ class Appender:
         self._failing = 0  # entries in a row that could not be written
         self.lost = 0  # entries that could not be written, so far
 
-    def append(self, data: bytes, after_torn: bytes = b"") -> None:
-        """Append an entry, or count it as lost. after_torn: what goes before it if the last one was torn."""
+    def append(self, data: bytes, after_torn: bytes = b"", entries: int = 1) -> None:
+        """Append an entry, or several, or count them as lost. after_torn: what goes before if the last one was torn."""
         data = (after_torn if self._torn else b"") + data
         limit = self._rotation.limit_bytes
         try:
@@ -85,12 +85,12 @@ class Appender:
                 self._rotate()
             written = self._file.write(data)
         except OSError as error:
-            self._failed(error.strerror or str(error))
+            self._failed(error.strerror or str(error), entries)
             return
         self._size += written
         if written < len(data):
             self._torn = self._torn or written > 0
-            self._failed("the entry did not fit")
+            self._failed("not all of it fitted", entries)
             return
         if self._failing:
             self._warn(f"{self._name}: writing again; {self._failing} entries were lost")
@@ -132,11 +132,11 @@ class Appender:
         self._file.close()
         self._file, self._torn = new, False
 
-    def _failed(self, reason: str) -> None:
+    def _failed(self, reason: str, entries: int = 1) -> None:
         if not self._failing:
             self._warn(f"{self._name}: cannot be written ({reason}); watching goes on without it")
-        self._failing += 1
-        self.lost += 1
+        self._failing += entries
+        self.lost += entries
 
 
 def _sync_folder(folder: Path) -> None:

@@ -7,6 +7,7 @@ from detector.config import Settings, split_metrics_address
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError
+from mavdiag.link.keys import read_key
 from mavdiag.link.ports import check_address
 from mavdiag.storage import check_output
 
@@ -26,6 +27,10 @@ def _lines(
 ) -> Iterator[str]:
     yield f"link       {_place(settings.connect)}"
     yield f"watches    {_watched(settings)}"
+    if settings.signing_key is not None:
+        read_key(settings.signing_key)
+        check_output(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
+        yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
         yield f"judges by  {settings.baseline}: {_summary(baseline, settings)}"
     if settings.learn is not None:

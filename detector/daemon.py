@@ -5,10 +5,8 @@ datagram. Heartbeats come from the same loop and ask the session first: a daemon
 its work, falls silent.
 """
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
@@ -16,6 +14,7 @@ from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
 from detector.guard import Guard
+from detector.host import Host
 from detector.journal import Journal, Recorder, When
 from detector.notify import Notifier
 from detector.relay import Relay
@@ -42,6 +41,7 @@ from mavdiag.link.keys import KeptSigning
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -57,29 +57,6 @@ FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose ot
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
 _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
-
-
-class Host:
-    """The machine as the daemon sees it: clocks and a place for log lines. Tests bring their own."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self.say = say
-
-    def now_ns(self) -> int:
-        """The monotonic clock [ns]."""
-        return time.monotonic_ns()
-
-    def utc(self) -> datetime:
-        """The wall clock."""
-        return datetime.now(UTC)
-
-    def cpu_s(self) -> float:
-        """Processor time used so far [s]."""
-        return time.process_time()
-
-    def sleep(self, span_s: float) -> None:
-        """Wait."""
-        time.sleep(span_s)
 
 
 class Daemon:
@@ -103,8 +80,8 @@ class Daemon:
         journal: Journal | None = None,
         recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
-        signing: KeptSigning | None = None,
         notifier: Notifier | None = None,
+        signing: KeptSigning | None = None,
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
@@ -127,9 +104,10 @@ class Daemon:
             passed=self._passed if self._relay.wants else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        self._files = tuple((name, file) for name, file in (("journal", journal), ("record", recorder)) if file)
+        files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
+        self._files = tuple((name, file) for name, file in files if file is not None)
         self._reporter = Reporter(journal, host.say, self._when, settings.save)
-        self._requests = Requests(self.fleet, settings, self._sender)
+        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
@@ -188,7 +166,8 @@ class Daemon:
             self._beat()
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
@@ -196,7 +175,8 @@ class Daemon:
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
-        self._reporter.flush()
+        for _, file in self._files:
+            file.flush()
         self._host.say(summary)
 
     def figures(self) -> DaemonFigures:
@@ -309,6 +289,8 @@ class Daemon:
                 self._relay.send_to_all(sender.text(effect))
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
+            case TimesyncMessage():
+                self._relay.send_to_vehicle(sender.timesync(effect))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
@@ -334,8 +316,8 @@ class Daemon:
             for one in self.fleet.figures()
         ]
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
-        parts += [self._guard.summary()] if self._guard.summary() else []
         lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files if file.lost)
+        parts += [self._guard.summary()] if self._guard.summary() else []
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
         parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU")
         return "; ".join(parts)

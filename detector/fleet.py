@@ -16,6 +16,7 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
+from mavdiag.link.timesync import Timesync, exchanged
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 
@@ -23,6 +24,7 @@ __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
 Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
+NOT_ASKED = Timesync()
 
 
 def _no_times() -> IntArray:
@@ -61,6 +63,8 @@ class VehicleFigures:
     flight_s: flight time so far.
     rates: measured rate of each stream that is metered [Hz].
     ratios: statistic over threshold of each monitor and axis that is valid now.
+    timesync: round trip and offset of the vehicle's clock, as asked last.
+    drift_ppm: of the first clock of its messages against another one; None if they have one clock.
     """
 
     vehicle: int
@@ -73,6 +77,8 @@ class VehicleFigures:
     flight_s: float = 0.0
     rates: tuple[tuple[str, float], ...] = ()
     ratios: tuple[tuple[str, str, float], ...] = ()
+    timesync: Timesync = NOT_ASKED
+    drift_ppm: float | None = None
 
     @property
     def healthy(self) -> bool:
@@ -88,12 +94,14 @@ class Vehicle:
     outcome: what came of its last `Learn`, until the session gets it.
     events: that were opened, so far.
     awaiting: samples whose verdict is waited for; None if that is not measured.
+    timesync: what is known of its clock by asking; asked and answered where we may negotiate.
     """
 
     session: Session
     outcome: Baseline | LearningFailed | None = None
     events: int = 0
     awaiting: Awaiting | None = None
+    timesync: Timesync = field(default_factory=Timesync)
 
     def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
         """Hand the session what came. stream: the vehicle's."""
@@ -109,7 +117,10 @@ class Vehicle:
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
-        return effects
+        if not self.session.spec.settings.negotiate:
+            return effects
+        self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
+        return (*effects, *messages)
 
     def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
         """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
@@ -155,8 +166,7 @@ class Fleet:
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
-        self.link = LinkDecoder(profile, only, datagrams, careful=True, signing=signing, passed=passed)
-        self.link.most = most
+        self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
         self._spec_of, self._adapt, self._measured = spec_of, adapt, measured
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
@@ -205,4 +215,6 @@ class Fleet:
             flight_s=0.0 if judge is None else judge.flight_s,
             rates=tuple((one.value, state.streams.meter(one).rate_hz) for one in METERED),
             ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
+            timesync=vehicle.timesync,
+            drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
         )

@@ -141,13 +141,23 @@ class Recorder(Appender):
     ) -> None:
         super().__init__(path, "--record", warn, rotation)
         self._epoch_ns = epoch_ns
+        self._records: list[bytes] = []
 
     def write(self, frames: Iterable[bytes], host_ns: int) -> None:
-        """Append frames that came at one time; a reader skips what was torn."""
+        """Take frames that came at one time; `flush` appends them."""
         time_us = (self._epoch_ns + host_ns) // NS_PER_US
-        records = [tlog_record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
-        if records:
-            self.append(b"".join(records))
+        self._records += [tlog_record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
+
+    def flush(self) -> None:
+        """Append what was taken since the last call; a reader skips what was torn."""
+        if self._records:
+            self.append(b"".join(self._records), entries=len(self._records))
+            self._records.clear()
+
+    def close(self) -> None:
+        """Append what is left, write through and close the file."""
+        self.flush()
+        super().close()
 
 
 def is_urgent(record: Record) -> bool:

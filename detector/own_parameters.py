@@ -12,16 +12,12 @@ from detector.config import SessionSettings
 from detector.fleet import VehicleFigures
 from detector.states import State
 from mavdiag.link.codec import Frame, field_index
-from mavdiag.link.messages import Component, MessageId
+from mavdiag.link.messages import MessageId
 
-__all__ = ["PARAMETERS", "REAL32", "REQUESTS", "Answer", "OwnParameter", "View", "addressee", "answer"]
+__all__ = ["PARAMETERS", "REAL32", "Answer", "OwnParameter", "View", "answer"]
 
 REAL32 = 9  # MAV_PARAM_TYPE_REAL32: all of them are floats
-REQUESTS = frozenset({MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET})
 
-_TARGETS: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, f"target_{name}") for name in ("system", "component")) for msgid in REQUESTS
-}
 _READ_NAME, _READ_INDEX = (field_index(MessageId.PARAM_REQUEST_READ, name) for name in ("param_id", "param_index"))
 _SET_NAME, _SET_VALUE = (field_index(MessageId.PARAM_SET, name) for name in ("param_id", "param_value"))
 
@@ -84,21 +80,8 @@ class Answer:
     refused: str = ""
 
 
-def addressee(frame: Frame) -> int | None:
-    """The system id whose detector a request is for; None if it is for another component, or no such request.
-
-    PARAM_REQUEST_LIST may be addressed to all components.
-    """
-    if frame.msgid not in REQUESTS:
-        return None
-    fields = frame.fields
-    system, component = (fields[place] for place in _TARGETS[frame.msgid])
-    everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
-    return int(system) if component == Component.ONBOARD_COMPUTER or everybody else None
-
-
 def answer(frame: Frame) -> Answer:
-    """What a request of `REQUESTS` leads to. One for a parameter that is not there gets no answer."""
+    """What a request leads to (`mavdiag.link.addressed`). One for a parameter that is not there gets no answer."""
     fields = frame.fields
     if frame.msgid == MessageId.PARAM_REQUEST_LIST:
         return Answer(PARAMETERS)

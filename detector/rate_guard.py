@@ -9,13 +9,15 @@ A request for all groups becomes requests for those that hold none. Everything e
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from mavdiag.link.addressed import COMMANDS
 from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
+from mavdiag.link.signing import Signing
 
 __all__ = ["GUARDED", "GroupRequest", "RateGuard", "Verdict"]
 
 #: Messages that carry such a request.
-GUARDED = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT, MessageId.REQUEST_DATA_STREAM})
+GUARDED = COMMANDS | {MessageId.REQUEST_DATA_STREAM}
 
 ALL_GROUPS = 0
 #: MAV_DATA_STREAM, and what of the messages that a detector may need each group holds: ArduPilot's groups
@@ -40,7 +42,7 @@ GROUPS: Mapping[int, frozenset[int]] = {
 
 _COMMAND: Mapping[int, tuple[int, ...]] = {
     msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component", "command", "param1"))
-    for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
+    for msgid in COMMANDS
 }
 _GROUP = tuple(
     field_index(MessageId.REQUEST_DATA_STREAM, name)
@@ -71,9 +73,10 @@ class Verdict:
 
 
 class RateGuard:
-    """Decides on frames from behind; it holds only the sequence numbers of its answers."""
+    """Decides on frames from behind; it holds only the sequence numbers of its answers. signing: signs these."""
 
-    def __init__(self) -> None:
+    def __init__(self, signing: Signing | None = None) -> None:
+        self._signing = signing
         self._encoders: dict[tuple[int, int], Encoder] = {}
 
     def verdict(self, frame: Frame, needed: Mapping[int, Collection[int]]) -> Verdict | None:
@@ -94,7 +97,7 @@ class RateGuard:
         if command != MavCmd.SET_MESSAGE_INTERVAL or vehicle is None or msgid not in needed[vehicle]:
             return None
         who = (vehicle, Component.AUTOPILOT1)
-        encoder = self._encoders.setdefault(who, Encoder(*who))
+        encoder = self._encoders.setdefault(who, Encoder(*who, self._signing))
         to = (frame.sysid, frame.compid)
         return Verdict(encoder.encode(MessageId.COMMAND_ACK, int(command), MavResult.DENIED, 0, 0, *to))
 

@@ -61,7 +61,7 @@ class Relay:
 
     recorder: a file that gets what the vehicle's link brings.
     upward: sees what a link behind brought, and returns what of it goes to the vehicle.
-    wants: whether anybody gets it.
+    wants: whether anybody gets the vehicle's frames.
     """
 
     def __init__(

@@ -3,18 +3,20 @@
 Frames go in with `now`; what is passed on, what is answered and what the daemon has to do come out.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from detector.config import Settings
 from detector.fleet import Fleet, Turn
-from detector.own_parameters import PARAMETERS, REAL32, REQUESTS, Answer, View, addressee, answer
+from detector.own_parameters import PARAMETERS, REAL32, Answer, View, answer
 from detector.rate_guard import GUARDED, RateGuard
 from detector.sender import MavlinkSender
 from detector.values import Effect, Note
 from mavdiag.baseline import Baseline
-from mavdiag.link.codec import Decoder, Frame, field_index, message_name
+from mavdiag.link.addressed import PARAMETER_REQUESTS, commands_in, parameters_asked
+from mavdiag.link.codec import Decoder, Frame, message_name
 from mavdiag.link.messages import Component, MessageId
+from mavdiag.link.signing import Signing
 from mavdiag.telemetry import Instant
 
 __all__ = ["Handled", "Requests"]
@@ -22,11 +24,6 @@ __all__ = ["Handled", "Requests"]
 NOTED_MOST = 64  # requests that were kept back are named once each, as long as they are so few (our choice)
 NOTHING_TO_JUDGE_BY = "there is no baseline to go back to"
 WHILE_LEARNING = "it can be set when learning is over"
-
-_COMMAND: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component", "command"))
-    for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +44,19 @@ class Requests:
     """Answers for all vehicles of a fleet.
 
     sender: encodes for a vehicle's detector, by system id.
+    signing: of the vehicle's link, None without; frames from behind are trusted as they are.
     """
 
-    def __init__(self, fleet: Fleet, settings: Settings, sender: Callable[[int], MavlinkSender]) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        settings: Settings,
+        sender: Callable[[int], MavlinkSender],
+        signing: Signing | None = None,
+    ) -> None:
         self._fleet, self._settings, self._sender = fleet, settings, sender
-        self._guard = RateGuard()
-        self._decoder = Decoder(GUARDED | REQUESTS)
+        self._guard = RateGuard(signing)
+        self._decoder = Decoder(GUARDED | PARAMETER_REQUESTS)
         self._noted: set[tuple[int, ...]] = set()
         self._before: dict[int, Baseline] = {}  # what was judged by before learning anew
 
@@ -82,7 +86,7 @@ class Requests:
         return Handled((), tuple(answers), (Turn(sysid, tuple(effects)),) if effects else ())
 
     def _one(self, frame: Frame, message: bytes, now: Instant) -> Handled:
-        to = addressee(frame)
+        to = parameters_asked(frame)
         if to is not None:
             return replace(self.parameters(to, (frame,), now), passed=(message,))
         if self._settings.keep_rates:
@@ -105,12 +109,12 @@ class Requests:
 
     def _declined(self, frame: Frame) -> tuple[bytes, ...]:
         """The answer to a command for the detector itself: it takes none."""
-        if frame.msgid not in _COMMAND:
-            return ()
-        system, component, command = (int(frame.fields[place]) for place in _COMMAND[frame.msgid])
-        if component != Component.ONBOARD_COMPUTER or system not in self._fleet.vehicles:
-            return ()
-        return (self._sender(system).decline(command, frame.sysid, frame.compid),)
+        return tuple(
+            self._sender(system).decline(one.command, one.sysid, one.compid)
+            for system, asked in commands_in((frame,)).items()
+            if system in self._fleet.vehicles
+            for one in asked
+        )
 
     def _kept_back(self, frame: Frame) -> tuple[Turn, ...]:
         """What is recorded of a request that was kept back: the first of a kind from each sender."""

@@ -23,6 +23,7 @@ from mavdiag.storage import TOML_BYTES, parse_toml, read_text
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
 from sitl_plant.fields import STRICT, Finite, NotNegative, Positive, PositiveVector, Share, Vector
+from sitl_plant.vehicle_hil import Hil
 from sitl_plant.vehicle_recorded import Recorded
 
 __all__ = [
@@ -212,6 +213,7 @@ class Vehicle:
     """A type of multirotor, as its file describes it.
 
     recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
+    hil: what an autopilot outside needs; None if none can fly it.
     """
 
     name: str
@@ -226,6 +228,7 @@ class Vehicle:
     spread: Spread
     wind: Wind
     recorded: Recorded | None = None
+    hil: Hil | None = None
 
     @model_validator(mode="after")
     def _can_fly(self) -> Self:

@@ -5,81 +5,45 @@ cameras and other companions on the link are no vehicles. No clock, no socket: b
 
 Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
 all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
-seconds apart, and running numbers that are one sender's; and at most `VEHICLES_MAX` at all.
+seconds apart, and running numbers that are one sender's; and at most so many as it is told.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
 
-from mavdiag.link.codec import Decoder, Frame, field_index
+from mavdiag.link.addressed import (
+    COMMANDS,
+    PARAMETER_REQUESTS,
+    Ack,
+    Command,
+    acks_in,
+    commands_in,
+    parameters_asked_in,
+)
+from mavdiag.link.codec import Decoder, Frame
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
-    LAST_RESORT,
     PROFILES,
     Profile,
-    by_attitude,
     detect_profile,
-    with_imu,
 )
-from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
+from mavdiag.link.samples import SampleDecoder, by_vehicle
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.timeline import Timeline
+from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
 from mavdiag.link.waiting import Waiting
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["WATCH_S", "Ack", "Command", "LinkDecoder", "Received", "VehicleStream"]
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
-CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
-RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
-REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
-LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
-USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
-
-_ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
-    field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component")
-)
-_COMMANDS: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
-    for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
-}
-_PARAMETER_TARGETS: Mapping[int, tuple[int, ...]] = {
-    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component"))
-    for msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET)
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """What an autopilot answered to a command of ours.
-
-    command: MAV_CMD.
-    result: MAV_RESULT.
-    """
-
-    command: int
-    result: int
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A command that was addressed to a vehicle's on-board computer.
-
-    command: MAV_CMD.
-    sysid, compid: who sent it.
-    """
-
-    command: int
-    sysid: int
-    compid: int
+RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,70 +68,6 @@ class Received:
     parameter_requests: tuple[Frame, ...] = ()
 
 
-class VehicleStream:
-    """One vehicle's frames to telemetry, on one clock.
-
-    profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    signals: those of interest.
-    parameters: of its autopilot that passed by so far, by name.
-    """
-
-    def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
-        self._signals = signals
-        self._decoder = SampleDecoder(profile, signals)
-        self._state = SampleState()
-        self._own, self._since_ns = profile, 0
-        self._imu: list[Frame] = []
-        self._settled = False  # whether the IMU message is chosen for good
-        self.parameters: Mapping[str, float] = {}
-
-    @property
-    def profile(self) -> Profile:
-        """The profile, with the IMU message that is read."""
-        return self._decoder.profile
-
-    @property
-    def timeline(self) -> Timeline:
-        """Where the vehicle's time stands."""
-        return self._state.timeline
-
-    @property
-    def vehicle_ns(self) -> int | None:
-        """Latest time of the vehicle's clock [ns], None before its first stamp."""
-        return self._state.timeline.t_ns
-
-    @property
-    def reboots(self) -> int:
-        """How often it started anew."""
-        return self._state.timeline.reboots
-
-    @property
-    def dropped(self) -> int:
-        """Samples left out for NaN, infinity or a zero quaternion so far."""
-        return self._state.dropped
-
-    def step(self, frames: Sequence[Frame]) -> Telemetry:
-        """Take the vehicle's next frames, in order of arrival."""
-        if not self._settled:
-            self._choose_imu(frames)
-        self.parameters = with_parameters(self.parameters, frames, self.profile.autopilot)
-        self._state, telemetry = self._decoder.step(self._state, frames)
-        return telemetry
-
-    def _choose_imu(self, frames: Sequence[Frame]) -> None:
-        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
-        chosen = with_imu(self._own, self._imu, USEFUL_FRAMES)
-        self._since_ns = self._since_ns or next((frame.host_ns for frame in frames), 0)
-        waited_ns = frames[-1].host_ns - self._since_ns if frames else 0
-        if not self._imu and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
-            chosen = by_attitude(self._own)
-        if chosen.imu != self.profile.imu:
-            self._decoder = SampleDecoder(chosen, self._signals)
-        self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
-        if self._settled:
-            self._imu = []
-
-
 class LinkDecoder:
     """Bytes of one link to what each of its vehicles sent.
 
@@ -179,8 +79,8 @@ class LinkDecoder:
     careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
-    vehicles: the stream of each vehicle that has entered, by system id.
     most: how many vehicles may enter.
+    vehicles: the stream of each vehicle that has entered, by system id.
     """
 
     def __init__(
@@ -191,20 +91,21 @@ class LinkDecoder:
         profiles: Collection[Profile] = tuple(PROFILES.values()),
         *,
         careful: bool = False,
+        most: int = VEHICLES_MAX,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
-        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE}
-        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys()
+        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+        wanted |= IMU_MESSAGES.keys() | others | COMMANDS | PARAMETER_REQUESTS
         self._decoder = Decoder(wanted, signing=signing, passed=passed)
         self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
+        self._most = most
         self._pending: dict[int, Waiting] = {}
         self.vehicles: dict[int, VehicleStream] = {}
-        self.most = VEHICLES_MAX
 
     @property
     def decoder(self) -> Decoder:
@@ -253,7 +154,7 @@ class LinkDecoder:
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands, requests = self._commands(frames), self._parameter_requests(frames)
+        commands, requests = commands_in(frames), parameters_asked_in(frames)
         found: dict[int, Received] = {}
         for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
             some = own.get(sysid, [])
@@ -261,7 +162,7 @@ class LinkDecoder:
                 tuple(some),
                 self.vehicles[sysid].step(some),
                 any(frame.compid == Component.AUTOPILOT1 for frame in some),
-                _acks(some),
+                acks_in(some),
                 tuple(commands.get(sysid, ())),
                 self.vehicles[sysid].parameters,
                 tuple(requests.get(sysid, ())),
@@ -298,44 +199,7 @@ class LinkDecoder:
             sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
             if pending.beats < 2 or sender is None or not sender.sound:
                 return False
-        if len(self.vehicles) >= self.most:
-            pending.reason, pending.frames = f"there are {self.most} vehicles already (max_vehicles)", []
+        if len(self.vehicles) >= self._most:
+            pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False
         return True
-
-    def _commands(self, frames: Iterable[Frame]) -> dict[int, list[Command]]:
-        """Commands to the on-board computers of vehicles that have entered, by the vehicle's system id."""
-        found: dict[int, list[Command]] = {}
-        for frame in frames:
-            if frame.msgid in _COMMANDS:
-                fields = frame.fields
-                command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
-                if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
-                    asked = found.setdefault(system, [])
-                    if len(asked) < REQUESTS_MAX:
-                        asked.append(Command(command, frame.sysid, frame.compid))
-        return found
-
-    def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:
-        """Requests about parameters of the on-board computers of vehicles that have entered, by their system ids."""
-        found: dict[int, list[Frame]] = {}
-        for frame in frames:
-            if frame.msgid in _PARAMETER_TARGETS:
-                system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
-                everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
-                if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
-                    asked = found.setdefault(system, [])
-                    if len(asked) < REQUESTS_MAX:
-                        asked.append(frame)
-        return found
-
-
-def _acks(frames: Iterable[Frame]) -> tuple[Ack, ...]:
-    """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
-    found: list[Ack] = []
-    for frame in frames:
-        if frame.msgid == MessageId.COMMAND_ACK and frame.compid == Component.AUTOPILOT1:
-            fields = frame.fields
-            if fields[_ACK_COMPONENT] in (Component.ALL, Component.ONBOARD_COMPUTER):
-                found.append(Ack(int(fields[_ACK_COMMAND]), int(fields[_ACK_RESULT])))
-    return tuple(found)

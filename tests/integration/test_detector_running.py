@@ -176,7 +176,7 @@ def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: 
     assert code == 0
     told = [line for line in rest.splitlines() if f"record {tmp_path}/f.tlog: " in line]
     assert len(told) == 1
-    assert "cannot be written (the entry did not fit); watching goes on without it" in told[0]
+    assert "cannot be written (not all of it fitted); watching goes on without it" in told[0]
     assert "entries lost to the record" in rest.splitlines()[-1]
     assert " 0 lost on the way" in rest
     assert (tmp_path / "f.tlog").stat().st_size <= 20_000
@@ -217,3 +217,16 @@ def test_a_second_start_on_the_same_files_goes_on_where_the_first_was_killed(bas
             child.communicate(timeout=PATIENCE_S)
     assert child.returncode == -signal.SIGKILL
     assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "start"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "code", "words"), [(0o600, 0, "signing"), (0o644, 2, "others may read the signing key")]
+)
+def test_check_reads_the_signing_key(tmp_path: Path, mode: int, code: int, words: str) -> None:
+    key = tmp_path / "key"
+    key.write_text("a passphrase\n")
+    key.chmod(mode)
+    run = ran("--check", *LEARNING, "--signing-key", str(key))
+    assert run.returncode == code
+    assert words in run.stdout + run.stderr
+    assert sorted(tmp_path.iterdir()) == [key]

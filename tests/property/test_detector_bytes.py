@@ -11,9 +11,15 @@ from hypothesis import strategies as st
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
-from detector.config import SessionSettings
+from detector.config import SessionSettings, Settings
 from detector.fleet import Fleet
+from detector.own_parameters import PARAMETERS
+from detector.rate_guard import GUARDED
+from detector.requests import Requests
+from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
+from mavdiag.link.addressed import PARAMETER_REQUESTS
+from mavdiag.link.codec import Decoder
 from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
@@ -23,14 +29,17 @@ TICK_NS = 40_000_000
 COMMANDS = {MessageId.COMMAND_ACK, MessageId.COMMAND_LONG, MessageId.COMMAND_INT}
 HEARD = COMMANDS | {source.message for profile in PROFILES.values() for source in sources(profile)}
 MESSAGES = sorted(int(message) for message in HEARD if message in dialect.mavlink_map)
+ASKED = GUARDED | PARAMETER_REQUESTS
 
 
-def wild(sysid: int, compid: int, rng: np.random.Generator) -> bytes:
+def wild(sysid: int, compid: int, rng: np.random.Generator, messages: list[int] = MESSAGES) -> bytes:
     """A frame with a good checksum and any content: noise, or all bytes alike (zeros, -1, NaN, infinities, ...)."""
-    message = dialect.mavlink_map[int(rng.choice(MESSAGES))]
+    message = dialect.mavlink_map[int(rng.choice(messages))]
     size = message.unpacker.size
     one = bytes([int(rng.choice([0x00, 0x01, 0x7F, 0x80, 0xFF]))])
     payload = rng.bytes(size) if rng.random() < 0.5 else one * size
+    if messages is not MESSAGES:  # often to the autopilot or the detector of vehicle 1
+        payload = bytes(rng.choice([0, 1, 1, 27, 191, 191, 255], size).tolist())
     number = message.id
     seq = int(rng.integers(256))
     body = struct.pack("<BBBBBBHB", size, 0, 0, seq, sysid, compid, number & 0xFFFF, number >> 16) + payload
@@ -62,3 +71,25 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
     one.finish()
     assert 1 in one.vehicles
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_wild_requests_from_behind_are_survived_and_everything_passes_but_rates(seed: int) -> None:
+    rng, now = np.random.default_rng(seed), Instant(10**12)
+    one = fleet(True, lambda profile: SessionSpec(profile, baseline_for(), Settings(learn=2.0)))
+    vehicle = MadeVehicle(1)
+    for _ in range(40):
+        now = Instant(now.ns + TICK_NS)
+        one.step([(frame, now.ns) for frame in vehicle.samples(4)], now)
+    requests = Requests(one, Settings(learn=2.0, parameters=True, keep_rates=True), MavlinkSender)
+    messages = [wild(int(rng.integers(0, 256)), int(rng.integers(0, 256)), rng, sorted(ASKED)) for _ in range(60)]
+    messages += [rng.bytes(int(rng.integers(1, 300))) for _ in range(20)]
+    handled = requests.from_behind(messages, now)
+    kept_back = [message for message in messages if message not in handled.passed]
+    assert {message[7] for message in kept_back} <= {int(one) & 0xFF for one in GUARDED}
+    assert len(handled.answers) <= len(PARAMETERS) * len(messages)
+    decoder = Decoder()
+    for answer in handled.answers:
+        [frame] = decoder.feed_datagram(answer, 0)
+        assert frame.msgid in (MessageId.PARAM_VALUE, MessageId.COMMAND_ACK)

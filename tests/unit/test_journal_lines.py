@@ -189,6 +189,8 @@ def test_l9_a_full_disk_stops_the_recording_and_nothing_else() -> None:
     warnings: list[str] = []
     recorder = Recorder(Path("/dev/full"), 0, warnings.append)
     for _ in range(3):
-        recorder.write([bytes(8)], 0)
+        recorder.write([bytes(8), bytes(8)], 0)
+        recorder.flush()
+    assert recorder.lost == 6
     recorder.close()
     assert warnings == ["record /dev/full: cannot be written (No space left on device); watching goes on without it"]

@@ -5,11 +5,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from mavdiag.link.addressed import REQUESTS_MAX
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import PINNED_S, SENDERS_MAX, Intruder, Senders, SequenceTracker
-from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
+from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
