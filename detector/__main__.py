@@ -1,9 +1,11 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
 
-Exit codes: 0 stopped by SIGINT or SIGTERM; 2 a wrong option, baseline or address, reported in one line on stderr.
+Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not healthy (--health); 2 a wrong option, baseline or address, reported in
+one line on stderr.
 """
 
 import contextlib
+import os
 import time
 from contextlib import ExitStack, closing
 from datetime import datetime
@@ -12,15 +14,19 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from detector.config import Settings, load_settings, split_metrics_address
+from detector.appender import Rotation
+from detector.config import Settings, collect_values, example_text, load_settings, split_metrics_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
+from detector.notify import Notifier
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
+from mavdiag.printable import printable
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics
@@ -51,7 +57,12 @@ def detect(
     ] = None,
     layout: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"),
+        typer.Option(
+            "--layout",
+            "--frame",
+            metavar="NAME",
+            help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]",
+        ),
     ] = None,
     name: Annotated[
         str | None, typer.Option(metavar="LABEL", help='Label of what is learned.  [default: "vehicle" and its id]')
@@ -62,6 +73,9 @@ def detect(
             metavar="ENDPOINT", help="A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
         ),
     ] = None,
+    keep_rates: Annotated[
+        bool | None, typer.Option("--keep-rates", help="Keep back what from there would change the rates needed here.")
+    ] = None,
     journal: Annotated[Path | None, typer.Option(metavar="FILE.jsonl", help="Append every event as a line.")] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE.tlog", help="Append every frame that the link brings.")
@@ -70,6 +84,9 @@ def detect(
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
     ] = None,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="Watch this system id only.")] = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None,
     profile: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]"),
@@ -77,6 +94,15 @@ def detect(
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Settings; options given here win over it.")
     ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Check the settings and files, print what a start would do, and exit.")
+    ] = False,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print a documented configuration file, and exit.")
+    ] = False,
+    health: Annotated[
+        bool, typer.Option("--health", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
+    ] = False,
     version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
 ) -> None:
     """Watch vehicles over MAVLink for damaged propellers, until SIGINT or SIGTERM.
@@ -84,22 +110,55 @@ def detect(
     Needs --baseline FILE or --learn SECONDS. It sends a heartbeat, texts, their figures and stream requests, as
     component 191 of the vehicle's system; it never arms and never sets a parameter.
 
-    Exit code 0 when stopped, 2 for a wrong option, baseline or address.
+    Every setting of --config can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in capitals.
+
+    Exit code 0 when stopped, 1 if --health finds it does not work, 2 for a wrong option, baseline or address.
     """
-    own = ("config", "version")
+    own = ("config", "version", "check", "print_config", "health")
     given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
-    _serve(load_settings(config, {name: value for name, value in given.items() if name not in own}))
+    given = {name: value for name, value in given.items() if name not in own}
+    if print_config:
+        typer.echo(example_text(), nl=False)
+    elif health:
+        _health(config, given)
+    elif check:
+        _check(load_settings(config, given, os.environ))
+    else:
+        _serve(load_settings(config, given, os.environ))
+
+
+def _health(config: Path | None, given: dict[str, object]) -> None:
+    from detector.health import ask_health  # only if asked for: the import takes its time
+
+    values, _ = collect_values(config, given, os.environ)
+    metrics = values.get("metrics")
+    healthy, words = ask_health(None if metrics is None else str(metrics))
+    commandline.say(words)
+    raise typer.Exit(0 if healthy else 1)
+
+
+def _check(settings: Settings) -> None:
+    from detector.check import plan
+
+    commandline.say(plan(settings, *_baselines(settings), _airframe(settings)))
 
 
 def _serve(settings: Settings) -> None:
     with ExitStack() as stack:
         stop = stack.enter_context(commandline.stop_signals())
-        baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
+        notifier = stack.enter_context(closing(Notifier(os.environ)))
+        baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
+        key = settings.signing_key
+        signing = None if key is None else stack.enter_context(closing(open_signing(key, "detector", time.time_ns())))
         link = stack.enter_context(open_endpoint(settings.connect))
-        behind = [stack.enter_context(open_endpoint(address)) for address in settings.forward]
-        journal = None if settings.journal is None else stack.enter_context(closing(Journal(settings.journal, _say)))
-        recorder = None if settings.record is None else stack.enter_context(closing(_recorder(settings.record)))
+        behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
+        journal = (
+            None if settings.journal is None else stack.enter_context(closing(_journal(settings, settings.journal)))
+        )
+        recorder = (
+            None if settings.record is None else stack.enter_context(closing(_recorder(settings, settings.record)))
+        )
         metrics = None if settings.metrics is None else stack.enter_context(closing(_metrics(settings.metrics)))
         daemon = Daemon(
             settings,
@@ -107,13 +166,22 @@ def _serve(settings: Settings) -> None:
             link,
             behind,
             baseline=baseline,
+            baselines=baselines,
             fitter=ProcessFitter(),
             airframe=airframe,
             journal=journal,
             recorder=recorder,
             metrics=metrics,
+            notifier=notifier,
+            signing=signing,
         )
         daemon.run(stop)
+
+
+def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:
+    """The baseline for all vehicles, and those of single ones, by system id."""
+    baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
+    return baseline, {sysid: Baseline.load(one.baseline) for sysid, one in settings.vehicles.items()}
 
 
 def _airframe(settings: Settings) -> Airframe | None:
@@ -122,8 +190,13 @@ def _airframe(settings: Settings) -> Airframe | None:
     return told if settings.layout is None else with_layout(told or Airframe(), settings.layout)
 
 
-def _recorder(path: Path) -> Recorder:
-    return Recorder(path, time.time_ns() - time.monotonic_ns(), _say)
+def _journal(settings: Settings, path: Path) -> Journal:
+    return Journal(path, _say, Rotation.of(settings.journal_mb, settings.journal_keep), settings.journal_fsync)
+
+
+def _recorder(settings: Settings, path: Path) -> Recorder:
+    rotation = Rotation.of(settings.record_mb, settings.record_keep)
+    return Recorder(path, time.time_ns() - time.monotonic_ns(), _say, rotation)
 
 
 def _metrics(address: str) -> "Metrics":
@@ -136,7 +209,7 @@ def _say(text: str) -> None:
     """One log line on stderr, with the local time. A closed or full stderr must not stop the watch."""
     stamp = "" if text.startswith("ready") else f"{datetime.now().astimezone():%H:%M:%S} "
     with contextlib.suppress(OSError):
-        typer.echo(stamp + text, err=True)
+        commandline.say(stamp + printable(text), err=True)
 
 
 def main() -> NoReturn:

@@ -1,25 +1,48 @@
-"""The daemon's settings: one validated value from a TOML file and the command line, which wins.
+"""The daemon's settings: one validated value from a TOML file, the environment and the command line, which wins.
 
-Unknown keys are refused by name, so that a misspelt one is not silently without effect.
+Unknown names are refused, so that a misspelt one is not silently without effect. `detector/example.toml` documents
+every setting.
 """
 
-import tomllib
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from mavdiag.errors import UsageError
+from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
+from mavdiag.storage import read_toml
 from mavdiag.telemetry import Axis
 
-__all__ = ["SessionSettings", "Settings", "load_settings", "split_metrics_address"]
+__all__ = [
+    "ENVIRONMENT",
+    "Fsync",
+    "SessionSettings",
+    "Settings",
+    "VehicleSettings",
+    "collect_values",
+    "example_text",
+    "load_settings",
+    "split_metrics_address",
+]
 
+ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
 LOOPBACK = "127.0.0.1"
 
 Positive = Annotated[float, Field(gt=0)]
+SystemId = Annotated[int, Field(ge=1, le=255)]
+Kept = Annotated[int, Field(ge=0, le=1000)]
+
+
+class Fsync(StrEnum):
+    """When the journal is written through to the disk."""
+
+    ALERT = "alert"  # after alarms and texts of at least WARNING, once a look: they survive a power cut
+    ALWAYS = "always"  # after every look that wrote a line
+    NEVER = "never"  # when the system likes
 
 
 class SessionSettings(BaseModel):
@@ -31,6 +54,7 @@ class SessionSettings(BaseModel):
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Positive | None = None  # rate to ask for when learning; default: the profile's
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
+    threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
     clear_s: Positive = 5.0  # quiet time that ends an alert
     takeoff_s: Annotated[float, Field(ge=0)] = 3.0  # time after a take-off in which no alert is raised
@@ -40,20 +64,38 @@ class SessionSettings(BaseModel):
     named_values_axis: Axis = Axis.ROLL  # whose figures they carry
 
 
+class VehicleSettings(BaseModel):
+    """What is different for one vehicle of the link."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    baseline: Path  # file to judge it by
+
+
 class Settings(SessionSettings):
     """Everything that can be set; most of it has a command-line option."""
 
     connect: str = "udpin:127.0.0.1:14550"  # the vehicle's link
     baseline: Path | None = None  # file to judge by
+    vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
     save: Path | None = None  # file that keeps what was learned
     airframe: str | None = None  # what is learned about: a built-in name or a TOML file
     layout: str | None = None  # its rotor layout; default: by its parameters, else by its flight
     name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
     forward: tuple[str, ...] = ()  # further links that get the vehicle's frames and the alerts
+    keep_rates: bool = False  # whether requests from there that would change the rates we need are kept back
+    parameters: bool = False  # whether a few settings can be changed by the MAVLink parameter protocol
     journal: Path | None = None  # file for the events
+    journal_mb: Positive = 100.0  # size at which a new one is begun
+    journal_keep: Kept = 9  # old ones that stay
+    journal_fsync: Fsync = Fsync.ALERT
     record: Path | None = None  # .tlog file for all frames received
+    record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
+    record_keep: Kept = 9  # old ones that stay
     metrics: str | None = None  # address to serve figures on
-    vehicle: Annotated[int, Field(ge=1, le=255)] | None = None  # the only system id to watch
+    signing_key: Path | None = None  # file with the key of MAVLink 2 signing
+    vehicle: SystemId | None = None  # the only system id to watch
+    max_vehicles: SystemId = 128  # further ones are not watched
     profile: str | None = None  # of the link; default: by what the vehicle sends
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links
 
@@ -61,7 +103,7 @@ class Settings(SessionSettings):
     def _consistent(self) -> Self:
         if self.baseline is not None and self.learn is not None:
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
-        if self.baseline is None and self.learn is None:
+        if self.baseline is None and self.learn is None and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
         for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
@@ -69,17 +111,49 @@ class Settings(SessionSettings):
         return self
 
 
-def load_settings(path: Path | None, overrides: Mapping[str, object]) -> Settings:
-    """Settings from a TOML file (None for none), and by key what the command line said (None: nothing).
+def example_text() -> str:
+    """The documented example of a configuration file."""
+    return Path(__file__).with_name("example.toml").read_text(encoding="utf-8")
+
+
+def collect_values(
+    path: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """What was said, by key, before it is validated; and where each was said, for an error ("" for an option).
+
+    path: a TOML file, None for none, or for the one that the environment names.
+    overrides: what the command line said (None: nothing).
+    environ: the environment; only names with the prefix `ENVIRONMENT` count, and empty values do not.
+    Raises UsageError, naming the key.
+    """
+    given = {name: text for name, text in environ.items() if name.startswith(ENVIRONMENT) and text.strip()}
+    named = given.pop(f"{ENVIRONMENT}CONFIG", None)
+    path = Path(named) if path is None and named else path
+    values = {} if path is None else _read(path)
+    where = dict.fromkeys(values, f"{path}: ")
+    for name, text in given.items():
+        key = name.removeprefix(ENVIRONMENT).lower()
+        if key not in Settings.model_fields or key == "vehicles":
+            raise UsageError(f"{name}: there is no such setting; known are {', '.join(_settable())}")
+        # Lists are parted by blanks: a serial address has a comma in it.
+        values[key] = text.split() if isinstance(Settings.model_fields[key].default, tuple) else text.strip()
+        where[key] = f"{name}: "
+    said = {key: value for key, value in overrides.items() if value is not None}
+    return values | said, where | dict.fromkeys(said, "")
+
+
+def load_settings(
+    path: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str] | None = None
+) -> Settings:
+    """Settings from a file, the environment and the command line, each winning over those before; as `collect_values`.
 
     Raises UsageError, naming the key.
     """
-    values = {} if path is None else _read(path)
-    values |= {key: value for key, value in overrides.items() if value is not None}
+    values, where = collect_values(path, overrides, environ or {})
     try:
         settings = Settings.model_validate(values)
     except ValidationError as error:
-        raise UsageError(_reason(path, error)) from error
+        raise UsageError(_reason(error, where)) from error
     for address in (settings.connect, *settings.forward):
         parse_address(address)
     if settings.profile is not None:
@@ -101,22 +175,24 @@ def split_metrics_address(text: str) -> tuple[str, int]:
     return host.strip("[]") or LOOPBACK, int(port)
 
 
+def _settable() -> list[str]:
+    return [key for key in Settings.model_fields if key != "vehicles"]
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the --config path") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text; write the configuration as TOML") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{path}: not TOML: {error}") from error
+        return read_toml(path)
+    except InputError as error:
+        raise UsageError(f"{error}; check --config") from error
 
 
-def _reason(path: Path | None, error: ValidationError) -> str:
+def _reason(error: ValidationError, where: Mapping[str, str]) -> str:
     first = error.errors()[0]
-    key = ".".join(str(step) for step in first["loc"])
-    where = f"{path}: " if path is not None else ""
+    steps = [str(step) for step in first["loc"] if step != "[key]"]
+    place = where.get(steps[0], "") if steps else next((one for one in where.values() if one), "")
+    key = ".".join(steps)
     if first["type"] == "extra_forbidden":
-        return f"{where}unknown key {key!r}; known are {', '.join(Settings.model_fields)}"
+        known = Settings if len(steps) == 1 else VehicleSettings
+        return f"{place}unknown key {key!r}; known are {', '.join(known.model_fields)}"
     message = first["msg"].removeprefix("Value error, ")
-    return f"{where}{key}: {message}" if key else f"{where}{message}"
+    return f"{place}{key}: {message}" if key else f"{place}{message}"

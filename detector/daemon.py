@@ -6,21 +6,26 @@ its work, falls silent.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
+from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import Fitter, FittingJob
 from detector.fleet import Fleet, Turn
-from detector.journal import Journal, Recorder, When, line, mark
+from detector.guard import Guard
+from detector.journal import Journal, Recorder, When
+from detector.notify import Notifier
 from detector.relay import Relay
+from detector.reporting import Reporter
+from detector.requests import Requests
 from detector.sender import MavlinkSender
 from detector.states import State
 from detector.values import (
     AskInterval,
+    AskParameters,
     Effect,
     EventOpened,
     Learn,
@@ -28,17 +33,16 @@ from detector.values import (
     SendFloat,
     SendText,
     SessionSpec,
-    StateChanged,
-    TextSuppressed,
 )
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import Change
-from mavdiag.errors import UsageError
 from mavdiag.link.codec import message_name
-from mavdiag.link.ports import Chunk, Endpoint, Kind, parse_address
+from mavdiag.link.keys import KeptSigning
+from mavdiag.link.messages import MessageId
+from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.sequence import Source
 from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
@@ -50,6 +54,7 @@ __all__ = ["Daemon", "Host"]
 
 BEAT_S = 1.0
 DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
+UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
@@ -80,7 +85,11 @@ class Host:
 
 
 class Daemon:
-    """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test."""
+    """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test.
+
+    baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
+    notifier: tells the service manager; None for nobody.
+    """
 
     def __init__(
         self,
@@ -91,28 +100,47 @@ class Daemon:
         *,
         baseline: Baseline | None,
         fitter: Fitter,
+        baselines: Mapping[int, Baseline] | None = None,
         airframe: Airframe | None = None,
         journal: Journal | None = None,
         recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
+        notifier: Notifier | None = None,
+        signing: KeptSigning | None = None,
     ) -> None:
-        self._settings, self._host, self._link = settings, host, link
-        self._baseline, self._fitter, self._journal, self._metrics = baseline, fitter, journal, metrics
-        self._airframe = airframe
+        self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
+        self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
+        self._airframe, self._notifier = airframe, notifier or Notifier({})
         kind = parse_address(settings.connect).kind
-        self._relay = Relay(link, behind, datagrams=kind in _DATAGRAMS, recorder=recorder)
+        datagrams = kind in _DATAGRAMS
+        self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
+        self._passed: list[tuple[bytes, int]] = []
+        self._kept, self._signing = signing, None if signing is None else signing.signing
         self._announces = kind in _ANNOUNCING
-        profile = None if settings.profile is None else PROFILES[settings.profile]
-        self.fleet = Fleet(self._spec, profile=profile, only=settings.vehicle, datagrams=kind in _DATAGRAMS)
+        self.fleet = Fleet(
+            self._spec,
+            profile=None if settings.profile is None else PROFILES[settings.profile],
+            only=settings.vehicle,
+            datagrams=datagrams,
+            adapt=self._adapted,
+            most=settings.max_vehicles,
+            measured=metrics is not None,
+            signing=self._signing,
+            passed=self._passed if self._relay.wants else None,
+        )
+        self._guard = Guard(self.fleet.link, self._signing)
+        self._files = tuple((name, file) for name, file in (("journal", journal), ("record", recorder)) if file)
+        self._reporter = Reporter(journal, host.say, self._when, settings.save)
+        self._requests = Requests(self.fleet, settings, self._sender)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
         self._beat_at = self._started
         self._late, self._latest_s = 0, 0.0
-        self._saved: dict[int, Path] = {}
         self._unclear: dict[int, str] = {}
+        self._unclear_told = 0
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Look at the links until `stop` says so; then write the summary."""
+        """Look at the links until `stop` says so; then look once more and write the summary."""
         self.begin()
         next_at = self._now()
         while not stop():
@@ -124,70 +152,127 @@ class Daemon:
                 next_at = self._now()  # behind: look again at once, and do not hurry after lost time
             else:
                 self._host.sleep(-late_s)
+        self._notifier.stopping()
+        self.tick()
         self.end()
 
     def begin(self) -> None:
         """Say that the links are open."""
         settings = self._settings
-        goal = "watching by its baseline" if self._baseline else f"learning from {settings.learn:g} s of healthy flight"
-        behind = "".join(f", forwarding to {address}" for address in self._relay.addresses)
+        goal = (
+            "watching by its baseline"
+            if self._baseline
+            else f"learning from {settings.learn or 0:g} s of healthy flight"
+        )
+        if self._baselines:
+            own = f"{len(self._baselines)} vehicle{'s' if len(self._baselines) > 1 else ''} by a baseline of its own"
+            goal = f"{goal}, {own}" if self._baseline or settings.learn else f"watching {own}"
+        behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
+        self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
         self._host.say(f"ready: {self._link.address}{behind}, {goal}")
-        self._mark("start", {"version": __version__, "connect": self._link.address})
+        self._notifier.ready()
 
     def tick(self) -> None:
         """One look: take what came, let the sessions go on, do what they want."""
         now = self._now()
-        chunks = self._chunks()
-        self._relay.pass_on(chunks)
+        chunks, sources = self._chunks()
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now)
+        turns = self.fleet.step(chunks, now, sources)
+        self._relay.pass_on(self._passed)
+        self._passed.clear()
         self._report_new(known)
         self._carry_out(turns)
+        if self._metrics is not None:
+            self._metrics.observe(turns, self._host.now_ns())
         if now - self._beat_at >= 0:
             self._beat()
+            self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
+        self._reporter.flush()
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
         self._carry_out(self.fleet.finish())
         self._fitter.close()
         summary = self._summary()
-        self._mark("stop", {"summary": summary})
+        self._reporter.mark("stop", {"summary": summary})
+        self._reporter.flush()
         self._host.say(summary)
+
+    def figures(self) -> DaemonFigures:
+        """Where it stands."""
+        links = (LinkFigures(one.address, one.connected, one.traffic) for one in (self._link, *self._behind))
+        lost = tuple((name, file.lost) for name, file in self._files)
+        return DaemonFigures(self.fleet.figures(), tuple(links), self._late, self._host.cpu_s(), lost)
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
+
+    def _when(self, sysid: int | None) -> When:
+        return When(self._host.utc(), sysid, None if sysid is None else self.fleet.link.vehicles[sysid].vehicle_ns)
 
     def _spec(self, profile: Profile) -> SessionSpec:
         offset_ns = round(self._host.utc().timestamp() * NS_PER_S) - self._host.now_ns()
         return SessionSpec(profile, self._baseline, self._settings, offset_ns)
 
-    def _chunks(self) -> list[Chunk]:
+    def _adapted(self, sysid: int, spec: SessionSpec) -> SessionSpec | None:
+        """The vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
+        own = self._baselines.get(sysid)
+        if own is None and self._baseline is None and self._settings.learn is None:
+            self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]")
+            return None
+        return spec if own is None else replace(spec, baseline=own)
+
+    def _chunks(self) -> tuple[list[Chunk], list[Source]]:
+        """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
         chunks: list[Chunk] = []
+        sources: list[Source] = []
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
                 break
             chunks += more
-        return chunks
+            sources += self._link.sources
+        return chunks, sources
+
+    def _watch(self, now: Instant) -> None:
+        """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
+        self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
+        turns, texts = self._guard.look(now)
+        failure = None if self._kept is None else self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
+        self._carry_out(turns)
+        for text in (*texts, *((failure,) if failure else ())):
+            self._reporter.mark("note", {"text": text})
+            self._host.say(text)
 
     def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle))
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
+
+    def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
+        """What of a link behind goes to the vehicle; what is for us is answered."""
+        handled = self._requests.from_behind(frames, self._now())
+        for frame in handled.answers:
+            behind.send(frame)
+        self._carry_out(handled.turns)
+        return handled.passed
 
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
         for sysid, reason in self.fleet.link.waiting.items():
-            if self._unclear.get(sysid) != reason:
+            if self._unclear.get(sysid) != reason and self._unclear_told < UNCLEAR_MOST:
                 self._host.say(f"vehicle {sysid}: not watched: {reason}")
+                self._unclear_told += 1
             self._unclear[sysid] = reason
         new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
-        if new and known + len(new) > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
+        shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
+        if new and shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
             name = self._baseline.airframe.name
-            self._host.say(f"the baseline is of one airframe ({name}), but several fly; choose one with --vehicle")
+            advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
+            self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
 
     def _beat(self) -> None:
         """Heartbeats of the healthy sessions; on a link where we must send first, also before a vehicle."""
@@ -196,9 +281,13 @@ class Daemon:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+        figures = self.figures()
         if self._metrics is not None:
-            overflowed, cpu_s = self._link.traffic.overflowed, self._host.cpu_s()
-            self._metrics.show(self.fleet.figures(), overflowed=overflowed, late=self._late, cpu_s=cpu_s)
+            self._metrics.show(figures, self._host.now_ns())
+        if figures.healthy:
+            self._notifier.alive(figures.status)
+        else:
+            self._notifier.status(figures.status)
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
@@ -207,7 +296,12 @@ class Daemon:
                 self._relay.send_to_vehicle(decline)
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
-                self._record(turn.vehicle, effect)
+                self._reporter.record(turn.vehicle, effect)
+            if turn.parameter_requests:
+                handled = self._requests.parameters(turn.vehicle, turn.parameter_requests, self._now())
+                for frame in handled.answers:
+                    self._relay.send_to_vehicle(frame)
+                self._carry_out(handled.turns)
 
     def _act(self, sysid: int, effect: Effect) -> None:
         """The effects that do something."""
@@ -218,48 +312,22 @@ class Daemon:
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
             case TimesyncMessage():
-                self._relay.send_to_vehicle(sender.timesync(effect))
+                self._relay.send_to_vehicle(sender.frame(MessageId.TIMESYNC, effect.tc1_ns, effect.ts1_ns))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
-                self._record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
+                self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
+            case AskParameters():
+                for request in sender.read(effect):
+                    self._relay.send_to_vehicle(request)
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
                 self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters))
             case Baseline():
-                self._save(sysid, effect)
+                self._reporter.save(sysid, effect)
             case EventOpened(event):
                 if self._metrics is not None:
                     self._metrics.count_event(sysid, event.monitor)
-
-    def _record(self, sysid: int, effect: Effect) -> None:
-        """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if isinstance(effect, AskInterval | Learn | SendFloat | TimesyncMessage):
-            return
-        if self._journal is not None:
-            when = When(self._host.utc(), sysid, self.fleet.link.vehicles[sysid].vehicle_ns)
-            self._journal.write(line(effect, when))
-        for words in _log_lines(effect):
-            self._host.say(f"vehicle {sysid}: {words}")
-
-    def _mark(self, kind: str, content: dict[str, object]) -> None:
-        if self._journal is not None:
-            self._journal.write(mark(kind, When(self._host.utc()), content))
-
-    def _save(self, sysid: int, baseline: Baseline) -> None:
-        """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""
-        path = self._settings.save
-        if path is None:
-            return
-        if any(vehicle != sysid and taken == path for vehicle, taken in self._saved.items()):
-            path = path.with_stem(f"{path.stem}-{sysid}")
-        self._saved[sysid] = path
-        try:
-            baseline.save(path)
-        except UsageError as error:
-            self._record(sysid, Note(f"the baseline is not saved: {error}"))
-        else:
-            self._record(sysid, Note(f"baseline saved to {path}"))
 
     def _summary(self) -> str:
         ran_s = self._now() - self._started
@@ -270,24 +338,8 @@ class Daemon:
             for one in self.fleet.figures()
         ]
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
+        lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files if file.lost)
+        parts += [self._guard.summary()] if self._guard.summary() else []
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
-        parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}, {cpu:.1f} % CPU")
+        parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU")
         return "; ".join(parts)
-
-
-def _log_lines(effect: Effect) -> list[str]:
-    match effect:
-        case StateChanged(old, new, reason):
-            return [f"{old} -> {new}: {reason}"]
-        case Change(stage=stage, reason=reason):
-            return [f"decision: {stage}, {reason}"]
-        case SendText(severity, text):
-            return [f"{severity.name} {text!r}"]
-        case Baseline():
-            return str(effect).splitlines()
-        case Note(text):
-            return [text]
-        case TextSuppressed(text, count):
-            return [f"held back {text!r} ({count} so far)"]
-        case _:
-            return []

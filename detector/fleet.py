@@ -1,36 +1,54 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+import numpy as np
+
+from detector.latency import Awaiting
 from detector.session import Session
 from detector.states import State
+from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
 from mavdiag.baseline import Baseline
+from mavdiag.link.codec import Frame
 from mavdiag.link.profiles import Profile
+from mavdiag.link.sequence import Source
+from mavdiag.link.signing import Signing
 from mavdiag.link.timesync import Timesync, exchanged
-from mavdiag.link.vehicles import Command, LinkDecoder, Received
-from mavdiag.telemetry import Instant
+from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
+from mavdiag.telemetry import Instant, IntArray, Signal
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
 
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
+Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
 NOT_ASKED = Timesync()
 
 
-@dataclass(frozen=True, slots=True)
+def _no_times() -> IntArray:
+    return np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Turn:
     """What came of one vehicle's step.
 
     vehicle: system id.
     effects: what its session wants done.
     commands: of others to its companion, which we are.
+    parameter_requests: of others about its companion's parameters.
+    arrived_ns, judged_ns: when the gyro samples came that were taken in this step, and those that have their verdict
+        now (host clock); empty if it is not measured.
     """
 
     vehicle: int
     effects: tuple[Effect, ...]
     commands: tuple[Command, ...] = ()
+    parameter_requests: tuple[Frame, ...] = ()
+    arrived_ns: IntArray = field(default_factory=_no_times)
+    judged_ns: IntArray = field(default_factory=_no_times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +60,9 @@ class VehicleFigures:
     received, lost: its autopilot's frames, so far.
     gyro_hz: measured rate of the gyro.
     judged_s, events: so far.
+    flight_s: flight time so far.
+    rates: measured rate of each stream that is metered [Hz].
+    ratios: statistic over threshold of each monitor and axis that is valid now.
     timesync: round trip and offset of the vehicle's clock, as asked last.
     drift_ppm: of the first clock of its messages against another one; None if they have one clock.
     """
@@ -53,8 +74,16 @@ class VehicleFigures:
     gyro_hz: float
     judged_s: float
     events: int
+    flight_s: float = 0.0
+    rates: tuple[tuple[str, float], ...] = ()
+    ratios: tuple[tuple[str, str, float], ...] = ()
     timesync: Timesync = NOT_ASKED
     drift_ppm: float | None = None
+
+    @property
+    def healthy(self) -> bool:
+        """Whether its session does its work or still may."""
+        return self.state is not State.FAULTED
 
 
 @dataclass(slots=True)
@@ -64,17 +93,27 @@ class Vehicle:
     session: its session.
     outcome: what came of its last `Learn`, until the session gets it.
     events: that were opened, so far.
+    awaiting: samples whose verdict is waited for; None if that is not measured.
     timesync: what is known of its clock by asking; asked and answered where we may negotiate.
     """
 
     session: Session
     outcome: Baseline | LearningFailed | None = None
     events: int = 0
+    awaiting: Awaiting | None = None
     timesync: Timesync = field(default_factory=Timesync)
 
-    def step(self, received: Received, reboots: int, now: Instant) -> tuple[Effect, ...]:
-        """Hand the session what came."""
-        inbox = Inbox(received.telemetry, received.present, reboots, received.acks, self.outcome, received.parameters)
+    def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
+        """Hand the session what came. stream: the vehicle's."""
+        inbox = Inbox(
+            received.telemetry,
+            received.present,
+            stream.reboots,
+            received.acks,
+            self.outcome,
+            received.parameters,
+            stream.profile.imu,
+        )
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
@@ -82,6 +121,22 @@ class Vehicle:
             return effects
         self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
         return (*effects, *messages)
+
+    def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
+        """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
+        if self.awaiting is None:
+            return _no_times(), _no_times()
+        gyro, judge = received.telemetry.get(Signal.BODY_RATE), self.session.state.judge
+        upto_ns = None if judge is None else judge.memory.now_ns
+        self.awaiting, judged_ns = self.awaiting.step(gyro, upto_ns, now.ns)
+        return _no_times() if gyro is None else gyro.host_ns, judged_ns
+
+    def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
+        """Begin a new session in place of the present one; return what that leaves to record."""
+        left, reboots = self.session.finish(), self.session.state.reboots
+        self.session, self.outcome = Session(spec, now), None
+        self.session.state = replace(self.session.state, reboots=reboots)
+        return left
 
 
 class Fleet:
@@ -91,22 +146,49 @@ class Fleet:
     profile: of all vehicles, None to go by what each sends.
     only: the one system id to watch, None for all.
     datagrams: whether a chunk of bytes holds whole frames.
+    adapt: what is different for the vehicle of a system id; None for one that is left alone.
+    most: how many vehicles may enter.
+    measured: whether the time from a sample to its verdict is measured.
+    signing, passed: as in `LinkDecoder`.
+    vehicles: those that are watched, by system id.
     """
 
-    def __init__(self, spec_of: SpecOf, *, profile: Profile | None, only: int | None, datagrams: bool) -> None:
-        self.link = LinkDecoder(profile, only, datagrams)
-        self._spec_of = spec_of
+    def __init__(
+        self,
+        spec_of: SpecOf,
+        *,
+        profile: Profile | None,
+        only: int | None,
+        datagrams: bool,
+        adapt: Adapt = lambda sysid, spec: spec,
+        most: int = VEHICLES_MAX,
+        measured: bool = False,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
+    ) -> None:
+        self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
+        self._spec_of, self._adapt, self._measured = spec_of, adapt, measured
+        self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant) -> list[Turn]:
-        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too."""
-        received, streams = self.link.feed(chunks, now.ns), self.link.vehicles
-        for sysid in streams.keys() - self.vehicles.keys():
-            self.vehicles[sysid] = Vehicle(Session(self._spec_of(streams[sysid].profile), now))
+    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> list[Turn]:
+        """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
+
+        sources: where each chunk comes from; empty for a link with one other end.
+        """
+        received, streams = self.link.feed(chunks, now.ns, sources), self.link.vehicles
+        for sysid in streams.keys() - self.vehicles.keys() - self._left:
+            spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
+            if spec is None:
+                self._left.add(sysid)
+            else:
+                awaiting = Awaiting() if self._measured else None
+                self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
         turns: list[Turn] = []
         for sysid, vehicle in self.vehicles.items():
             one = received.get(sysid, Received())
-            turns.append(Turn(sysid, vehicle.step(one, streams[sysid].reboots, now), one.commands))
+            effects = vehicle.step(one, streams[sysid], now)
+            turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
         return turns
 
     def finish(self) -> list[Turn]:
@@ -115,13 +197,24 @@ class Fleet:
 
     def figures(self) -> tuple[VehicleFigures, ...]:
         """Where every vehicle stands."""
-        return tuple(self._figures(sysid) for sysid in self.vehicles)
+        return tuple(self.figures_of(sysid) for sysid in self.vehicles)
 
-    def _figures(self, sysid: int) -> VehicleFigures:
+    def figures_of(self, sysid: int) -> VehicleFigures:
+        """Where one vehicle stands."""
         vehicle, count = self.vehicles[sysid], self.link.count(sysid)
-        state = vehicle.session.state
-        received, lost = (count.received, count.lost) if count else (0, 0)
-        judged_s = 0.0 if state.judge is None else state.judge.judged_s
-        gyro_hz, drift_ppm = state.streams.gyro.rate_hz, self.link.vehicles[sysid].timeline.drift_ppm
-        figures = (sysid, state.state, received, lost, gyro_hz, judged_s, vehicle.events)
-        return VehicleFigures(*figures, vehicle.timesync, drift_ppm)
+        state, judge = vehicle.session.state, vehicle.session.state.judge
+        gauges = () if judge is None else judge.gauges
+        return VehicleFigures(
+            sysid,
+            state.state,
+            received=count.received if count else 0,
+            lost=count.lost if count else 0,
+            gyro_hz=state.streams.gyro.rate_hz,
+            judged_s=0.0 if judge is None else judge.judged_s,
+            events=vehicle.events,
+            flight_s=0.0 if judge is None else judge.flight_s,
+            rates=tuple((one.value, state.streams.meter(one).rate_hz) for one in METERED),
+            ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
+            timesync=vehicle.timesync,
+            drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
+        )

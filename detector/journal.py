@@ -1,4 +1,4 @@
-"""The journal and the recorder (edge): files that grow while the daemon runs. A full disk stops nothing else.
+"""The journal and the recorder (edge): what is written while the daemon runs, on top of `appender`.
 
 The journal has one JSON object a line:
 kind       besides "utc" (when written), "vehicle" (system id) and "vehicle_s" (the vehicle's clock, if known)
@@ -15,17 +15,18 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import BinaryIO
 
+from detector.appender import Appender, Rotation
+from detector.config import Fsync
 from detector.values import EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import Change, Event
-from mavdiag.errors import UsageError
+from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.link.messages import Severity
 from mavdiag.logs.tlog import tlog_record
 from mavdiag.report import event_json
 from mavdiag.units import NS_PER_S, NS_PER_US
 
-__all__ = ["Journal", "Recorder", "When", "line", "mark"]
+__all__ = ["Journal", "Recorder", "When", "is_urgent", "line", "mark"]
 
 FRAME_BYTES = 8  # the shortest MAVLink frame; what is shorter is no frame
 
@@ -101,69 +102,44 @@ def _iso(at: datetime) -> str:
     return at.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-class _Appender:
-    """A file that is appended to. What cannot be written is counted, and reported once.
+class Journal(Appender):
+    """A file that lines are appended to. See `Appender` for what may go wrong.
 
-    option: the command-line option that names it.
-    warn: called once when writing begins to fail, and once when it works again.
-    Raises UsageError if the file cannot be opened.
+    fsync: when it is written through to the disk; `flush` does it, once for all lines of a look.
     """
 
-    def __init__(self, path: Path, option: str, warn: Callable[[str], None]) -> None:
-        try:
-            self._file: BinaryIO = path.open("ab", buffering=0)
-        except OSError as error:
-            reason = error.strerror
-            raise UsageError(f"{path}: cannot be written ({reason}); choose another {option} file") from error
-        self._name, self._warn = f"{option.removeprefix('--')} {path}", warn
-        self._torn = False  # the last entry was written only in part
-        self.lost = 0  # entries in a row that could not be written
+    def __init__(
+        self,
+        path: Path,
+        warn: Callable[[str], None],
+        rotation: Rotation | None = None,
+        fsync: Fsync = Fsync.ALERT,
+    ) -> None:
+        super().__init__(path, "--journal", warn, rotation)
+        self._fsync, self._due = fsync, False
 
-    def append(self, data: bytes, after_torn: bytes = b"") -> None:
-        """Append an entry, or count it as lost. after_torn: what goes before it if the last one was torn."""
-        data = (after_torn if self._torn else b"") + data
-        try:
-            written = self._file.write(data)
-        except OSError as error:
-            self._failed(error.strerror or str(error))
-            return
-        if written < len(data):
-            self._torn = self._torn or written > 0
-            self._failed("the entry did not fit")
-            return
-        if self.lost:
-            self._warn(f"{self._name}: writing again; {self.lost} entries were lost")
-        self._torn, self.lost = False, 0
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _failed(self, reason: str) -> None:
-        if not self.lost:
-            self._warn(f"{self._name}: cannot be written ({reason}); watching goes on without it")
-        self.lost += 1
-
-
-class Journal(_Appender):
-    """A file that lines are appended to, each written whole at once. See `_Appender` for what may go wrong."""
-
-    def __init__(self, path: Path, warn: Callable[[str], None]) -> None:
-        super().__init__(path, "--journal", warn)
-
-    def write(self, text: str) -> None:
-        """Append one line."""
+    def write(self, text: str, *, urgent: bool = False) -> None:
+        """Append one line. urgent: it is about an alert."""
         self.append(text.encode() + b"\n", after_torn=b"\n")
+        self._due = self._due or self._fsync is Fsync.ALWAYS or (urgent and self._fsync is Fsync.ALERT)
+
+    def flush(self) -> None:
+        """Write through what was written since the last call, if it is to be."""
+        if self._due:
+            self.sync()
+        self._due = False
 
 
-class Recorder(_Appender):
-    """A telemetry log (.tlog) of all frames received. See `_Appender` for what may go wrong.
+class Recorder(Appender):
+    """A telemetry log (.tlog) of all frames received. See `Appender` for what may go wrong.
 
     epoch_ns: what the host clock must be set forward by to be unix time [ns].
     """
 
-    def __init__(self, path: Path, epoch_ns: int, warn: Callable[[str], None]) -> None:
-        super().__init__(path, "--record", warn)
+    def __init__(
+        self, path: Path, epoch_ns: int, warn: Callable[[str], None], rotation: Rotation | None = None
+    ) -> None:
+        super().__init__(path, "--record", warn, rotation)
         self._epoch_ns = epoch_ns
 
     def write(self, frames: Iterable[bytes], host_ns: int) -> None:
@@ -172,3 +148,16 @@ class Recorder(_Appender):
         records = [tlog_record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
         if records:
             self.append(b"".join(records))
+
+
+def is_urgent(record: Record) -> bool:
+    """Whether a record is about an alert: an alarm, a suspicion or fault, a text of at least WARNING."""
+    match record:
+        case EventOpened() | EventClosed():
+            return True
+        case Change(stage=stage):
+            return stage in (Stage.SUSPECTED, Stage.FAULT)
+        case SendText(severity, _):
+            return severity <= Severity.WARNING
+        case _:
+            return False

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from detector.alerts import Notice, alert_notice, label_of
-from detector.negotiate import LABELS
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState
+from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.link.wants import LABELS
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "words_of"]
+__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "rescaled", "words_of"]
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
@@ -33,6 +33,7 @@ class Judge:
     judged: when anything was judged last (host).
     judged_s: flight time in which a deciding monitor judged, so far.
     flight_s: flight time so far.
+    gauges: the latest value of every monitor that has one.
     """
 
     baseline: Baseline
@@ -41,18 +42,20 @@ class Judge:
     judged: Instant
     judged_s: float = 0.0
     flight_s: float = 0.0
+    gauges: tuple[Gauge, ...] = ()
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
         """Judge the next telemetry."""
         memory, output = self.chain.step(self.memory, telemetry)
         judged = now if output.judged_s > 0 else self.judged
         judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
-        return replace(self, memory=memory, judged=judged, judged_s=judged_s, flight_s=flight_s), output
+        gauges = output.gauges or self.gauges
+        return replace(self, memory=memory, judged=judged, judged_s=judged_s, flight_s=flight_s, gauges=gauges), output
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""
         memory, output = self.chain.end_flight(self.memory)
-        return replace(self, memory=memory), output
+        return replace(self, memory=memory, gauges=()), output
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,18 @@ class Alert:
         return alert_notice(
             self.finding, fault=self.confirmed, key="named" if self.named else "", silent=not self.active
         )
+
+
+def rescaled(baseline: Baseline, scale: float) -> Baseline:
+    """The baseline with all thresholds times a factor; its digest stays that of the file."""
+    if scale == 1.0:
+        return baseline
+    monitors = []
+    for entry in baseline.monitors:
+        old = entry.threshold
+        new = replace(old, value=scale * old.value, session_allowance=scale * old.session_allowance)
+        monitors.append(entry.model_copy(update={"threshold": new}))
+    return baseline.model_copy(update={"monitors": tuple(monitors)})
 
 
 def alert_after(

@@ -1,15 +1,18 @@
-"""What is said once of a baseline: doubts about its rotor layout, names that no monitor has, another vehicle."""
+"""What is said once: doubts about a baseline's rotor layout or the IMU, names that no monitor has, another vehicle."""
 
 from collections.abc import Iterable
 
 from detector.alerts import Kind, Notice
+from detector.streams import Streams
 from detector.values import Note
 from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput
+from mavdiag.link.codec import message_name
+from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.monitors import NEED_LAYOUT
 
-__all__ = ["layout_notices", "notes_on", "vehicle_notices"]
+__all__ = ["imu_notes", "layout_notices", "notes_on", "vehicle_notices"]
 
 
 def vehicle_notices(output: ChainOutput) -> list[Notice]:
@@ -33,6 +36,21 @@ def notes_on(baseline: Baseline, chain: Chain, suspect: Iterable[str]) -> list[N
     monitor of the chain has."""
     doubts = [Note(baseline.layout_doubt)] if baseline.layout_doubt else []
     return doubts + _unknown_suspects(chain, suspect)
+
+
+def imu_notes(read: Profile, own: Profile, before: Streams, after: Streams) -> list[Note]:
+    """What the journal gets, once for a link, of a gyro that another message carries, or of a scale that is wrong.
+
+    read: the profile with the IMU message that is read. own: the link's profile. before, after: the latest look.
+    """
+    notes: list[Note] = []
+    if after.gyro.samples and not before.gyro.samples and read.imu != own.imu:
+        name = message_name(read.imu)
+        poor = ": the estimator's rates, filtered, at a low rate and without accelerometer" * (read.imu == LAST_RESORT)
+        notes.append(Note(f"the gyro is read from {name}, for {message_name(own.imu)} does not come{poor}"))
+    if after.scale_doubt and not before.scale_doubt:
+        notes.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name} {after.scale_doubt}"))
+    return notes
 
 
 def _unknown_suspects(chain: Chain, suspect: Iterable[str]) -> list[Note]:

@@ -1,97 +1,114 @@
 """Asking an autopilot for the streams that the monitors need, and saying plainly what came of it.
 
 A stream that is missing, or whose measured rate lies outside of what will do, is asked for by SET_MESSAGE_INTERVAL: at
-once, then every 5 s while nothing comes of it, and every 30 s after five tries. A stream that was right once is asked
-for as if for the first time when it is wrong again (a ground station may have reset it). A refusal is an answer: it is
-recorded and not asked again. Only what was *measured* counts as got.
+once, then after the pauses of `PAUSES_S`, every 30 s in the end. Tries are forgotten once a rate was right for 5 s, so
+that a ground station that sets its own rates now and then is answered at once each time; but never is one message asked
+for more than once in 2 s, and one that is changed again before it held for 5 s is asked for ever more seldom: two that
+set the same rate must not fight. A refusal is an answer: it is not asked again. Where the autopilot does not send the
+IMU message of its profile, those of `Want.others` are asked for in turn. Only what was *measured* counts as got.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 from detector.alerts import Kind, Notice
 from detector.values import AskInterval, Effect, Note
 from mavdiag.link.codec import message_name
-from mavdiag.link.messages import MavCmd, MavResult, MessageId
-from mavdiag.link.profiles import Profile
+from mavdiag.link.messages import MavCmd, MavResult
 from mavdiag.link.vehicles import Ack
-from mavdiag.telemetry import Instant, Signal
+from mavdiag.link.wants import LABELS, Want, remedy
+from mavdiag.telemetry import Instant
 
-__all__ = ["LABELS", "Negotiation", "Want", "negotiate", "wants_of"]
+__all__ = ["Negotiation", "Seen", "Told", "negotiate"]
 
-AGAIN_S = 5.0
-TRIES = 5
-RARELY_S = 30.0
-ACK_S = 3.0  # an acknowledgement that has not come by then is lost (our choice)
+PAUSES_S = (2.0, 2.0, 5.0, 5.0, 5.0, 30.0)  # least time to the next request after 0 (forgotten), 1, 2, ... tries
+HELD_S = 5.0  # a rate that was right for so long was met; what came of a request is told after as long (our choice)
+VAIN = 3  # tries after which a message that never came is not to be had (our choice)
+OFTEN = 3  # changes by others after which the operator is told
+SETTLE_S = 2.5  # after a request, before rates are reported (our choice)
+ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the next request (our choice)
 _US_PER_S = 1_000_000
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
 
-# Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
-_SLOW: Mapping[Signal, tuple[float, float]] = {
-    Signal.ACTUATOR: (25.0, 10.0),
-    Signal.VIBRATION: (5.0, 2.0),
-    Signal.ROTOR_SPEED: (5.0, 1.0),
-}
-
-# What a signal that does not come is called in a text for an operator.
-LABELS: Mapping[Signal, str] = {
-    Signal.BODY_RATE: "gyro",
-    Signal.SPECIFIC_FORCE: "accelerometer",
-    Signal.ATTITUDE_SETPOINT: "set-points",
-    Signal.ACTUATOR: "actuator outputs",
-    Signal.VIBRATION: "VIBRATION",
-    Signal.ROTOR_SPEED: "rotor speeds",
-}
-
 
 @dataclass(frozen=True, slots=True)
-class Want:
-    """One stream.
+class Seen:
+    """A stream that is wanted, as it comes.
 
-    signal: what it carries.
-    msgid: its message.
-    ask_hz: rate to ask for.
-    least_hz, most_hz: measured rates that will do.
+    rate_hz: as measured last; 0 if it does not come, None while it is being measured.
+    steady_hz: over the last 5 s.
     """
 
-    signal: Signal
-    msgid: int
-    ask_hz: float
-    least_hz: float
-    most_hz: float = float("inf")
+    want: Want
+    rate_hz: float | None
+    steady_hz: float = 0.0
+
+    @property
+    def right(self) -> bool:
+        """Whether its rate will do."""
+        return self.rate_hz is not None and self.want.least_hz <= self.rate_hz <= self.want.most_hz
 
 
-def wants_of(
-    profile: Profile, needs: Collection[Signal], imu_hz: tuple[float, float, float], setpoint_hz: float
-) -> tuple[Want, ...]:
-    """The streams to ask for, by the signals that are needed.
+class Told(StrEnum):
+    """What is said of a message, once."""
 
-    imu_hz: rate to ask for, least and most that will do. setpoint_hz: least rate of the set-points.
-    """
-    wants = [Want(Signal.BODY_RATE, profile.imu, *imu_hz)]
-    if Signal.ATTITUDE_SETPOINT in needs:
-        wants.insert(0, Want(Signal.ATTITUDE_SETPOINT, profile.setpoint, imu_hz[0], setpoint_hz))
-    messages = {Signal.ACTUATOR: profile.actuator, Signal.ROTOR_SPEED: profile.rotor_speed}
-    if profile.vibration:
-        messages[Signal.VIBRATION] = MessageId.VIBRATION
-    wants += [Want(signal, messages[signal], *_SLOW[signal]) for signal in messages if signal in needs]
-    return tuple(wants)
+    LACK = "it does not come"
+    RESETS = "others change its rate"
+    RATE = "what came of the first request"
 
 
 @dataclass(frozen=True, slots=True)
 class _Ask:
     """What was asked for one message.
 
-    tries: since its rate was right last.
+    tries: since its rate held last.
     at: when it was asked for last.
-    refused: whether the autopilot refused it.
+    hz: the rate that was asked for.
+    answer: MAV_RESULT of the last acknowledgement; None if none came.
+    right_since: since when its rate is right; None while it is not.
+    resets: how often others changed a rate that had been met.
+    told: what was said of it.
     reported_hz: the rate that was reported last; None if none was.
     """
 
     tries: int = 0
     at: Instant | None = None
-    refused: bool = False
+    hz: float = 0.0
+    answer: int | None = None
+    right_since: Instant | None = None
+    resets: int = 0
+    told: frozenset["Told"] = frozenset()
     reported_hz: float | None = None
+
+    @property
+    def refused(self) -> bool:
+        """Whether the autopilot refused it."""
+        return self.answer in _REFUSED
+
+    def pause_s(self) -> float:
+        """Least time from the last request to the next."""
+        return PAUSES_S[min(self.tries, len(PAUSES_S) - 1)]
+
+    def due(self, now: Instant) -> bool:
+        """Whether it may be asked for."""
+        return not self.refused and (self.at is None or now - self.at >= self.pause_s())
+
+    def vain(self, now: Instant) -> bool:
+        """Whether a message that does not come is not to be had."""
+        return self.refused or (self.tries >= VAIN and self.due(now))
+
+    def after(self, right: bool, now: Instant) -> "_Ask":
+        """With another look at its rate."""
+        if not right:
+            if self.right_since is None:
+                return self
+            return replace(self, right_since=None, resets=self.resets + (self.at is not None and self.tries == 0))
+        if self.right_since is None:
+            return replace(self, right_since=now)
+        if now - self.right_since < HELD_S or (self.tries == 0 and not self.refused):
+            return self
+        return replace(self, tries=0, answer=None if self.refused else self.answer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,28 +122,43 @@ class Negotiation:
     asks: Mapping[int, _Ask] = field(default_factory=dict)
     awaited: tuple[tuple[int, Instant], ...] = ()
 
+    def of(self, msgid: int) -> _Ask:
+        """What was asked for one message."""
+        return self.asks.get(msgid, _Ask())
+
 
 def negotiate(
-    negotiation: Negotiation, wants: tuple[tuple[Want, float | None], ...], acks: tuple[Ack, ...], now: Instant
+    negotiation: Negotiation, seen: tuple[Seen, ...], acks: tuple[Ack, ...], now: Instant, autopilot: int = 0
 ) -> tuple[Negotiation, tuple[Effect, ...], tuple[Notice, ...]]:
     """Take in acknowledgements and measured rates; return what to ask and what to say.
 
-    wants: each stream with its measured rate: 0 if it does not come, None while it is being measured.
+    autopilot: MAV_AUTOPILOT, whose parameters are named where a stream does not come.
     """
     negotiation, notes = _acknowledged(negotiation, acks, now)
     effects: list[Effect] = [*notes]
-    for want, rate_hz in wants:
-        ask = negotiation.asks.get(want.msgid, _Ask())
-        if rate_hz is None:
+    for one in seen:
+        if one.rate_hz is None:
             continue
-        if want.least_hz <= rate_hz <= want.most_hz:
-            negotiation = _with(negotiation, want.msgid, replace(ask, tries=0, refused=False))
-        elif _may_ask(ask, now):
-            effects.append(AskInterval(want.msgid, round(_US_PER_S / want.ask_hz)))
-            negotiation = _with(negotiation, want.msgid, replace(ask, tries=ask.tries + 1, at=now))
-            negotiation = replace(negotiation, awaited=(*negotiation.awaited, (want.msgid, now)))
-    negotiation, notices = _reported(negotiation, wants, now)
+        msgid = _message(negotiation, one, now)
+        before = negotiation.of(msgid)
+        ask = before.after(one.right, now)
+        if not one.right and ask.due(now):
+            effects.append(AskInterval(msgid, round(_US_PER_S / one.want.ask_hz)))
+            ask = replace(ask, tries=ask.tries + 1, at=now, hz=one.want.ask_hz)
+            negotiation = replace(negotiation, awaited=(*negotiation.awaited, (msgid, now)))
+        ask, notes = _told(ask, msgid, one, autopilot, now)
+        effects += notes
+        negotiation = negotiation if ask is before else _with(negotiation, msgid, ask)
+    negotiation, notices = _reported(negotiation, seen, now)
     return negotiation, tuple(effects), notices
+
+
+def _message(negotiation: Negotiation, seen: Seen, now: Instant) -> int:
+    """The message to ask for: of those that carry the signal the first that may still come."""
+    if seen.rate_hz:
+        return seen.want.msgid
+    all_of_them = (seen.want.msgid, *seen.want.others)
+    return next((msgid for msgid in all_of_them if not negotiation.of(msgid).vain(now)), seen.want.msgid)
 
 
 def _acknowledged(negotiation: Negotiation, acks: tuple[Ack, ...], now: Instant) -> tuple[Negotiation, list[Note]]:
@@ -139,23 +171,40 @@ def _acknowledged(negotiation: Negotiation, acks: tuple[Ack, ...], now: Instant)
         (msgid, _), *rest = awaited
         awaited = tuple(rest)
         notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
-        if ack.result in _REFUSED:
-            negotiation = _with(negotiation, msgid, replace(negotiation.asks[msgid], refused=True))
+        negotiation = _with(negotiation, msgid, replace(negotiation.of(msgid), answer=ack.result))
     return replace(negotiation, awaited=awaited), notes
 
 
-def _may_ask(ask: _Ask, now: Instant) -> bool:
-    pause_s = AGAIN_S if ask.tries < TRIES else RARELY_S
-    return not ask.refused and (ask.at is None or now - ask.at >= pause_s)
+def _told(ask: _Ask, msgid: int, seen: Seen, autopilot: int, now: Instant) -> tuple[_Ask, list[Note]]:
+    """What came of the requests for a message: each thing once."""
+    name = message_name(msgid)
+    if not seen.rate_hz and Told.LACK not in ask.told and (ask.refused or ask.tries >= VAIN):
+        return _telling(ask, Told.LACK, _lack(name, seen.want, remedy(autopilot, msgid)))
+    if ask.resets >= OFTEN and Told.RESETS not in ask.told:
+        why = f"its rate was changed {ask.resets} times; does a ground station set it? (MAVProxy: set streamrate -1)"
+        return _telling(ask, Told.RESETS, f"{name}: {why}")
+    if seen.rate_hz and ask.at is not None and now - ask.at >= HELD_S and Told.RATE not in ask.told:
+        answer = "did not answer" if ask.answer is None else f"answered {_result(ask.answer)}"
+        came = f"asked for {ask.hz:g} Hz, the autopilot {answer}, {seen.steady_hz:.1f} Hz come"
+        return _telling(ask, Told.RATE, f"{name}: {came}")
+    return ask, []
 
 
-def _reported(
-    negotiation: Negotiation, wants: tuple[tuple[Want, float | None], ...], now: Instant
-) -> tuple[Negotiation, tuple[Notice, ...]]:
+def _telling(ask: _Ask, what: "Told", words: str) -> tuple[_Ask, list[Note]]:
+    return replace(ask, told=ask.told | {what}), [Note(words)]
+
+
+def _lack(name: str, want: Want, parameter: str) -> str:
+    label = LABELS.get(want.signal, want.signal)
+    what = "nothing can be judged" if want.mandatory else f"monitors that need the {label} do not judge"
+    return f"{name} does not come: {what}" + (f"; what gives it: {parameter}" if parameter else "")
+
+
+def _reported(negotiation: Negotiation, seen: tuple[Seen, ...], now: Instant) -> tuple[Negotiation, tuple[Notice, ...]]:
     """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
-    asked = [(want.msgid, negotiation.asks.get(want.msgid, _Ask()), rate) for want, rate in wants]
+    asked = [(one.want.msgid, negotiation.of(one.want.msgid), one.rate_hz) for one in seen]
     fresh = [(msgid, ask, rate) for msgid, ask, rate in asked if ask.at and rate and not _like(rate, ask.reported_hz)]
-    if not fresh or any(ask.at is not None and now - ask.at < AGAIN_S / 2 for _, ask, _ in asked):
+    if not fresh or any(ask.at is not None and now - ask.at < SETTLE_S for _, ask, _ in asked):
         return negotiation, ()
     words = ", ".join(f"{message_name(msgid)} {rate:.0f}" for msgid, _, rate in fresh)
     for msgid, ask, rate in fresh:

@@ -1,16 +1,21 @@
 """Further links behind the daemon: they get the vehicle's frames and the daemon's own, and can answer.
 
-Bytes are passed on as they came, cut between frames, so that nothing of ours gets into the middle of one of theirs.
-What a ground station sends goes to the vehicle unchanged: whoever forwards to an endpoint gives it that right.
+Frames are passed on as they came, if they passed: none that was refused. What a ground station sends goes to the
+vehicle unchanged: whoever forwards to an endpoint gives it that right.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
+from typing import TypeAlias
 
 from detector.journal import Recorder
-from mavdiag.link.ports import Chunk, Endpoint
+from mavdiag.link.ports import Endpoint
 from mavdiag.link.ports.stream import frame_length
 
 __all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
+
+Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 
 DATAGRAM_BYTES = 1_400  # what every network carries in one piece (Ethernet's 1,500 less the headers and a tunnel's)
 
@@ -54,14 +59,21 @@ def packed(frames: Iterable[bytes]) -> Iterator[bytes]:
 class Relay:
     """Between the vehicle's link and the links behind the daemon.
 
-    datagrams: whether the vehicle's link is UDP. recorder: a file that gets what the vehicle's link brings.
+    recorder: a file that gets what the vehicle's link brings.
+    upward: sees what a link behind brought, and returns what of it goes to the vehicle.
+    wants: whether anybody gets the vehicle's frames.
     """
 
     def __init__(
-        self, main: Endpoint, behind: Sequence[Endpoint], *, datagrams: bool, recorder: Recorder | None = None
+        self,
+        main: Endpoint,
+        behind: Sequence[Endpoint],
+        *,
+        recorder: Recorder | None = None,
+        upward: Upward = lambda frames, behind: frames,
     ) -> None:
-        self._main, self._behind, self._recorder = main, tuple(behind), recorder
-        self._down = FrameSplitter(datagrams=datagrams)
+        self._main, self._behind, self._recorder, self._upward = main, tuple(behind), recorder, upward
+        self.wants = bool(self._behind) or recorder is not None
         self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
     @property
@@ -69,18 +81,18 @@ class Relay:
         """Of the links behind."""
         return tuple(endpoint.address for endpoint in self._behind)
 
-    def pass_on(self, chunks: Iterable[Chunk]) -> None:
-        """What the vehicle's link brought goes to every link behind; what they bring goes to the vehicle's link."""
-        for data, host_ns in chunks if self._behind or self._recorder else ():
-            frames = self._down.split(data)
-            if self._recorder is not None:
-                self._recorder.write(frames, host_ns)
-            for message in packed(frames):
-                for endpoint in self._behind:
-                    endpoint.send(message)
+    def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
+        """The frames of the vehicle's link, each with its time of arrival [ns], go to every link behind; what these
+        bring goes to the vehicle's link."""
+        if self._recorder is not None:
+            for host_ns, group in groupby(frames, itemgetter(1)):
+                self._recorder.write([frame for frame, _ in group], host_ns)
+        for message in packed(frame for frame, _ in frames) if self._behind else ():
+            for endpoint in self._behind:
+                endpoint.send(message)
         for endpoint, splitter in zip(self._behind, self._up, strict=True):
             for data, _ in endpoint.receive(0.0):
-                for message in packed(splitter.split(data)):
+                for message in packed(self._upward(splitter.split(data), endpoint)):
                     self._main.send(message)
 
     def send_to_all(self, frame: bytes) -> None:

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 
 from detector.states import State
-from detector.values import AskInterval, SendFloat, SendText
+from detector.values import AskInterval, AskParameters, SendFloat, SendText
 from mavdiag.link.codec import Encoder
+from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
-from mavdiag.link.timesync import TimesyncMessage
+from mavdiag.link.signing import Signing
 from mavdiag.units import NS_PER_MS
 
 __all__ = ["HEALTH", "MavlinkSender"]
@@ -27,11 +28,11 @@ HEALTH: Mapping[State, int] = {
 
 
 class MavlinkSender:
-    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id."""
+    """Encodes for one vehicle, with its own sequence numbers. vehicle: system id. signing: signs what is sent."""
 
-    def __init__(self, vehicle: int) -> None:
+    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
         self._vehicle = vehicle
-        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER)
+        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
 
     def heartbeat(self, state: State) -> bytes:
         """HEARTBEAT of a healthy session. Raises KeyError for a faulted one: it must send none."""
@@ -55,9 +56,15 @@ class MavlinkSender:
             MessageId.COMMAND_LONG, *target, MavCmd.SET_MESSAGE_INTERVAL, 0, effect.msgid, effect.interval_us
         )
 
-    def timesync(self, message: TimesyncMessage) -> bytes:
-        """TIMESYNC to the vehicle's autopilot."""
-        return self._encoder.encode(MessageId.TIMESYNC, message.tc1_ns, message.ts1_ns)
+    def frame(self, msgid: int, *fields: Argument) -> bytes:
+        """Any other message, in the same sequence."""
+        return self._encoder.encode(msgid, *fields)
+
+    def read(self, effect: AskParameters) -> list[bytes]:
+        """PARAM_REQUEST_READ by name, one for each parameter."""
+        target = (self._vehicle, Component.AUTOPILOT1)
+        by_name = (MessageId.PARAM_REQUEST_READ, *target)
+        return [self._encoder.encode(*by_name, name, -1) for name in effect.names]
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

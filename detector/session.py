@@ -9,13 +9,15 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, not_judged, records_of, words_of
-from detector.judging_notices import layout_notices, notes_on, vehicle_notices
+from detector.judging import Alert, Judge, alert_after, not_judged, records_of, rescaled, words_of
+from detector.judging_notices import imu_notes, layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
-from detector.negotiate import Negotiation, negotiate, wants_of
+from detector.needs import Demand, demand_of
+from detector.negotiate import Negotiation, Seen, negotiate
 from detector.states import TABLE, State, Trigger, advance
 from detector.streams import Collection, Hindrance, Reason, Streams, collect, observe, on_ground
 from detector.values import (
+    AskParameters,
     Effect,
     EventClosed,
     Inbox,
@@ -25,12 +27,13 @@ from detector.values import (
     SessionSpec,
     StateChanged,
 )
-from mavdiag.baseline import RATE_TOLERANCE, Baseline, check_link
+from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.errors import BaselineError
+from mavdiag.link.parameters import Reading
+from mavdiag.link.profiles import Profile
 from mavdiag.link.samples import joined
-from mavdiag.monitors import MONITORS
-from mavdiag.telemetry import Instant, Signal, Telemetry
+from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = ["Session", "SessionState"]
 
@@ -48,7 +51,7 @@ class SessionState:
     latest: when anything came from the vehicle last (host).
     baseline: what it judges by, None until it is learned.
     presenter, named_values: what was said lately.
-    streams, negotiation: what comes and what was asked for.
+    streams, negotiation, reading: what comes, and which streams and parameters were asked for.
     collection: healthy flight to learn from.
     failed: fits in vain.
     waited: the first telemetry, while its rates are measured; judging begins with it, as a scan of the recording does.
@@ -67,6 +70,7 @@ class SessionState:
     named_values: NamedValues
     streams: Streams = field(default_factory=Streams)
     negotiation: Negotiation = field(default_factory=Negotiation)
+    reading: Reading = field(default_factory=Reading)
     collection: Collection = field(default_factory=Collection)
     failed: int = 0
     waited: tuple[Telemetry, ...] = ()
@@ -80,6 +84,7 @@ class SessionState:
 _NEW_LINK: Mapping[str, Any] = {
     "streams": Streams(),
     "negotiation": Negotiation(),
+    "reading": Reading(),
     "waited": (),
     "airborne": None,
 }
@@ -96,6 +101,7 @@ class Session:
         self.state = SessionState(State.WAITING, "the first frame came", now, spec.baseline, presenter, values)
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
+        self._demanded: tuple[tuple[int, int, int], Demand] | None = None
 
     @property
     def healthy(self) -> bool:
@@ -164,67 +170,57 @@ class Session:
         """Measure the streams, and ask for what they lack."""
         if self.state.state is State.LOST:
             return
-        streams = observe(self.state.streams, inbox.telemetry, now)
+        before = self.state.streams
+        streams = observe(before, inbox.telemetry, now, self._profile(inbox))
         self._keep(streams=streams)
+        self._effects += imu_notes(self._profile(inbox), self.spec.profile, before, streams)
         if not self._settings.negotiate or self.state.state in (State.FITTING, State.FAULTED):
             return
-        wants = ((want, streams.rate_hz(want.signal, now)) for want in wants_of(self.spec.profile, *self._needed()))
-        negotiation, effects, notices = negotiate(self.state.negotiation, tuple(wants), inbox.acks, now)
+        seen = (
+            Seen(want, streams.rate_hz(want.signal, now), streams.meter(want.signal).steady_hz)
+            for want in self._demand(inbox).wants
+        )
+        negotiation, effects, notices = negotiate(
+            self.state.negotiation, tuple(seen), inbox.acks, now, self.spec.profile.autopilot
+        )
         self._keep(negotiation=negotiation)
         self._effects += effects
         self._notices += notices
+        if self.state.baseline is None:  # what they tell of rotors and filter is learnt with the flight
+            reading, names = self.state.reading.step(self.spec.profile.autopilot, inbox.parameters, now)
+            self._keep(reading=reading)
+            self._effects += [AskParameters(names)] if names else []
 
-    def _needed(self) -> tuple[frozenset[Signal], tuple[float, float, float], float]:
-        """The signals that the monitors need, the IMU's rates (asked for, least, most) and the set-points' least."""
-        least_hz, baseline = self._settings.min_rate_hz, self.state.baseline
-        if baseline is None:
-            needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
-            return needs, (self._settings.ask_hz or self.spec.profile.rate_hz, least_hz, float("inf")), least_hz
-        exact_hz = 1.0 / baseline.link.dt_s
-        slowest_hz, fastest_hz = exact_hz / (1.0 + RATE_TOLERANCE), exact_hz / (1.0 - RATE_TOLERANCE)
-        return baseline.needs(), (exact_hz, slowest_hz, fastest_hz), min(least_hz, slowest_hz)
+    def _demand(self, inbox: Inbox) -> Demand:
+        """What is needed of the streams now."""
+        baseline, judge, profile = self.state.baseline, self.state.judge, self._profile(inbox)
+        rests_on = (id(baseline), id(judge and judge.chain), profile.imu)
+        if self._demanded is None or self._demanded[0] != rests_on:
+            self._demanded = (rests_on, demand_of(self._settings, profile, baseline, judge))
+        return self._demanded[1]
 
-    def _hindrance(self) -> Hindrance | None:
-        """What the streams lack, None if they will do. A rate must be wrong twice before it counts as changed."""
-        streams, baseline, least_hz = self.state.streams, self.state.baseline, self._settings.min_rate_hz
-        gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
+    def _profile(self, inbox: Inbox) -> Profile:
+        """The link's profile, with the IMU message that is read."""
+        profile = self.spec.profile
+        return profile if inbox.imu in (None, profile.imu) else replace(profile, imu=inbox.imu)
+
+    def _lack(self, inbox: Inbox) -> Hindrance | None:
+        """What the streams lack, None if they will do."""
         judging = self.state.state in (State.MONITORING, State.ALERT)
-        if gyro.latest is None:
-            return Hindrance(Reason.NO_GYRO)
-        if self._needs_setpoints() and setpoint.latest is None:
-            return Hindrance(Reason.NO_SETPOINTS)
-        if gyro.period_s is None or (self._needs_setpoints() and setpoint.period_s is None):
-            return Hindrance(Reason.MEASURING)
-        periods = gyro.periods_s if judging else (gyro.period_s,)
-        if all(period * least_hz > 1.0 for period in periods):
-            return Hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
-        if baseline is not None:
-            tolerance = (2.0 if judging else 1.0) * RATE_TOLERANCE
-            if all(abs(period / baseline.link.dt_s - 1.0) > tolerance for period in periods):
-                return Hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
-        if self._needs_setpoints() and all(period * least_hz > 1.0 for period in setpoint.periods_s):
-            return Hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
-        return None
-
-    def _needs_setpoints(self) -> bool:
-        """Whether nothing can be done without set-points: learning, or a baseline all of whose monitors need them."""
-        judge = self.state.judge
-        if self.state.baseline is None or judge is None:
-            return self.state.baseline is None
-        return all(Signal.ATTITUDE_SETPOINT in slot.monitor.signals for slot in judge.chain.slots)
+        return self._demand(inbox).lack(self.state.streams, judging=judging)
 
     def _waiting(self, inbox: Inbox, now: Instant) -> None:
         state = self.state
         if state.baseline is not None and (state.judge is None or state.judge.baseline is not state.baseline):
             try:
                 check_link(state.baseline, profile=self.spec.profile.name, dt_s=state.baseline.link.dt_s)
-                chain = chain_of(state.baseline, self.spec.unix_ns(now))
+                chain = chain_of(rescaled(state.baseline, self._settings.threshold_scale), self.spec.unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(), now))
             self._effects += notes_on(state.baseline, chain, self._settings.suspect)
             self._notices += layout_notices(state.baseline)
-        lack = self._hindrance()
+        lack = self._lack(inbox)
         measuring = lack is None or lack.reason in (Reason.MEASURING, Reason.NO_GYRO, Reason.NO_SETPOINTS)
         self._keep(waited=(*state.waited, inbox.telemetry)[-WAITED_CHUNKS:] if measuring else ())  # no wrong rate later
         if lack is not None:
@@ -239,7 +235,7 @@ class Session:
         return self._move(Trigger.READY_TO_JUDGE, judge=judge, waited=())
 
     def _learning(self, inbox: Inbox, now: Instant) -> None:
-        lack = self._hindrance()
+        lack = self._lack(inbox)
         if lack is not None:
             return self._move(Trigger.STREAMS_LOST, lack.text)
         state, learn_s, profile = self.state, self._settings.learn or 0.0, self.spec.profile
@@ -275,7 +271,7 @@ class Session:
         return self._say(Kind.LEARNED, str(len(outcome.monitors)), f", {refused} cannot" if refused else "")
 
     def _judging(self, inbox: Inbox, now: Instant) -> None:
-        state, lack = self.state, self._hindrance()
+        state, lack = self.state, self._lack(inbox)
         if state.judge is None or lack is not None:
             why = lack.text if lack else ""
             self._stop_judging(why)

@@ -9,17 +9,41 @@ from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.link.profiles import Profile, scale_doubt
 from mavdiag.link.samples import joined
+from mavdiag.link.scale import gravity_of
 from mavdiag.rows.align import NATIVE_TOLERANCE
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import Instant, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["SILENT_S", "Collection", "Hindrance", "Meter", "Reason", "Streams", "collect", "observe", "on_ground"]
+__all__ = [
+    "SILENT_S",
+    "Collection",
+    "Hindrance",
+    "Meter",
+    "Reason",
+    "Streams",
+    "Weighing",
+    "collect",
+    "observe",
+    "on_ground",
+]
 
 SILENT_S = 2.0  # without a sample for so long, a stream has stopped (our choice)
 MEASURE_S = 1.0  # vehicle time over which a rate is measured (our choice: a change is known within 2 s)
-METERED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.ACTUATOR, Signal.VIBRATION, Signal.ROTOR_SPEED)
+METERED = (
+    Signal.BODY_RATE,
+    Signal.ATTITUDE_SETPOINT,
+    Signal.ACTUATOR,
+    Signal.VIBRATION,
+    Signal.ROTOR_SPEED,
+    Signal.ATTITUDE,
+)
+STEADY = 5  # measurements that the steady rate is the mean of
+QUICK_S = 0.2  # host time over which a drop of a rate shows (our choice)
+QUICK_SAMPLES = 5  # that are expected in that time, at least, or a drop is left to the next measurement (our choice)
+WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
 _MOST = 100_000  # samples that are kept of one measurement
 _PIECES = 64  # chunks that are joined into one, so that a long collection stays a short list
 
@@ -29,6 +53,7 @@ class Reason(StrEnum):
 
     NO_SETPOINTS = "no attitude set-points"
     NO_GYRO = "no gyro"
+    SCALE = "IMU scale"
     MEASURING = "measuring the rates"
     SLOW_GYRO = "gyro rate too low"
     SLOW_SETPOINTS = "set-point rate too low"
@@ -63,6 +88,8 @@ class Meter:
     t_ns: vehicle times since the last measurement.
     period_s: as measured last; None while unknown.
     before_s: as measured the time before; None if it was not.
+    steps: number of steps and their length [s] of the last measurements.
+    recent: when samples came in the last moments (host), and how many.
     samples: all so far.
     """
 
@@ -70,7 +97,26 @@ class Meter:
     t_ns: IntArray = field(default_factory=_no_times)
     period_s: float | None = None
     before_s: float | None = None
+    steps: tuple[tuple[int, float], ...] = ()
+    recent: tuple[tuple[Instant, int], ...] = ()
     samples: int = 0
+
+    @property
+    def steady_hz(self) -> float:
+        """Mean rate over the last measurements, losses included; 0 while unknown."""
+        span_s = sum(one for _, one in self.steps)
+        return sum(count for count, _ in self.steps) / span_s if span_s else 0.0
+
+    def dropped_hz(self, now: Instant) -> float | None:
+        """The rate of the last moments, if it is less than half of the measured one; None if not.
+
+        It tells within a fraction of a second that somebody set another rate, where a measurement takes one or two.
+        """
+        expected = self.rate_hz * QUICK_S
+        if expected < QUICK_SAMPLES:
+            return None
+        came = sum(count for at, count in self.recent if now - at < QUICK_S)
+        return came / QUICK_S if came < 0.5 * expected else None
 
     @property
     def rate_hz(self) -> float:
@@ -84,6 +130,33 @@ class Meter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """What the accelerometer feels, of a vehicle that stands or hovers.
+
+    total, samples, since_ns: sum [m/s^2], number and first vehicle time of the samples so far.
+    done: whether the scale is believed.
+    doubt: why not, in a few words; empty while unknown.
+    """
+
+    total: FloatArray = field(default_factory=lambda: np.zeros(3))
+    samples: int = 0
+    since_ns: int = 0
+    done: bool = False
+    doubt: str = ""
+
+    def step(self, force: Series | None, profile: Profile) -> "Weighing":
+        """Take in the next samples; what is doubtful is weighed again."""
+        if self.done or force is None or len(force) == 0:
+            return self
+        since_ns = self.since_ns if self.samples else int(force.t_ns[0])
+        total, samples = self.total + force.values.sum(axis=0), self.samples + len(force)
+        if samples < WEIGH_SAMPLES or force.t_ns[-1] - since_ns < WEIGH_S * NS_PER_S:
+            return replace(self, total=total, samples=samples, since_ns=since_ns)
+        doubt = scale_doubt(profile, gravity_of(total[None, :] / samples))
+        return Weighing(done=not doubt, doubt=doubt)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Streams:
     """The streams of one vehicle.
 
@@ -91,23 +164,38 @@ class Streams:
     meters: of the signals in `METERED` that came so far.
     armed: 0 or 1 as said last; nan if never said.
     thrust: collective set-point, 0..1; nan if never said.
+    heard: whether anything came with the latest look.
+    weighing: of the accelerometer, until its scale is believed.
     """
 
     began: Instant | None = None
     meters: Mapping[Signal, Meter] = field(default_factory=dict)
     armed: float = float("nan")
     thrust: float = float("nan")
+    heard: bool = False
+    weighing: Weighing = field(default_factory=Weighing)
+
+    @property
+    def scale_doubt(self) -> str:
+        """What the accelerometer feels and the profile that would explain it, if its scale is not the profile's."""
+        return self.weighing.doubt
 
     def meter(self, signal: Signal) -> Meter:
         """The meter of a signal."""
         return self.meters.get(signal, Meter())
 
     def rate_hz(self, signal: Signal, now: Instant) -> float | None:
-        """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
+        """Measured rate of a stream; 0 if it does not come, None while it is being measured.
+
+        Where it has just dropped, while other messages come, that of the last moments: a link that stalls drops none.
+        """
         meter = self.meter(signal)
         if meter.latest is None:
             return 0.0 if self.began is not None and now - self.began > SILENT_S else None
-        return meter.rate_hz if meter.period_s is not None else None
+        if meter.period_s is None:
+            return None
+        dropped_hz = meter.dropped_hz(now) if self.heard else None
+        return meter.rate_hz if dropped_hz is None else dropped_hz
 
     @property
     def gyro(self) -> Meter:
@@ -115,13 +203,15 @@ class Streams:
         return self.meter(Signal.BODY_RATE)
 
 
-def observe(streams: Streams, telemetry: Telemetry, now: Instant) -> Streams:
-    """Take in what came."""
+def observe(streams: Streams, telemetry: Telemetry, now: Instant, profile: Profile) -> Streams:
+    """Take in what came. profile: of the link, with the IMU message that is read."""
     return Streams(
         now if streams.began is None else streams.began,
         {signal: _metered(streams.meter(signal), telemetry.get(signal), now) for signal in METERED},
         _latest(streams.armed, telemetry.get(Signal.ARMED)),
         _latest(streams.thrust, telemetry.get(Signal.THRUST_SETPOINT)),
+        bool(telemetry.series),
+        streams.weighing.step(telemetry.get(Signal.SPECIFIC_FORCE), profile),
     )
 
 
@@ -143,11 +233,13 @@ def _metered(meter: Meter, series: Series | None, now: Instant) -> Meter:
         silent = meter.latest is not None and now - meter.latest > SILENT_S
         return Meter(samples=meter.samples) if silent else meter
     t_ns = np.concatenate((meter.t_ns, series.t_ns))
-    meter = replace(meter, latest=now, t_ns=t_ns, samples=meter.samples + len(series))
+    recent = (*(one for one in meter.recent if now - one[0] < QUICK_S), (now, len(series)))
+    meter = replace(meter, latest=now, t_ns=t_ns, recent=recent, samples=meter.samples + len(series))
     if t_ns[-1] - t_ns[0] < MEASURE_S * NS_PER_S:
         # A clock that jumps back starts the measurement anew; so does one that stands still.
         return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] or len(t_ns) > _MOST else meter
-    return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns), before_s=meter.period_s)
+    steps = (*meter.steps, (len(t_ns) - 1, float(t_ns[-1] - t_ns[0]) / NS_PER_S))[-STEADY:]
+    return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns), before_s=meter.period_s, steps=steps)
 
 
 def _period_s(t_ns: IntArray) -> float | None:

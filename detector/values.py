@@ -8,7 +8,7 @@ from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
-from mavdiag.link.messages import Severity
+from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
@@ -16,6 +16,7 @@ from mavdiag.telemetry import Instant, Telemetry
 
 __all__ = [
     "AskInterval",
+    "AskParameters",
     "Effect",
     "EventClosed",
     "EventOpened",
@@ -69,6 +70,7 @@ class Inbox:
     acks: its autopilot's acknowledgements.
     outcome: what came of the last `Learn`.
     parameters: of its autopilot that passed by so far, by name.
+    imu: the message that its gyro is read from; None for the profile's.
     """
 
     telemetry: Telemetry = field(default_factory=Telemetry)
@@ -77,6 +79,7 @@ class Inbox:
     acks: tuple[Ack, ...] = ()
     outcome: Baseline | LearningFailed | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    imu: MessageId | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,13 @@ class AskInterval:
 
     msgid: int
     interval_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class AskParameters:
+    """PARAM_REQUEST_READ of some parameters of the vehicle's autopilot, by name."""
+
+    names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,4 +163,4 @@ class Note:
 
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
 """What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
-Effect: TypeAlias = Record | SendFloat | AskInterval | Learn | TimesyncMessage
+Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn | TimesyncMessage

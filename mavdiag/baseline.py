@@ -21,6 +21,7 @@ from mavdiag.airframe.fingerprint import Fingerprint
 from mavdiag.baseline_parts import Link, MonitorEntry, NotNegative, Part, Provenance, Refusal, Window
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import NEED_LAYOUT, monitor_of
+from mavdiag.printable import printable
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
@@ -147,7 +148,8 @@ class Baseline(Part):
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]
-        return "\n".join([*lines, f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()])
+        lines += [f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()]
+        return "\n".join(map(printable, lines))
 
     def _advice(self) -> list[str]:
         """How much more would be needed for what is promised to be shown."""
@@ -200,7 +202,7 @@ def validated(raw: dict[str, Any]) -> Baseline:
     except MavdiagError as error:  # from a specification that checks itself
         raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"]) or "baseline"
         raise BaselineError(f"{where}: {first['msg']}; {REMEDY}") from error
 

@@ -15,8 +15,9 @@ from typer.core import TyperGroup
 
 from mavdiag import __version__
 from mavdiag.errors import MavdiagError
+from mavdiag.printable import printable
 
-__all__ = ["ERROR", "application", "run", "stop_signals", "version_option"]
+__all__ = ["ERROR", "application", "run", "say", "stop_signals", "version_option"]
 
 ERROR = 2
 INTERRUPTED = 130
@@ -79,9 +80,13 @@ def run(app: typer.Typer, name: str) -> NoReturn:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Let SIGINT and SIGTERM ask for an end instead of ending the process at once; yields whether one came."""
+    """Let SIGINT, SIGTERM and SIGHUP ask for an end instead of ending the process at once; yields whether one came.
+
+    SIGHUP is left alone where it is ignored, as `nohup` has it.
+    """
     caught: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    hung_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
+    numbers = (signal.SIGINT, signal.SIGTERM, *hung_up)
     before = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in numbers}
     try:
         yield lambda: bool(caught)
@@ -90,9 +95,14 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
+def say(text: str, *, err: bool = False) -> None:
+    """Print lines, with what could steer a terminal as its escape. err: to stderr."""
+    typer.echo(printable(text, keep="\n"), err=err)
+
+
 def _line(message: str) -> str:
-    return " ".join(message.split()).rstrip(".")
+    return printable(" ".join(message.split()).rstrip("."))
 
 
 def _print(line: str) -> None:
-    typer.echo(line, err=True)
+    say(line, err=True)

@@ -5,8 +5,7 @@ Exit codes: 0 the flight ended, by its duration or by SIGINT or SIGTERM; 2 an er
 
 import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
@@ -15,14 +14,16 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.errors import UsageError
+from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
+from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
-from sitl_plant.truth import Truth
+from sitl_plant.truth_file import TruthWriter, truth_file
 
 __all__ = ["app", "main", "record", "run"]
 
@@ -31,6 +32,9 @@ RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
 app.command()(campaign)
 app.command()(stand)
+app.command()(serve_ardupilot)
+app.command()(serve_px4)
+app.command()(serve_hil)
 
 
 @app.command()
@@ -45,19 +49,37 @@ def run(
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
     speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
+    fresh: Annotated[
+        bool, typer.Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
+    ] = False,
     truth: TruthFile = None,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
     pace = parse_speed(speed)
+    if fresh and not plan.dialect.unasked:
+        raise UsageError(f"--fresh-link needs --profile ardupilot or px4, not {plan.dialect.profile.name}")
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
-        lines = stack.enter_context(_truth_file(truth))
+        lines = stack.enter_context(truth_file(truth))
         plant = Plant(plan.config)
-        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors) for end in ends]
+        kept = None
+        if signing_key is not None:
+            kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
+        signing = None if kept is None else kept.signing
+        links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing, fresh=fresh) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
         _announce(plan, [link.endpoint.address for link in links], as_json)
-        watch = _write_truth(lines, plan, time.time_ns() if pace == 1.0 else None)
+        written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
+
+        def watch(samples: PlantSamples) -> None:
+            written.write(samples, plant.take_changes())
+            if kept is not None:
+                kept.step(time.time_ns())
+
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
     _conclude(report, as_json)
 
@@ -71,44 +93,21 @@ def record(
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
+    if plan.config.commanded:
+        raise UsageError("nobody commands a vehicle that is recorded: use run, or another --trajectory")
     if flights < 1 or (flights > 1 and truth is not None):
         raise UsageError(f"--flights {flights}: give one or more, and --truth for a single flight only")
     duration = RECORD_S if plan.duration_s is None else plan.duration_s
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
-        with _truth_file(truth) as lines:
-            messages = record_flight(path, own, duration, _write_truth(lines, own, None))
+        with truth_file(truth) as lines:
+            messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
-@contextmanager
-def _truth_file(path: Path | None) -> Iterator[TextIO | None]:
-    if path is None:
-        yield None
-        return
-    try:
-        file = path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
-    with file:
-        yield file
-
-
-def _write_truth(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Callable[[PlantSamples], None]:
-    """What is to be done with each block: nothing, or write its lines so that a reader sees them at once."""
-    if file is None:
-        return lambda samples: None
-    truth = Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
-    file.write(truth.head() + "\n")
-
-    def write(samples: PlantSamples) -> None:
-        lines = truth.step(samples)
-        if lines:
-            file.write("\n".join(lines) + "\n")
-            file.flush()
-
-    return write
+def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> TruthWriter:
+    return TruthWriter(file, plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:

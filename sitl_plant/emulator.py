@@ -14,14 +14,17 @@ import numpy as np
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
-from sitl_plant.autopilot.commands import Autopilot, Forward, Reply
+from mavdiag.link.signing import Signing
+from sitl_plant.autopilot.commands import Autopilot, Forward, PlantOrder, Reply
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.imu_filters import FilteredSamples, ImuFilters
-from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import Message, Streamer
+from sitl_plant.changes import Renewal
+from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
-__all__ = ["SYSID", "FlightReport", "Link", "fly"]
+__all__ = ["SYSID", "FlightReport", "Link", "fly", "obey"]
 
 SYSID = 1  # the emulated vehicle's system id
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
@@ -54,14 +57,28 @@ class FlightReport:
 
 
 class Link:
-    """One link of the emulated vehicle: an endpoint, its schedule and sequence numbers, and what waits to be sent."""
+    """One link of the emulated vehicle: an endpoint, its schedule and sequence numbers, and what waits to be sent.
 
-    def __init__(self, endpoint: Endpoint, dialect: Dialect, rate_hz: float | None, rotors: int = 4) -> None:
+    signing: signs what is sent, and refuses what is not signed; None for a link without.
+    fresh: nothing is sent but what the real autopilot sends unasked.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        dialect: Dialect,
+        rate_hz: float | None,
+        rotors: int = 4,
+        signing: Signing | None = None,
+        *,
+        fresh: bool = False,
+    ) -> None:
         self.endpoint = endpoint
-        self.schedule = Schedule(dialect.rates_hz(rate_hz, rotors), dialect.ceiling_hz)
-        self._encoder = Encoder(SYSID, Component.AUTOPILOT1)
+        self.schedule = dialect.schedule(rate_hz, rotors, fresh)
+        self._signing = signing
+        self._encoder = Encoder(SYSID, Component.AUTOPILOT1, signing)
         self._streamer = Streamer(dialect, self.schedule)
-        decoder = Decoder()
+        decoder = Decoder(signing=signing)
         self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
         self._senders: dict[tuple[int, int], Encoder] = {}
         self._waiting: deque[Message] = deque()
@@ -70,9 +87,9 @@ class Link:
         """What came in since the last time."""
         return [frame for data, host_ns in self.endpoint.receive(0.0) for frame in self._decode(data, host_ns)]
 
-    def queue(self, filtered: FilteredSamples) -> None:
+    def queue(self, filtered: FilteredSamples, dialect: Dialect) -> None:
         """Make the messages of a block; they wait for their time."""
-        self._waiting.extend(self._streamer.step(filtered))
+        self._waiting.extend(self._streamer.step(filtered, dialect))
 
     def send_due(self, t_ns: int) -> int:
         """Send what is due at flight time `t_ns`; returns how many messages that were."""
@@ -91,7 +108,7 @@ class Link:
         frame = action.frame
         source = (frame.sysid, frame.compid)
         if source not in self._senders and len(self._senders) < SENDERS_MAX and 0 not in source:
-            self._senders[source] = Encoder(*source)
+            self._senders[source] = Encoder(*source, self._signing)
         if source in self._senders:
             self.endpoint.send(self._senders[source].encode_payload(frame.msgid, frame.payload))
 
@@ -144,6 +161,13 @@ class _Flight:
                 self.messages += link.send_due(t_ns)
             self._clock.note(due_s)
 
+    def watch(self, samples: PlantSamples) -> list[PlantOrder]:
+        """Say what the autopilot has to say after a block; what the plant is to do from now on."""
+        actions, orders = self._autopilot.watch(samples)
+        for action in actions:
+            self._links[action.link].act(action)
+        return orders
+
     def _wait(self, due_s: float, t_ns: int) -> None:
         """Serve the links until it is time. Waiting for descriptors counts in whole milliseconds; the rest is slept."""
         while (left_s := due_s - time.monotonic()) > 0.001:
@@ -157,6 +181,17 @@ class _Flight:
             self.received += 1
             for action in self._autopilot.step(index, frame, now_ns):
                 self._links[action.link].act(action)
+
+
+def obey(plant: Plant, order: PlantOrder) -> None:
+    """Do with the plant what the autopilot wants."""
+    match order:
+        case Leg():
+            plant.lead(order)
+        case Injection():
+            plant.inject(order)
+        case Renewal.CLEAR:
+            plant.clear()
 
 
 def fly(
@@ -175,7 +210,7 @@ def fly(
     """
     started_s, started_cpu_s = time.monotonic(), time.process_time()
     filters = ImuFilters(dialect, plant.config.seed)
-    autopilot = Autopilot(SYSID, [link.schedule for link in links], dialect.parameters_of(plant.rotors))
+    autopilot = Autopilot(SYSID, [link.schedule for link in links], dialect, plant.config)
     clock = _Clock(plant.t_ns, speed)
     flight = _Flight(links, autopilot, clock)
     steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))
@@ -186,8 +221,10 @@ def fly(
         filtered = filters.step(plant.advance(min(steps, -((from_ns - end_ns) // STEP_NS))))
         watch(filtered.samples)
         for link in links:
-            link.queue(filtered)
+            link.queue(filtered, autopilot.dialect)
         flight.send_until(from_ns, plant.t_ns, tick_ns)
+        for order in flight.watch(filtered.samples):
+            obey(plant, order)
     return FlightReport(
         flown_s=plant.t_ns * 1e-9,
         wall_s=time.monotonic() - started_s,

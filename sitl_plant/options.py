@@ -20,7 +20,7 @@ from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
-__all__ = ["FlightPlan", "TruthFile", "VehicleName", "flight_plan", "parse_speed", "with_flight"]
+__all__ = ["FlightPlan", "TruthFile", "VehicleName", "flight_plan", "parse_speed", "with_flight", "with_options"]
 
 VehicleName: TypeAlias = Annotated[
     str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"One of {', '.join(shipped_vehicles())}, or a file.")
@@ -102,6 +102,7 @@ def flight_plan(
         raise UsageError(f"duration must be positive, not {duration:g}")
     if as_recorded and vehicle not in ("qdrone2", RECORDED):
         raise UsageError(f"--as-recorded is the QDrone 2's: leave --vehicle {vehicle} out")
+    commanded = trajectory is Shape.COMMANDED
     kind = vehicle_from(RECORDED if as_recorded else vehicle)
     taken = None
     if pickup:
@@ -113,8 +114,8 @@ def flight_plan(
         airframe=in_session_number(specimen(kind, drone), session, propellers / 100),
         trajectory=trajectory,
         nose=nose,
-        start="ground" if takeoff else "hover",
-        landed_s=duration,
+        start="ground" if takeoff or commanded else "hover",
+        landed_s=None if commanded else duration,
         fault=fault,
         rotor=rotor,
         onset_s=onset,
@@ -129,20 +130,27 @@ def flight_plan(
     return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)
 
 
-def with_flight(command: Callable[..., None]) -> Callable[..., None]:
-    """A command line with the options of `flight_plan` and the command's own. The command gets the plan first."""
-    shared = signature(flight_plan).parameters
-    own = list(signature(command).parameters.values())[1:]
+def with_options(plan: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A command line with the options of `plan` and the command's own. The command gets what `plan` returns first."""
+    shared = signature(plan).parameters
 
-    @wraps(command)
-    def run(**options: Any) -> None:
-        plan = flight_plan(**{name: options.pop(name) for name in shared})
-        command(plan, **options)
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        own = list(signature(command).parameters.values())[1:]
 
-    options = Signature([*own, *shared.values()])
-    vars(run).update(__signature__=options)
-    run.__annotations__ = {name: option.annotation for name, option in options.parameters.items()}
-    return run
+        @wraps(command)
+        def run(**options: Any) -> None:
+            made = plan(**{name: options.pop(name) for name in shared})
+            command(made, **options)
+
+        options = Signature([*own, *shared.values()])
+        vars(run).update(__signature__=options)
+        run.__annotations__ = {name: option.annotation for name, option in options.parameters.items()}
+        return run
+
+    return decorate
+
+
+with_flight = with_options(flight_plan)
 
 
 def parse_speed(text: str) -> float | None:

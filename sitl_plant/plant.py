@@ -3,148 +3,40 @@
     plant = Plant(PlantConfig(drone=1, fault="F2/SV2", rotor=3, onset_s=10.0, seed=7))
     samples = plant.advance(1000)          # one second, flown by the thesis's cascade
     samples = plant.drive(duty, 4)         # four steps with these motor commands, from whatever autopilot
+    plant.inject(fault_injection("F2/SV2", rotor=3))       # from the next step on
 
-Equal configurations give equal bits, however the flight is cut into calls of `advance` and `drive`.
+Equal configurations give equal bits, however the flight is cut into calls of `advance` and `drive`. What is changed in
+flight takes effect with the next step.
 """
 
 import math
-from dataclasses import dataclass, field, fields, replace
-from typing import Literal
+from collections import deque
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.physics.airframe import NO_PAYLOAD, Airframe, Payload, drone
+from sitl_plant.changes import Change, Renewal, SteadyWind
+from sitl_plant.config import PlantConfig
+from sitl_plant.physics.airframe import Airframe, drone
 from sitl_plant.physics.attitude import ESTIMATE
 from sitl_plant.physics.dynamics import RIGID
-from sitl_plant.physics.faults import parse_fault
 from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
 from sitl_plant.physics.kernel import Model, Rows, fly
 from sitl_plant.physics.loading import PickUp, carried, reload
-from sitl_plant.physics.parameters import STEP_S, initial_state, make_model
+from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model
 from sitl_plant.physics.recorded_log import RecordedLog
 from sitl_plant.physics.recorded_set import recorded_flight
-from sitl_plant.physics.sessions import Wear
-from sitl_plant.physics.streams import MOST_OUTAGES_PER_MIN, Streams
-from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Nose, Path, Shape, landing_time, path
-from sitl_plant.physics.turbulence import Dryden, dryden
-from sitl_plant.vehicle import Vehicle, qdrone2
+from sitl_plant.physics.streams import Streams
+from sitl_plant.physics.trajectory import Leg
 
 __all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
 
 STEP_NS = round(STEP_S * 1e9)
 WEAR_STEPS = 1000  # wear is held for a second
 SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, integrals and the wind are settled
-
-
-@dataclass(frozen=True, slots=True)
-class PlantConfig:
-    """One flight. Raises UsageError if it cannot be.
-
-    drone: 1 (aged), 2, 3 (new).
-    nose: "fixed" along the heading, "path" along the path, "spin" turns steadily.
-    fault: a code such as "F2/SV2".
-    rotor: the damaged one, numbered as in the vehicle's file; T Eq 2.2-2.4 has 1 rear right, 2 front right,
-        3 rear left, 4 front left.
-    onset_s: flight time at which the fault begins; 0 for a fault from the start.
-    phenomenology: scale of the fitted part of the fault, see `sitl_plant.physics.faults`.
-    injections: other causes.
-    wind_m_s: mean speed.
-    wind_towards_rad: where the wind blows to; 0 is north, pi/2 east.
-    turbulence_m_s: wind W20 of Dryden turbulence, in place of the gusts of the vehicle's file; 0 for the latter.
-    pickup: a payload taken up, and perhaps dropped, in flight.
-    outages_per_min: how often motion capture is lost for `streams.OUTAGE_S`.
-    wear: what the propellers lose with the hours.
-    vehicle: the type of which drones 1 to 3 are specimens.
-    airframe: another specimen instead.
-    start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
-    landed_s: flight time at which a flight from the ground is over, disarmed; None for never.
-    """
-
-    drone: int = 1
-    trajectory: str = "square"
-    speed_m_s: float = 0.5
-    size_m: float = 1.0
-    heading_rad: float = 0.0
-    nose: str = "fixed"
-    altitude_m: float = 1.0
-    fault: str | None = None
-    rotor: int = 1
-    onset_s: float = 0.0
-    phenomenology: float = 1.0
-    injections: tuple[Injection, ...] = ()
-    wind_m_s: float = 0.0
-    wind_towards_rad: float = math.pi / 4
-    payload: Payload = NO_PAYLOAD
-    turbulence_m_s: float = 0.0
-    pickup: PickUp | None = None
-    outages_per_min: float = 0.0
-    wear: Wear | None = None
-    seed: int = 0
-    vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
-    airframe: Airframe | None = None
-    start: Literal["hover", "ground"] = "hover"
-    landed_s: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.trajectory not in list(Shape):
-            raise UsageError(f"no trajectory {self.trajectory!r}: give one of {', '.join(Shape)}")
-        if self.nose not in list(Nose):
-            raise UsageError(f"no nose {self.nose!r}: give one of {', '.join(Nose)}")
-        self._check_ground()
-        for name in ("speed_m_s", "size_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise UsageError(f"{name} must be positive, not {value:g}")
-        for name in ("heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
-            if not math.isfinite(getattr(self, name)):
-                raise UsageError(f"{name} must be a finite number")
-        if self.outages_per_min and self.flown_vehicle.recorded is not None:
-            raise UsageError("the recorded QDrone 2 does not fly through outages of motion capture; leave them out")
-        if self.seed < 0:
-            raise UsageError(f"seed must be zero or more, not {self.seed}")
-        self.all_injections()  # refuses a fault that does not exist
-        self.gusts()
-        if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
-            most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
-            raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
-        if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
-            raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
-
-    def gusts(self) -> Dryden | None:
-        """The turbulence at the height of the path, None if it was not asked for."""
-        if not self.turbulence_m_s:
-            return None
-        return dryden(self.turbulence_m_s, self.altitude_m, self.wind_m_s)
-
-    def _check_ground(self) -> None:
-        if self.start == "ground" and not self.altitude_m > 0.0:
-            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
-        flight = self.path()
-        if self.start == "ground" and flight.land < flight.start:
-            shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
-            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
-
-    def path(self) -> Path:
-        """What the cascade follows."""
-        shape, form = Shape(self.trajectory), (self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m)
-        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m, shape)
-        recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
-        ground_s = (recorded.ground.arm_s, recorded.ground.lift_s) if recorded else (ARM_S, LIFT_S)
-        return path(shape, *form, Nose(self.nose), ground, land_s if ground else math.inf, ground_s)
-
-    @property
-    def flown_vehicle(self) -> Vehicle:
-        """The type of the specimen that flies."""
-        return self.vehicle if self.airframe is None else self.airframe.vehicle
-
-    def all_injections(self) -> tuple[Injection, ...]:
-        """The fault by code, if any, and the other injections."""
-        if self.fault is None:
-            return self.injections
-        damage = parse_fault(self.fault).damage(self.phenomenology)
-        return (Injection(damage, self.rotor, self.onset_s), *self.injections)
+CHANGES_MAX = 1000  # changes kept for who takes them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,6 +54,7 @@ class PlantSamples:
     attitude: (n, 9) T's estimate (Eq 2.33).
     duty: (n, r) 0..1, commanded.
     battery_v: (n,) measured.
+    charge_ah: (n,) truth, drawn from the battery since it was full.
     motors: (n,) 0 disarmed, 1 armed and idle, 2 flying.
     quaternion: (n, 4) truth, body to world, w first.
     position: (n, 3) truth, of the centre of gravity.
@@ -181,6 +74,7 @@ class PlantSamples:
     attitude: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    charge_ah: FloatArray
     motors: IntArray
     quaternion: FloatArray
     position: FloatArray
@@ -212,16 +106,15 @@ class Plant:
         blown = None if gusts is None else (gusts, config.wind_towards_rad)
         self._streams = Streams(config.seed, STEP_S, blown, config.outages_per_min)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
-        self._injections = _placed(config.all_injections(), rotors, self._streams.angle)
-        self._spans = [injection.span(STEP_S) for injection in self._injections]
+        self._step = -SETTLING_STEPS
+        self._set_injections(_placed(config.all_injections(), rotors, self._streams.angle))
         self._model = _model(config, self.airframe)
         self._loaded = False
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._recorded = recorded_flight(self.airframe, self._model, self._state, config.seed)
         if self._recorded is not None:
             self._model = self._recorded.model
-        self._step = -SETTLING_STEPS
-        self._renew_condition()
+        self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         self.advance(SETTLING_STEPS)
 
     @property
@@ -246,6 +139,63 @@ class Plant:
             raise UsageError("motor commands must be 0 to 1")
         # a copy that can be written to: for a read-only array the loop would be compiled once more
         return self._run(steps, np.array(np.broadcast_to(held, (max(steps, 0), self.rotors)), order="C"))
+
+    def inject(self, injection: Injection) -> None:
+        """Add a cause to those that are there; an onset that is past means from the next step on.
+
+        Raises UsageError for a rotor that is not there, or a cause that would be over.
+        """
+        now_s = self._step * STEP_S
+        if injection.end_s <= now_s:
+            raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")
+        coming = replace(injection, onset_s=max(injection.onset_s, now_s))
+        placed = _placed((coming,), self.rotors, self._streams.angle)
+        self._set_injections((*self._injections, *placed))
+        self._note(placed[0])
+
+    def clear(self) -> None:
+        """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
+        self._set_injections(())
+        self._state.imu.drifted[:] = 0.0
+        if self._recorded is not None:
+            self._recorded.forget_drift()
+        self._note(Renewal.CLEAR)
+
+    def set_wind(self, wind: SteadyWind) -> None:
+        """Let another mean wind blow, with gusts by the vehicle's file; turbulence that was asked for stays."""
+        air = air_of(self.airframe.vehicle, _blowing(wind), self.config.gusts() is not None)
+        self._set_model(self._model._replace(air=air))
+        self._note(wind)
+
+    def renew_battery(self) -> None:
+        """Put a full battery in."""
+        self._state.battery[:] = self._model.battery.open_circuit, 0.0
+        self._note(Renewal.BATTERY)
+
+    def lead(self, leg: Leg) -> None:
+        """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
+        if not self.config.commanded:
+            raise UsageError(f"the path {self.config.trajectory} is followed without commands")
+        self._set_model(self._model._replace(path=self._model.path._replace(leg=leg)))
+
+    def take_changes(self) -> tuple[Change, ...]:
+        """What was changed since the last call, for the truth file; of more than 1000 changes the last."""
+        taken = tuple(self._changes)
+        self._changes.clear()
+        return taken
+
+    def _note(self, what: Injection | SteadyWind | Renewal) -> None:
+        self._changes.append(Change(self.t_ns, what))
+
+    def _set_injections(self, injections: tuple[Injection, ...]) -> None:
+        self._injections = injections
+        self._spans = [injection.span(STEP_S) for injection in injections]
+        self._changes_at = self._step  # the condition is worked out before the next step
+
+    def _set_model(self, model: Model) -> None:
+        self._model = model
+        if self._recorded is not None:
+            self._recorded.model = model
 
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
@@ -293,9 +243,7 @@ class Plant:
         hangs = carried(pickup, self._step, STEP_S)
         if hangs != self._loaded:
             payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
-            self._model = reload(self._model, self._state, self.airframe, payloads, pickup if hangs else None)
-            if self._recorded is not None:
-                self._recorded.model = self._model
+            self._set_model(reload(self._model, self._state, self.airframe, payloads, pickup if hangs else None))
             self._loaded = hangs
 
 
@@ -312,9 +260,13 @@ def _placed(injections: tuple[Injection, ...], rotors: int, rng: np.random.Gener
 
 
 def _model(config: PlantConfig, airframe: Airframe) -> Model:
-    towards = config.wind_towards_rad
-    wind = config.wind_m_s * np.array([math.cos(towards), math.sin(towards), 0.0])
+    wind = _blowing(SteadyWind(config.wind_m_s, config.wind_towards_rad))
     return make_model(airframe, config.payload, config.path(), wind, config.gusts() is not None)
+
+
+def _blowing(wind: SteadyWind) -> FloatArray:
+    """(3,) world NED [m/s]."""
+    return wind.speed_m_s * np.array([math.cos(wind.towards_rad), math.sin(wind.towards_rad), 0.0])
 
 
 def _empty_rows(steps: int, rotors: int) -> Rows:
@@ -335,6 +287,7 @@ def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamp
         attitude=rows.attitude,
         duty=rows.duty,
         battery_v=rows.battery_v,
+        charge_ah=rows.charge_ah,
         motors=rows.motors.astype(np.int64),
         quaternion=rows.rigid[:, 6:10],
         position=rows.rigid[:, :3],

@@ -8,7 +8,6 @@ from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Component
 from mavdiag.logs.tlog import tlog_record
 from sitl_plant.autopilot.imu_filters import ImuFilters
-from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import Streamer
 from sitl_plant.emulator import SYSID
 from sitl_plant.options import FlightPlan
@@ -23,7 +22,7 @@ BLOCK_STEPS = 1000
 def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> Iterator[tuple[int, bytes]]:
     """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
     plant, filters = Plant(plan.config), ImuFilters(plan.dialect, plan.config.seed)
-    schedule = Schedule(plan.dialect.rates_hz(plan.rate_hz, plant.rotors), plan.dialect.ceiling_hz)
+    schedule = plan.dialect.schedule(plan.rate_hz, plant.rotors)
     streamer, encode = Streamer(plan.dialect, schedule), Encoder(SYSID, Component.AUTOPILOT1).encode_payload
     left = max(1, round(duration_s * 1e9 / STEP_NS))
     while left > 0:

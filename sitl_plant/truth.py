@@ -2,11 +2,19 @@
 
 {"record": "flight", ...}     once: the configuration
 {"record": "state", ...}      every second of flight: truth, SI units, body FRD, world NED
-{"record": "onset", ...}      when the fault begins
+{"record": "onset", ...}      when the fault begins, or a cause that was injected in flight
+{"record": "clear", ...}      when all causes are taken away in flight
+{"record": "wind", ...}       when the wind is set in flight
+{"record": "battery", ...}    when a fresh battery is put in
 """
 
 import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
 
+from sitl_plant.changes import Change, Renewal, SteadyWind
+from sitl_plant.physics.injections import Injection, SensorFault
 from sitl_plant.plant import STEP_NS, PlantConfig, PlantSamples
 
 __all__ = ["Truth"]
@@ -20,7 +28,7 @@ class Truth:
     def __init__(self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None) -> None:
         self._config, self._profile, self._rate_hz = config, profile, rate_hz
         self._started_unix_ns = started_unix_ns
-        self._onset_ns = round(config.onset_s * 1e9) if config.fault else None
+        self._causes = list(config.all_injections()[:1]) if config.fault else []
 
     def head(self) -> str:
         """The first line."""
@@ -50,34 +58,42 @@ class Truth:
             }
         )
 
-    def step(self, samples: PlantSamples) -> list[str]:
-        """The lines that fall into a block (n >= 1)."""
-        lines = []
+    def step(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> list[str]:
+        """The lines that fall into a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
+        lines = [line for change in changes for line in self._change(change)]
         for row, t_ns in enumerate(samples.t_ns.tolist()):
-            if self._onset_ns is not None and t_ns - STEP_NS < self._onset_ns <= t_ns:
-                lines.append(self._onset(t_ns))
+            lines += [self._onset(t_ns, one) for one in self._causes if t_ns - STEP_NS < _ns(one.onset_s) <= t_ns]
             if t_ns % STATE_EVERY_NS == 0:
                 lines.append(self._state(samples, row, t_ns))
         return lines
 
-    def _onset(self, t_ns: int) -> str:
+    def _change(self, change: Change) -> list[str]:
+        """An injection is written when it begins."""
+        match change.what:
+            case Injection() as cause:
+                self._causes.append(cause)
+                return []
+            case SteadyWind(speed, towards):
+                return [self._line("wind", change.t_ns, {"wind_m_s": speed, "wind_towards_rad": towards})]
+            case Renewal() as renewal:
+                if renewal is Renewal.CLEAR:
+                    self._causes.clear()
+                return [self._line(renewal, change.t_ns, {})]
+
+    def _onset(self, t_ns: int, cause: Injection) -> str:
+        rotor = None if isinstance(cause.cause, SensorFault) else cause.rotor
+        return self._line("onset", t_ns, {"fault": cause.name, "rotor": rotor, "cause": asdict(cause.cause)})
+
+    def _line(self, record: str, t_ns: int, values: dict[str, object]) -> str:
         unix_ns = None if self._started_unix_ns is None else self._started_unix_ns + t_ns
-        return json.dumps(
-            {
-                "record": "onset",
-                "t_s": t_ns * 1e-9,
-                "fault": self._config.fault,
-                "rotor": self._config.rotor,
-                "unix_ns": unix_ns,
-            }
-        )
+        return json.dumps({"record": record, "t_s": t_ns * 1e-9, **values, "unix_ns": unix_ns})
 
     def _state(self, samples: PlantSamples, row: int, t_ns: int) -> str:
         return json.dumps(
             {
                 "record": "state",
                 "t_s": t_ns * 1e-9,
-                "fault_present": self._onset_ns is not None and t_ns >= self._onset_ns,
+                "fault_present": any(_ns(one.onset_s) <= t_ns < _ns(one.end_s) for one in self._causes),
                 "position_m": samples.position[row].tolist(),
                 "velocity_m_s": samples.velocity[row].tolist(),
                 "quaternion": samples.quaternion[row].tolist(),
@@ -86,3 +102,7 @@ class Truth:
                 "battery_v": float(samples.battery_v[row]),
             }
         )
+
+
+def _ns(t_s: float) -> float:
+    return round(t_s * 1e9) if math.isfinite(t_s) else t_s

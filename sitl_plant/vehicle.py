@@ -6,7 +6,6 @@ says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`
 """
 
 import math
-import tomllib
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -20,9 +19,11 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import Place, layout_at
 from mavdiag.airframe.load import airframe_named
 from mavdiag.errors import InputError, UsageError
+from mavdiag.storage import TOML_BYTES, parse_toml, read_text
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
 from sitl_plant.fields import STRICT, Finite, NotNegative, Positive, PositiveVector, Share, Vector
+from sitl_plant.vehicle_hil import Hil
 from sitl_plant.vehicle_recorded import Recorded
 
 __all__ = [
@@ -212,6 +213,7 @@ class Vehicle:
     """A type of multirotor, as its file describes it.
 
     recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
+    hil: what an autopilot outside needs; None if none can fly it.
     """
 
     name: str
@@ -226,6 +228,7 @@ class Vehicle:
     spread: Spread
     wind: Wind
     recorded: Recorded | None = None
+    hil: Hil | None = None
 
     @model_validator(mode="after")
     def _can_fly(self) -> Self:
@@ -283,9 +286,9 @@ def allocation(vehicle: Vehicle) -> FloatArray:
 def load_vehicle(path: Path) -> Vehicle:
     """Read a vehicle file. Raises InputError, naming the file and the field, if it cannot be used."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot read vehicle file {path}: {error.strerror}") from error
+        text = read_text(path, TOML_BYTES)
+    except InputError as error:
+        raise InputError(f"vehicle file {error}") from error
     return _parse(text, path.name)
 
 
@@ -315,7 +318,7 @@ def qdrone2() -> Vehicle:
 
 def _table(text: str, name: str) -> dict[str, Any]:
     """The file with what it takes over from its base."""
-    table = tomllib.loads(text)
+    table = parse_toml(text, name)
     base = table.pop("base", None)
     if base is None:
         return table
@@ -327,8 +330,6 @@ def _table(text: str, name: str) -> dict[str, Any]:
 def _parse(text: str, name: str) -> Vehicle:
     try:
         return TypeAdapter(Vehicle).validate_python(_table(text, name))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name} is not TOML: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "vehicle"

@@ -28,7 +28,6 @@ Every key may be left out but the name. What is left out is not known, and nothi
 is an error.
 """
 
-import tomllib
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -40,6 +39,7 @@ from mavdiag.airframe.airframe import Airframe, Scope
 from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named, layout_of_effects
 from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
+from mavdiag.storage import parse_toml, read_toml
 from mavdiag.units import RPM
 
 __all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe", "with_layout"]
@@ -119,7 +119,7 @@ def airframe_named(name: str) -> Airframe:
     if name not in BUILTIN:
         raise UsageError(f"no airframe {name!r}: use one of {', '.join(BUILTIN)}")
     file = resources.files("mavdiag.airframe") / f"{name}.toml"
-    return _parse(file.read_text(encoding="utf-8"), file.name)
+    return _parse(parse_toml(file.read_text(encoding="utf-8"), file.name), file.name)
 
 
 def with_layout(airframe: Airframe, name: str) -> Airframe:
@@ -134,19 +134,12 @@ def with_layout(airframe: Airframe, name: str) -> Airframe:
 
 def load_airframe(path: Path) -> Airframe:
     """Read an airframe file. Raises InputError, naming the file and the key, if it cannot be used."""
-    try:
-        return _parse(path.read_text(encoding="utf-8"), str(path))
-    except OSError as error:
-        raise InputError(f"cannot read airframe file {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file in UTF-8") from error
+    return _parse(read_toml(path), str(path))
 
 
-def _parse(text: str, file: str) -> Airframe:
+def _parse(table: dict[str, Any], file: str) -> Airframe:
     try:
-        found = _File.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{file}: not TOML: {error}") from error
+        found = _File.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         steps = [step for step in first["loc"] if step not in ("place", "effect")]

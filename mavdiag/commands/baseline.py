@@ -8,6 +8,7 @@ import typer
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each, working
 from mavdiag.errors import BaselineError
@@ -29,14 +30,14 @@ File = Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.
 def show(file: File, as_json: AsJson = False) -> None:
     """Print what a baseline says: whose it is, its thresholds with what supports them, and what cannot be judged."""
     baseline = Baseline.load(file)
-    typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)) if as_json else str(baseline))
+    say(json.dumps(baseline.model_dump(mode="json", by_alias=True)) if as_json else str(baseline))
 
 
 @app.command()
 def check(file: File) -> None:
     """Validate a baseline: schema, every field, digest. Exit code 0 if it is sound, else 2."""
     baseline = Baseline.load(file)
-    typer.echo(f"{file}: sound, {baseline.digest}")
+    say(f"{file}: sound, {baseline.digest}")
 
 
 @app.command()
@@ -58,7 +59,7 @@ def extend(
     with working(f"adding {len(flights)} flights ..."):
         longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
     longer.save(output)
-    typer.echo(f"{longer}\nwritten to {output}")
+    say(f"{longer}\nwritten to {output}")
 
 
 @app.command()
@@ -70,7 +71,7 @@ def upgrade(
     check_output(output)
     try:
         raw = json.loads(read_text(file))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BaselineError(f"{file}: the text is no JSON ({error}); name a baseline file") from error
     if not isinstance(raw, dict):
         raise BaselineError(f"{file}: is no baseline; name a baseline file")
@@ -79,4 +80,4 @@ def upgrade(
     except BaselineError as error:
         raise BaselineError(f"{file}: {error}") from error
     baseline.save(output)
-    typer.echo(f"{output}: {baseline.airframe.name}, {len(baseline.monitors)} monitors")
+    say(f"{output}: {baseline.airframe.name}, {len(baseline.monitors)} monitors")

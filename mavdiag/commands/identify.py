@@ -11,6 +11,7 @@ import typer
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
 from mavdiag.commands.progress import each, working
 from mavdiag.face import now, with_airframe
@@ -91,11 +92,11 @@ def identify(
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
     baseline.save(output)
     if baseline.layout_doubt and as_json:
-        typer.echo(baseline.layout_doubt, err=True)
+        say(baseline.layout_doubt, err=True)
     if as_json:
         typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
     else:
-        typer.echo(f"{baseline}\nwritten to {output}")
+        say(f"{baseline}\nwritten to {output}")
 
 
 def make_baseline(

@@ -19,7 +19,7 @@ from mavdiag import commandline
 from mavdiag.baseline import Baseline
 from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Vehicle, parse_order
 from mavdiag.commands.progress import working
-from mavdiag.errors import BaselineError, IdentificationError, UsageError
+from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
 from mavdiag.identify import ArxModel, Method, ModelRecord, fit
 from mavdiag.identify.lab import recursive
@@ -29,8 +29,9 @@ from mavdiag.identify.lab.frequency import FrequencyResponse, compare, estimate_
 from mavdiag.identify.lab.published import ASSUMED_DT_S, THESIS_PITCH, THESIS_ROLL
 from mavdiag.identify.lab.sweep import SweepRow, best_row, order_sweep, window_sweep
 from mavdiag.identify.validate import ResidualReport, examine_residual, one_step_report, validate
+from mavdiag.logs.log import LOG_BYTES
 from mavdiag.monitors.run_length import RunLengthSpec
-from mavdiag.storage import check_output
+from mavdiag.storage import check_output, open_regular
 from mavdiag.telemetry import Axis, Log
 
 __all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
@@ -205,9 +206,9 @@ def track(
 def _is_baseline(file: Path) -> bool:
     """Whether a file begins as JSON does; no log begins with a brace."""
     try:
-        with file.open("rb") as stream:
+        with open_regular(file, LOG_BYTES) as stream:
             return stream.read(64).lstrip().startswith(b"{")
-    except OSError:
+    except (InputError, OSError):
         return False  # the reader of logs says what is wrong with it
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
@@ -30,7 +31,7 @@ def scan(
     for path in each(logs, "judging"):
         verdict = _judge(path, reference, vehicle, from_s, to_s)
         verdicts.append(verdict)
-        typer.echo(json.dumps(verdict_json(verdict)) if as_json else _line(verdict))
+        say(json.dumps(verdict_json(verdict)) if as_json else _line(verdict))
     raise typer.Exit(exit_code([verdict.verdict for verdict in verdicts]))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Component, MavCmd, MessageId
 from mavdiag.link.ports import Endpoint, wait
+from mavdiag.printable import printable
 
 __all__ = ["GroundStation", "ReceivedText"]
 
@@ -56,7 +57,7 @@ class GroundStation:
             self._stop_fast_streams(frame.sysid)
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.STATUSTEXT:
             text = decode_statustext(frame)
-            self.texts.append(ReceivedText(text.severity, text.text, self.t_s))
+            self.texts.append(ReceivedText(text.severity, printable(text.text), self.t_s))
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.NAMED_VALUE_FLOAT:
             name, value = frame.fields[_NAME], frame.fields[_VALUE]
             if isinstance(name, bytes) and isinstance(value, float):

@@ -99,7 +99,7 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     """
     if not flights:
         raise InputError("no healthy flight to learn from")
-    airframe = _airframe(options.airframe, flights[0].profile)
+    airframe = _filtered(_airframe(options.airframe, flights[0].profile), flights[0])
     found = taught(flights, options.window_s, airframe.gate, robust=options.robust)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
@@ -108,7 +108,7 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
     front, learnt, rows = found.front, found.flights, [one.rows for one in found.flights]
     sessions = sessions_of([one.flight for one in learnt], options.sessions)
     unknown = airframe.layout_basis if airframe.layout is None else ""
-    context = _context(options, airframe, front, flights[0].profile)
+    context = _context(options, airframe, front, flights[0])
     fitted, refusals = _fit_all(rows, sessions, options, context, unknown)
     if not fitted:
         reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
@@ -145,8 +145,16 @@ def _airframe(told: Airframe, profile: str) -> Airframe:
     return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate, layout_basis=basis)
 
 
-def _context(options: LearnOptions, airframe: Airframe, front: Front, profile: str) -> LearnContext:
-    corner_hz = airframe.imu_corner_hz or (PROFILES[profile].imu_corner_hz if profile in PROFILES else None)
+def _filtered(airframe: Airframe, flight: Log) -> Airframe:
+    """The airframe with the corner of its IMU's filter, where it was not told and the vehicle's parameters have it."""
+    name = PROFILES[flight.profile].imu_corner_parameter if flight.profile in PROFILES else ""
+    told_hz = flight.parameters.get(name, 0.0)
+    return replace(airframe, imu_corner_hz=told_hz) if airframe.imu_corner_hz is None and told_hz > 0.0 else airframe
+
+
+def _context(options: LearnOptions, airframe: Airframe, front: Front, flight: Log) -> LearnContext:
+    link = PROFILES.get(flight.profile)
+    corner_hz = airframe.imu_corner_hz or (link.corner_hz(flight.parameters) if link is not None else None)
     return LearnContext(
         airframe=airframe,
         imu_corner_hz=corner_hz,

@@ -20,7 +20,8 @@ from fastcrc.crc16 import mcrf4xx
 from mavdiag.errors import UsageError
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import MessageId, Severity
-from mavdiag.link.sequence import DecoderCount, LinkCount, SequenceTracker
+from mavdiag.link.sequence import DecoderCount, LinkCount, Senders, Source
+from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 
 __all__ = [
     "Decoder",
@@ -38,12 +39,11 @@ __all__ = [
 ]
 
 MARKER_V1, MARKER_V2 = MARKERS = 0xFE, 0xFD
-SIGNED_FLAG = 0x01  # MAVLINK_IFLAG_SIGNED, the only incompatibility flag defined
-SIGNATURE_BYTES = 13
 UNFINISHED = -1
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
 SHORTEST_V1, SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 TEXT_BYTES = 50  # STATUSTEXT.text
+FALSE_MARKERS = 64  # in one datagram; what comes behind them is garbage, so that a large one costs little (our choice)
 
 _search_marker = re.compile(rb"[\xfd\xfe]").search
 _header_v1 = struct.Struct("<xBBBBB").unpack_from  # length, seq, sysid, compid, msgid
@@ -141,22 +141,35 @@ class Decoder:
 
     wanted: message ids to hand out, None for all. Others are checked and counted all the same.
     gap: bytes that stand between frames, as the time stamps of a log do.
+    signing: lets only genuine frames pass; None passes all.
+    source: where the next bytes come from.
+    heard: the senders, and from where each is heard.
+    passed: gets the bytes of every frame that passes, wanted or not, with its time of arrival; None for nobody.
     """
 
-    def __init__(self, wanted: Collection[int] | None = None, gap: int = 0) -> None:
-        self._gap = gap
+    def __init__(
+        self,
+        wanted: Collection[int] | None = None,
+        gap: int = 0,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
+    ) -> None:
+        self._gap, self._signing, self._passed = gap, signing, passed
+        self._guarded = signing is not None or passed is not None
+        self.source: Source = None
+        self.heard = Senders()
+        self._note = self.heard.note
         self._table = {
             msgid: (layout.packer.size, layout.crc_extra, wanted is None or msgid in wanted)
             for msgid, layout in _LAYOUTS.items()
         }
-        self._senders: dict[int, SequenceTracker] = {}
         self._pending = b""
         self._garbage = self._bad_crc = self._incompatible = self._unknown = 0
 
     @property
     def senders(self) -> Mapping[tuple[int, int], LinkCount]:
         """Figures of each sender, by (system id, component id)."""
-        return {(key >> 8, key & 0xFF): tracker.count() for key, tracker in self._senders.items()}
+        return self.heard.counts()
 
     @property
     def count(self) -> DecoderCount:
@@ -178,6 +191,7 @@ class Decoder:
         """Frames of the buffer, and how many bytes are done with: all of them if it is whole."""
         frames: list[Frame] = []
         at, end, take = 0, len(buffer), self.take
+        left = FALSE_MARKERS if whole else end
         while at < end:
             after = take(buffer, at, host_ns, frames, whole)
             if after > at:
@@ -185,7 +199,8 @@ class Decoder:
             elif after == UNFINISHED:
                 break
             else:
-                resume = next_marker(buffer, at + 1)
+                left -= 1
+                resume = next_marker(buffer, at + 1) if left else end
                 self._garbage += resume - at
                 at = resume
         return frames, at
@@ -206,7 +221,7 @@ class Decoder:
                 return at
             msgid &= 0xFFFFFF
             start = at + 10
-            after = start + length + (2 + SIGNATURE_BYTES if flags else 2)
+            after = start + length + (2 + SEAL_BYTES if flags else 2)
         elif marker == MARKER_V1:
             if end - at < SHORTEST_V1:
                 return at if whole else UNFINISHED
@@ -219,13 +234,17 @@ class Decoder:
             return at if whole else UNFINISHED
         entry = self._table.get(msgid)
         if entry is None:
-            return self._take_unknown(buffer, at, after, (sysid, compid, seq), whole)
+            return self._take_unknown(buffer, at, after, (sysid << 8 | compid, seq, host_ns), whole)
         size, extra, wanted = entry
         stop = start + length
         if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) != buffer[stop] | buffer[stop + 1] << 8:
             self._bad_crc += 1
             return at
-        self._note(sysid, compid, seq, msgid)
+        if self._guarded:
+            if not self._passes(buffer[at:after], sysid << 8 | compid, seq, msgid, host_ns):
+                return after
+        elif not self._note(sysid << 8 | compid, seq, msgid, host_ns, self.source):
+            return after
         if wanted:
             payload = buffer[start:stop]
             if length != size:  # MAVLink 2 trims trailing zeros; a newer definition may be longer
@@ -233,7 +252,7 @@ class Decoder:
             frames.append(tuple.__new__(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
         return after
 
-    def _take_unknown(self, buffer: bytes, at: int, after: int, source: tuple[int, int, int], whole: bool) -> int:
+    def _take_unknown(self, buffer: bytes, at: int, after: int, sender: tuple[int, int, int], whole: bool) -> int:
         """A frame outside the dialect has no seed to check it by: it counts if another one follows, or the end."""
         following = after + self._gap
         if following >= len(buffer) and not whole:
@@ -241,24 +260,32 @@ class Decoder:
         if after != len(buffer) and (following >= len(buffer) or buffer[following] not in MARKERS):
             return at
         self._unknown += 1
-        self._note(*source, UNKNOWN)
+        key, seq, host_ns = sender
+        self._passes(buffer[at:after], key, seq, UNKNOWN, host_ns)
         return after
 
-    def _note(self, sysid: int, compid: int, seq: int, msgid: int) -> None:
-        key = sysid << 8 | compid
-        tracker = self._senders.get(key)
-        if tracker is None:
-            tracker = self._senders[key] = SequenceTracker(seq)
-        tracker.step(seq, msgid)
+    def _passes(self, frame: bytes, key: int, seq: int, msgid: int, host_ns: int) -> bool:
+        """Whether a whole frame is genuine, and its sender is heard from where it came."""
+        if self._signing is not None and not self._signing.admit(frame):
+            return False
+        if not self._note(key, seq, msgid, host_ns, self.source):
+            return False
+        if self._passed is not None:
+            self._passed.append((frame, host_ns))
+        return True
 
 
 class Encoder:
-    """Values in, MAVLink 2 frames out, with this sender's own running sequence number."""
+    """Values in, MAVLink 2 frames out, with this sender's own running sequence number.
 
-    def __init__(self, sysid: int, compid: int) -> None:
+    signing: signs them; None leaves them unsigned.
+    """
+
+    def __init__(self, sysid: int, compid: int, signing: Signing | None = None) -> None:
         if not (0 < sysid < 256 and 0 < compid < 256):
             raise UsageError(f"system and component id must be 1 to 255, not {sysid} and {compid}")
         self._sysid, self._compid, self._seq = sysid, compid, 0
+        self._signing, self._flags = signing, 0 if signing is None else SIGNED_FLAG
 
     def encode(self, msgid: int, *fields: Argument) -> bytes:
         """One frame from the fields as declared; trailing ones left out are zero.
@@ -281,8 +308,10 @@ class Encoder:
         payload = payload.rstrip(b"\0") or b"\0"
         seq = self._seq
         self._seq = (seq + 1) & 0xFF
-        body = _pack_header(len(payload), 0, 0, seq, self._sysid, self._compid, msgid & 0xFFFF, msgid >> 16) + payload
-        return b"\xfd" + body + mcrf4xx(layout.crc_extra, mcrf4xx(body)).to_bytes(2, "little")
+        sender = (seq, self._sysid, self._compid)
+        body = _pack_header(len(payload), self._flags, 0, *sender, msgid & 0xFFFF, msgid >> 16) + payload
+        frame = b"\xfd" + body + mcrf4xx(layout.crc_extra, mcrf4xx(body)).to_bytes(2, "little")
+        return frame if self._signing is None else frame + self._signing.seal(frame)
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,10 @@ def _attitude(profile: Profile, record: Record) -> tuple[Part, ...]:
     return (Part(Signal.ATTITUDE, record["roll"].astype(np.float64)),)
 
 
+def _attitude_and_rates(profile: Profile, record: Record) -> tuple[Part, ...]:
+    return *_attitude(profile, record), Part(Signal.BODY_RATE, record["rollspeed"].astype(np.float64))
+
+
 def _local_position(profile: Profile, record: Record) -> tuple[Part, ...]:
     return (Part(Signal.HEIGHT, -record["z"].astype(np.float64)[:, None]),)
 
@@ -227,6 +231,15 @@ SOURCES: tuple[Source, ...] = (
     source(_M.SCALED_IMU3, _imu, _MOTION, _VECTORS, _BOOT_MS, _M.SCALED_IMU3),
     source(_M.HIGHRES_IMU, _imu, _MOTION, (*_VECTORS, ("id", 1)), _USEC, _M.HIGHRES_IMU),
     source(_M.ATTITUDE, _attitude, (Signal.ATTITUDE,), (("roll", 3),), _BOOT_MS),
+    # In place of the row above, where the gyro is read from it too.
+    source(
+        _M.ATTITUDE,
+        _attitude_and_rates,
+        (Signal.ATTITUDE, Signal.BODY_RATE),
+        (("roll", 3), ("rollspeed", 3)),
+        _BOOT_MS,
+        _M.ATTITUDE,
+    ),
     source(_M.LOCAL_POSITION_NED, _local_position, (Signal.HEIGHT,), (("z", 1),), _BOOT_MS),
     source(_M.SYS_STATUS, _sys_status, (Signal.VOLTAGE,), (("voltage_battery", 1),)),
     source(_M.HEARTBEAT, _heartbeat, (Signal.ARMED,), (("type", 1), ("base_mode", 1))),
@@ -245,7 +258,7 @@ SOURCES: tuple[Source, ...] = (
 def sources(
     profile: Profile, signals: Collection[Signal] = tuple(Signal), table: Iterable[Source] = SOURCES
 ) -> tuple[Source, ...]:
-    """The rows of the table that a profile reads for these signals."""
+    """The rows of the table that a profile reads for these signals; of two for one message the later one counts."""
     messages = profile.messages
     return tuple(
         row

@@ -182,5 +182,21 @@ EXTRA_LAYOUTS: Mapping[int, Layout] = {
         struct.Struct("<Q4i4f4fB"),
         bytes([10]),
     ),
+    MessageId.PROTOCOL_VERSION: Layout(
+        "PROTOCOL_VERSION",
+        ("version", "min_version", "max_version", "spec_version_hash", "library_version_hash"),
+        (1, 1, 1, 8, 8),
+        (0, 1, 2, 3, 4),
+        struct.Struct("<3H8B8B"),
+        bytes([217]),
+    ),
+    MessageId.AVAILABLE_MODES: Layout(
+        "AVAILABLE_MODES",
+        ("number_modes", "mode_index", "standard_mode", "custom_mode", "properties", "mode_name"),
+        (1, 1, 1, 1, 1, 1),
+        (3, 4, 0, 1, 2, 5),
+        struct.Struct("<2I3B35s"),
+        bytes([134]),
+    ),
 }
 """Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out."""

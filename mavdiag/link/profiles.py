@@ -15,19 +15,23 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Frame, field_index, message_name, record_dtype
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
 
 __all__ = [
     "IMU_MESSAGES",
+    "LAST_RESORT",
     "PROFILES",
     "Evidence",
     "Profile",
     "Recognised",
     "Stamp",
+    "by_attitude",
     "detect_profile",
     "is_autopilot_heartbeat",
     "profile_named",
+    "scale_doubt",
     "with_imu",
 ]
 
@@ -45,11 +49,14 @@ _RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
 #: m/s^2 and in rad/s.
 IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
     MessageId.HIGHRES_IMU: (1.0, 1.0),
-    MessageId.RAW_IMU: None,  # without unit: the profile says
     MessageId.SCALED_IMU: (MILLI * G, MILLI),
     MessageId.SCALED_IMU2: (MILLI * G, MILLI),
     MessageId.SCALED_IMU3: (MILLI * G, MILLI),
+    MessageId.RAW_IMU: None,  # without unit: the profile says
 }
+
+#: Body rates without accelerometer, as the estimator has them; read only where no message of `IMU_MESSAGES` comes.
+LAST_RESORT = MessageId.ATTITUDE
 
 
 class Stamp(StrEnum):
@@ -95,6 +102,7 @@ class Profile:
     vibration: whether its VIBRATION message carries acceleration per axis.
     actuator_span: the actuator message's values for 0 and for full output.
     gate: what counts as flying; the same live and in a .tlog.
+    imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
     """
 
     name: str
@@ -112,12 +120,18 @@ class Profile:
     rotor_speed: MessageId
     setpoint: MessageId = MessageId.ATTITUDE_TARGET
     gate: GateSpec = LIVE_GATE
+    imu_corner_parameter: str = ""
 
     @property
     def messages(self) -> frozenset[int]:
         """The messages of which another profile may use others."""
         chosen = {self.setpoint, self.imu, self.actuator, self.rotor_speed}
         return frozenset(chosen | {MessageId.VIBRATION} if self.vibration else chosen)
+
+    def corner_hz(self, parameters: Mapping[str, float]) -> float | None:
+        """Corner of the low-pass filter in the IMU stream of a vehicle with these parameters, None for none [Hz]."""
+        told = parameters.get(self.imu_corner_parameter)
+        return self.imu_corner_hz if told is None else told if told > 0.0 else None
 
 
 def _is_spec(seen: Evidence) -> bool:
@@ -175,6 +189,7 @@ _ROWS = (
         actuator=MessageId.SERVO_OUTPUT_RAW,
         actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
+        imu_corner_parameter="INS_GYRO_FILTER",
     ),
     # PX4: no RAW_IMU; HIGHRES_IMU is in SI and comes from the sensors before the controller's filter; its VIBRATION
     # mixes gyro and accelerometer metrics. Asked for 200 Hz it sends 160 to 170.
@@ -251,7 +266,7 @@ def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS)
         return Recognised(found)
     imu = [message_name(message) for message in IMU_MESSAGES if seen.counts.get(message)]
     if isfinite(seen.weight):
-        why = f"RAW_IMU counts {seen.weight:.0f} at rest, neither 1000 (milli-g) nor 2048 (IIM-42652)"
+        why = f"RAW_IMU counts {seen.weight:.0f} at rest, {scale_of(seen.weight)}; only 1000 and 2048 are read"
     elif imu:
         why = f"it sends {', '.join(imu)} and its autopilot is not known"
     else:
@@ -269,6 +284,28 @@ def _evidence(own: Sequence[Frame]) -> Evidence:
     if len(raw) > 1:
         period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
     return Evidence(beats, Counter(frame.msgid for frame in own), weight, period_us)
+
+
+def scale_doubt(profile: Profile, gravity_g: float) -> str:
+    """What speaks against the profile's accelerometer scale, in a few words; empty if nothing does.
+
+    gravity_g: what the vehicle feels, by that scale, while it stands or hovers. A profile whose scale would explain it
+    is named; nothing is rescaled.
+
+    >>> scale_doubt(PROFILES["qdrone2"], 2.05), scale_doubt(PROFILES["qdrone2"], 1.1)
+    ('(2.0 g): --profile spec', '')
+    """
+    if 1.0 / CONTRARY < gravity_g < CONTRARY:
+        return ""
+    counts = gravity_g * G / profile.accel_unit
+    raw = (one for one in _ROWS if one.imu == profile.imu == MessageId.RAW_IMU)
+    fits = next((one.name for one in raw if 1.0 / CONTRARY < counts * one.accel_unit / G < CONTRARY), "")
+    return f"({gravity_g:.1f} g)" + (f": --profile {fits}" if fits else "")
+
+
+def by_attitude(profile: Profile) -> Profile:
+    """The profile with the body rates of `LAST_RESORT`, in rad/s, for a vehicle that sends no IMU message."""
+    return replace(profile, imu=LAST_RESORT, accel_unit=1.0, gyro_unit=1.0)
 
 
 def with_imu(profile: Profile, frames: Iterable[Frame], least: int = 1) -> Profile:

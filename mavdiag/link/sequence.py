@@ -1,18 +1,29 @@
-"""Honest loss figures from MAVLink's 8-bit sequence numbers, one tracker per sender.
+"""The senders on a link: where each is heard from, and honest loss figures from MAVLink's 8-bit sequence numbers.
 
 A swapped pair is one reordered frame and no loss; a repeated frame is one duplicate; a sender that starts its count
 again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
+
+A sender is heard from one source (a network address) as long as it is heard there: frames in its name from another are
+refused. Made-up senders cost a bounded amount: those that sent least make room.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Container, Hashable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import TypeAlias
 
-__all__ = ["DecoderCount", "LinkCount", "SequenceTracker"]
+from mavdiag.units import NS_PER_S
 
-WINDOW = (
-    64  # frames: how late one may come and still be recognised as late (a choice: 25 ms of 2,500 messages a second)
-)
+__all__ = ["PINNED_S", "DecoderCount", "Intruder", "LinkCount", "Senders", "SequenceTracker", "Source"]
+
+Source: TypeAlias = Hashable | None
+"""Where bytes came from: an address, or None on a link that has one end only."""
+
+WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
+NEAR = 32  # places: numbers that most frames are nearer to are one sender's; of random ones three in four are not
+SENDERS_MAX = 512  # senders that are followed at a time (our choice)
+PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +62,47 @@ class DecoderCount:
     unknown: int
 
 
+@dataclass(frozen=True, slots=True)
+class Intruder:
+    """Another source that sends in a sender's name.
+
+    source: the latest one.
+    frames: refused so far.
+    """
+
+    source: Source
+    frames: int
+
+
 class SequenceTracker:
-    """Follows one sender's sequence numbers. `step` is on the hot path: all but the next number is left to `_jump`."""
+    """Follows one sender's sequence numbers. `step` is on the hot path: all but the next number is left to `_jump`.
 
-    __slots__ = ("_duplicated", "_lost", "_missing", "_next", "_reordered", "_restarts", "_seen")
+    source: where the sender is heard from.
+    heard_ns: when its last frame was received [ns].
+    intruder: who else uses its name, if anybody does.
+    """
 
-    def __init__(self, first: int) -> None:
+    __slots__ = (
+        "_duplicated",
+        "_jumps",
+        "_lost",
+        "_missing",
+        "_next",
+        "_reordered",
+        "_restarts",
+        "_seen",
+        "heard_ns",
+        "intruder",
+        "source",
+    )
+
+    def __init__(self, first: int, source: Source = None, heard_ns: int = 0) -> None:
+        self.source, self.heard_ns = source, heard_ns
+        self.intruder: Intruder | None = None
         self._next = first
         self._seen: defaultdict[int, int] = defaultdict(int)
         self._missing: dict[int, int] = {}  # number -> frames received when it was missed
-        self._lost = self._reordered = self._duplicated = self._restarts = 0
+        self._lost = self._reordered = self._duplicated = self._restarts = self._jumps = 0
 
     def step(self, seq: int, msgid: int) -> None:
         """Count a frame with this sequence number and message id."""
@@ -71,8 +113,9 @@ class SequenceTracker:
         self._seen[msgid] += 1
 
     def _jump(self, seq: int) -> None:
-        received = sum(self._seen.values())
+        received = self.received
         distance = (seq - self._next + 128) % 256 - 128  # signed, modulo 256
+        self._jumps += abs(distance) > NEAR
         if -WINDOW <= distance < 0:
             missed_at = self._missing.pop(seq, None)
             if missed_at is not None and received - missed_at <= WINDOW:
@@ -90,7 +133,62 @@ class SequenceTracker:
             self._missing = {}
         self._next = (seq + 1) & 0xFF
 
+    @property
+    def received(self) -> int:
+        """Frames so far."""
+        return sum(self._seen.values())
+
+    @property
+    def sound(self) -> bool:
+        """Whether its numbers are those of one sender: of eight frames or more most follow on, or of three all."""
+        received, jumps = self.received, self._jumps
+        return received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
+
     def count(self) -> LinkCount:
         """The figures so far, as a value that later frames do not change."""
         seen = dict(self._seen)
-        return LinkCount(sum(seen.values()), self._lost, self._reordered, self._duplicated, self._restarts, seen)
+        return LinkCount(self.received, self._lost, self._reordered, self._duplicated, self._restarts, seen)
+
+
+class Senders:
+    """All senders of one link, at most `SENDERS_MAX`, by system and component id.
+
+    kept: keys (system id << 8 | component id) that never make room.
+    """
+
+    def __init__(self, kept: Container[int] = ()) -> None:
+        self.kept = kept
+        self._trackers: dict[int, SequenceTracker] = {}
+
+    def note(self, key: int, seq: int, msgid: int, host_ns: int, source: Source) -> bool:
+        """Count a frame of a sender. False if it is not heard, because the sender is alive at another source."""
+        tracker = self._trackers.get(key)
+        if tracker is None:
+            tracker = self._added(key, SequenceTracker(seq, source, host_ns))
+        elif tracker.source != source:
+            if host_ns - tracker.heard_ns < PINNED_S * NS_PER_S:
+                before = tracker.intruder
+                tracker.intruder = Intruder(source, 1 if before is None else before.frames + 1)
+                return False
+            tracker.source = source
+        tracker.heard_ns = host_ns
+        tracker.step(seq, msgid)
+        return True
+
+    def get(self, sysid: int, compid: int) -> SequenceTracker | None:
+        """One sender; None if it is not followed."""
+        return self._trackers.get(sysid << 8 | compid)
+
+    def counts(self) -> dict[tuple[int, int], LinkCount]:
+        """Figures of each sender, by (system id, component id)."""
+        return {(key >> 8, key & 0xFF): tracker.count() for key, tracker in self._trackers.items()}
+
+    def _added(self, key: int, tracker: SequenceTracker) -> SequenceTracker:
+        if len(self._trackers) >= SENDERS_MAX:
+            ranked = sorted(self._trackers.values(), key=attrgetter("received"), reverse=True)
+            floor = ranked[SENDERS_MAX // 2].received
+            self._trackers = {
+                other: one for other, one in self._trackers.items() if other in self.kept or one.received > floor
+            }
+        self._trackers[key] = tracker
+        return tracker

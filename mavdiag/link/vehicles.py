@@ -4,29 +4,38 @@ A vehicle enters with a heartbeat of its autopilot (component 1), once its frame
 cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now` in, values out.
 
 Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
-all together.
+all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
+seconds apart, and running numbers that are one sender's; and at most `VEHICLES_MAX` at all.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.link.parameters import with_parameters
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile, is_autopilot_heartbeat, with_imu
-from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
-from mavdiag.link.sequence import LinkCount
-from mavdiag.link.timeline import Timeline
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.link.profiles import (
+    IMU_MESSAGES,
+    PROFILES,
+    Profile,
+    detect_profile,
+)
+from mavdiag.link.samples import SampleDecoder, by_vehicle
+from mavdiag.link.sequence import Intruder, LinkCount, Source
+from mavdiag.link.signing import Signing
+from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
+from mavdiag.link.waiting import Waiting
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["WATCH_S", "Ack", "Command", "LinkDecoder", "Received", "VehicleStream"]
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
-CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
-USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
+VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
+RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
+REQUESTS_MAX = 16  # for one vehicle's computer that are handed out at a time: a flood is not answered (our choice)
 
 _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
     field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component")
@@ -34,6 +43,10 @@ _ACK_COMMAND, _ACK_RESULT, _ACK_COMPONENT = (
 _COMMANDS: Mapping[int, tuple[int, ...]] = {
     msgid: tuple(field_index(msgid, name) for name in ("command", "target_system", "target_component"))
     for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
+}
+_PARAMETER_TARGETS: Mapping[int, tuple[int, ...]] = {
+    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component"))
+    for msgid in (MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET)
 }
 
 
@@ -72,6 +85,7 @@ class Received:
     acks: its autopilot's answers to our commands.
     commands: commands of others to its on-board computer.
     parameters: of its autopilot that passed by since the vehicle entered, by name.
+    parameter_requests: frames of others that ask for, or set, parameters of its on-board computer.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -80,81 +94,7 @@ class Received:
     acks: tuple[Ack, ...] = ()
     commands: tuple[Command, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
-
-
-class VehicleStream:
-    """One vehicle's frames to telemetry, on one clock.
-
-    profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    signals: those of interest.
-    parameters: of its autopilot that passed by so far, by name.
-    """
-
-    def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
-        self._signals = signals
-        self._decoder = SampleDecoder(profile, signals)
-        self._state = SampleState()
-        self._imu: list[Frame] = []
-        self._settled = False  # whether the IMU message is chosen for good
-        self.parameters: Mapping[str, float] = {}
-
-    @property
-    def profile(self) -> Profile:
-        """The profile, with the IMU message that is read."""
-        return self._decoder.profile
-
-    @property
-    def timeline(self) -> Timeline:
-        """Where the vehicle's time stands."""
-        return self._state.timeline
-
-    @property
-    def vehicle_ns(self) -> int | None:
-        """Latest time of the vehicle's clock [ns], None before its first stamp."""
-        return self._state.timeline.t_ns
-
-    @property
-    def reboots(self) -> int:
-        """How often it started anew."""
-        return self._state.timeline.reboots
-
-    @property
-    def dropped(self) -> int:
-        """Samples left out for NaN, infinity or a zero quaternion so far."""
-        return self._state.dropped
-
-    def step(self, frames: Sequence[Frame]) -> Telemetry:
-        """Take the vehicle's next frames, in order of arrival."""
-        if not self._settled:
-            self._choose_imu(frames)
-        self.parameters = with_parameters(self.parameters, frames, self.profile.autopilot)
-        self._state, telemetry = self._decoder.step(self._state, frames)
-        return telemetry
-
-    def _choose_imu(self, frames: Sequence[Frame]) -> None:
-        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
-        chosen = with_imu(self.profile, self._imu, USEFUL_FRAMES)
-        if chosen is not self.profile:
-            self._decoder = SampleDecoder(chosen, self._signals)
-        self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
-        if self._settled:
-            self._imu = []
-
-
-@dataclass(slots=True)
-class _Pending:
-    """A system id that has not entered.
-
-    since_ns: since when it is watched [ns].
-    frames: its latest.
-    beat: its autopilot's latest heartbeat.
-    reason: why it waits though its autopilot was received.
-    """
-
-    since_ns: int
-    frames: list[Frame] = field(default_factory=list)
-    beat: Frame | None = None
-    reason: str = ""
+    parameter_requests: tuple[Frame, ...] = ()
 
 
 class LinkDecoder:
@@ -165,6 +105,10 @@ class LinkDecoder:
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.
     profiles: the profiles to choose from.
+    careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
+    signing: lets only genuine frames pass; None passes all.
+    passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
+    most: how many vehicles may enter.
     vehicles: the stream of each vehicle that has entered, by system id.
     """
 
@@ -174,14 +118,22 @@ class LinkDecoder:
         only: int | None = None,
         datagrams: bool = True,
         profiles: Collection[Profile] = tuple(PROFILES.values()),
+        *,
+        careful: bool = False,
+        most: int = VEHICLES_MAX,
+        signing: Signing | None = None,
+        passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
-        self._decoder = Decoder(wanted | IMU_MESSAGES.keys() | others | _COMMANDS.keys())
+        wanted |= IMU_MESSAGES.keys() | others | _COMMANDS.keys() | _PARAMETER_TARGETS.keys()
+        self._decoder = Decoder(wanted, signing=signing, passed=passed)
+        self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
-        self._profile, self._only, self._profiles = profile, only, profiles
-        self._pending: dict[int, _Pending] = {}
+        self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
+        self._most = most
+        self._pending: dict[int, Waiting] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -196,20 +148,44 @@ class LinkDecoder:
 
     def count(self, sysid: int) -> LinkCount | None:
         """What came from one vehicle's autopilot so far; None if nothing did."""
-        return self._decoder.senders.get((sysid, Component.AUTOPILOT1))
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None else sender.count()
 
-    def feed(self, chunks: Iterable[tuple[bytes, int]], now_ns: int) -> dict[int, Received]:
+    def heard_since(self, host_ns: int) -> list[int]:
+        """The vehicles whose autopilots were heard at this time or later [ns]."""
+        senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
+        return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
+
+    def source(self, sysid: int) -> Source:
+        """Where a vehicle's autopilot is heard from; None on a link with one other end."""
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None else sender.source
+
+    def intruder(self, sysid: int) -> Intruder | None:
+        """Who else sends as a vehicle's autopilot; None if nobody does."""
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        return None if sender is None else sender.intruder
+
+    def feed(
+        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+    ) -> dict[int, Received]:
         """Take bytes, each with its time of arrival [ns]; return what is new, by system id.
 
         Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
+        sources: where each of the chunks comes from; empty for a link with one other end.
         """
-        frames = [frame for data, host_ns in chunks for frame in self._decode(data, host_ns)]
+        frames: list[Frame] = []
+        decoder, decode = self._decoder, self._decode
+        pairs = zip(chunks, sources, strict=True) if sources else zip(chunks, repeat(None), strict=False)
+        for (data, host_ns), source in pairs:
+            decoder.source = source
+            frames += decode(data, host_ns)
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands = self._commands(frames)
+        commands, requests = self._commands(frames), self._parameter_requests(frames)
         found: dict[int, Received] = {}
-        for sysid in sorted((own.keys() | commands.keys()) & self.vehicles.keys()):
+        for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
             some = own.get(sysid, [])
             found[sysid] = Received(
                 tuple(some),
@@ -218,18 +194,23 @@ class LinkDecoder:
                 _acks(some),
                 tuple(commands.get(sysid, ())),
                 self.vehicles[sysid].parameters,
+                tuple(requests.get(sysid, ())),
             )
         return found
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
-        pending = self._pending.setdefault(sysid, _Pending(now_ns))
+        pending = self._pending.setdefault(sysid, Waiting(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
+        frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
         pending.frames = [*pending.frames, *frames][-kept:]
-        pending.beat = next(filter(is_autopilot_heartbeat, reversed(frames)), pending.beat)
+        pending.note(frames)
         watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) >= min(kept, CLEAR_FRAMES)
-        if pending.beat is None or (self._profile is None and not watched):
+        if pending.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, pending):
             return []
+        if pending.checked_ns is not None and now_ns - pending.checked_ns < RECHECK_S * NS_PER_S:
+            return []
+        pending.checked_ns = now_ns
         profile = self._profile
         if profile is None:
             recognised = detect_profile([pending.beat, *pending.frames], self._profiles)
@@ -237,8 +218,20 @@ class LinkDecoder:
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)
+        self._kept.add(sysid << 8 | Component.AUTOPILOT1)
         del self._pending[sysid]
         return pending.frames
+
+    def _may_enter(self, sysid: int, pending: Waiting) -> bool:
+        """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
+        if self._careful:
+            sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+            if pending.beats < 2 or sender is None or not sender.sound:
+                return False
+        if len(self.vehicles) >= self._most:
+            pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
+            return False
+        return True
 
     def _commands(self, frames: Iterable[Frame]) -> dict[int, list[Command]]:
         """Commands to the on-board computers of vehicles that have entered, by the vehicle's system id."""
@@ -248,7 +241,22 @@ class LinkDecoder:
                 fields = frame.fields
                 command, system, component = (int(fields[place]) for place in _COMMANDS[frame.msgid])
                 if component == Component.ONBOARD_COMPUTER and system in self.vehicles:
-                    found.setdefault(system, []).append(Command(command, frame.sysid, frame.compid))
+                    asked = found.setdefault(system, [])
+                    if len(asked) < REQUESTS_MAX:
+                        asked.append(Command(command, frame.sysid, frame.compid))
+        return found
+
+    def _parameter_requests(self, frames: Iterable[Frame]) -> dict[int, list[Frame]]:
+        """Requests about parameters of the on-board computers of vehicles that have entered, by their system ids."""
+        found: dict[int, list[Frame]] = {}
+        for frame in frames:
+            if frame.msgid in _PARAMETER_TARGETS:
+                system, component = (frame.fields[place] for place in _PARAMETER_TARGETS[frame.msgid])
+                everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
+                if isinstance(system, int) and (everybody or component == Component.ONBOARD_COMPUTER):
+                    asked = found.setdefault(system, [])
+                    if len(asked) < REQUESTS_MAX:
+                        asked.append(frame)
         return found
 
 

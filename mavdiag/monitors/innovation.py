@@ -109,10 +109,10 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     healthy flights had does not count. About 1 in healthy flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
-    Warm-up: half an SG window, 4 rows and 1 s. Latency: half an SG window and up to 1 s. False alarms: see
-    `thresholds`; aerobatics, landings and wind that the healthy flights lacked raise it without a fault. Blind spots:
-    a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller cuts; the threshold catches none);
-    anything slow.
+    Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
+    SG window and up to 1 s. False alarms: see `thresholds`; aerobatics, landings and wind that the healthy flights
+    lacked raise it without a fault. Blind spots: a weak rotor that is trimmed away (AUC 0.66 on 57 recorded propeller
+    cuts; the threshold catches none); anything slow.
 
     >>> from mavdiag.testing import example_rows, example_context
     >>> rng = np.random.default_rng(4)
@@ -179,8 +179,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         e = _errors(pairs.u, pairs.y - np.array(spec.mean), np.array(spec.a), np.array(spec.b))
         z = np.clip(e / np.sqrt(np.array(spec.k0) + np.array(spec.k1) * pairs.busy), -LIMIT, LIMIT)
         window = window_rows(spec.window_s, rates.dt_s)
-        mean_state, mean, full = sliding_mean(state.mean, z**2, pairs.valid, window)
-        level = np.sqrt(np.maximum(mean.mean(axis=1), 0.0))
+        # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
+        used, all_of_them = pairs.valid, np.ones(int(pairs.valid.sum()), dtype=np.bool_)
+        mean_state, mean, whole = sliding_mean(state.mean, z[used] ** 2, all_of_them, window)
+        level, full = np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+        level[used], full[used] = np.sqrt(np.maximum(mean.mean(axis=1), 0.0)), whole
         worst = np.abs(z).max(axis=1, initial=0.0)
         return replace(state, mean=mean_state), Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 

@@ -1,74 +1,112 @@
-"""What the emulated autopilot does with the frames it receives: answer what is meant for it, pass on the rest.
+"""What the emulated autopilot does with the frames it receives: answer and obey what is meant for it, pass on the rest.
 
-Sans-I/O: frames in, replies and forwards out. Routing follows ArduPilot's rules (developer documentation, "MAVLink
-Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an address goes to the
-link over which that component sends; nothing goes back where it came from, and nothing that claims to come from the
-autopilot itself is believed. The emulated autopilot flies its own path: it takes no command but those about messages.
+Sans-I/O: frames in; replies, forwards and orders for the plant out. Routing follows ArduPilot's rules (developer
+documentation, "MAVLink Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an
+address goes to the link over which that component sends; nothing goes back where it came from, and nothing that claims
+to come from the autopilot itself is believed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import replace
+from enum import IntFlag
 from typing import TypeAlias
 
-from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame, field_index
-from mavdiag.link.layout import Argument
-from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
+from mavdiag.link.codec import Frame
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
+from sitl_plant.autopilot.dialect import Dialect
+from sitl_plant.autopilot.failures import Failures
+from sitl_plant.autopilot.mission import Mission
+from sitl_plant.autopilot.orders import ORDERS, Order, follow_set_point, order_of, waypoints
+from sitl_plant.autopilot.parameters import Encoding, Parameters
+from sitl_plant.autopilot.pilot import Pilot
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.wire import Action, Forward, Reply, number, optional, target
+from sitl_plant.changes import Renewal
+from sitl_plant.config import PlantConfig
+from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.trajectory import Leg
+from sitl_plant.plant import PlantSamples
 
-__all__ = ["Autopilot", "Forward", "Parameter", "Reply"]
+__all__ = ["Action", "Autopilot", "Forward", "PlantOrder", "Reply"]
 
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
-MAVLINK2 = 1 << 13  # MAV_PROTOCOL_CAPABILITY_MAVLINK2
-PARAM_FLOAT = 1 << 1  # MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-MESSAGE_INTERVAL = 244  # its interval 0 means that the message is not carried
-REAL32 = 9  # MAV_PARAM_TYPE_REAL32
+ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
 VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_VERSION_TYPE_OFFICIAL
-
-Parameter: TypeAlias = tuple[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """A message of the autopilot's own, for one link; fields as declared."""
-
-    link: int
-    msgid: int
-    fields: tuple[Argument, ...]
+PROTOCOL = 200  # PROTOCOL_VERSION: MAVLink 2.0
+UID = 0x51D205E
+STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
+NONE = float("nan")
 
 
-@dataclass(frozen=True, slots=True)
-class Forward:
-    """A frame that goes on to another link as its sender's."""
+class _Capability(IntFlag):
+    """MAV_PROTOCOL_CAPABILITY: what the emulator does."""
 
-    link: int
-    frame: Frame
+    PARAM_FLOAT = 1 << 1
+    MISSION_INT = 1 << 2
+    COMMAND_INT = 1 << 3
+    PARAM_ENCODE_BYTEWISE = 1 << 4
+    SET_POSITION_TARGET_LOCAL_NED = 1 << 7
+    SET_POSITION_TARGET_GLOBAL_INT = 1 << 8
+    FLIGHT_TERMINATION = 1 << 11
+    MAVLINK2 = 1 << 13
+    PARAM_ENCODE_C_CAST = 1 << 17
 
 
-Action: TypeAlias = Reply | Forward
+_ALWAYS = _Capability.MAVLINK2 | _Capability.PARAM_FLOAT | _Capability.MISSION_INT | _Capability.COMMAND_INT
+_IN_COMMAND = (
+    _Capability.SET_POSITION_TARGET_LOCAL_NED
+    | _Capability.SET_POSITION_TARGET_GLOBAL_INT
+    | _Capability.FLIGHT_TERMINATION
+)
+
+PlantOrder: TypeAlias = Leg | Injection | Renewal
+"""What the plant is to do: be led, take a cause, be made as new."""
+
+_Answer: TypeAlias = tuple[MavResult, list[Action]]
 
 
 class Autopilot:
-    """The receiving half of the emulated autopilot, for all its links.
+    """The receiving half of the emulated autopilot, for all its links. schedules: one for each link."""
 
-    schedules: one for each link. parameters: read-only, as name and value.
-    """
-
-    def __init__(self, sysid: int, schedules: Sequence[Schedule], parameters: Sequence[Parameter]) -> None:
+    def __init__(self, sysid: int, schedules: Sequence[Schedule], dialect: Dialect, config: PlantConfig) -> None:
         self._identity = (sysid, int(Component.AUTOPILOT1))
-        self._schedules = schedules
-        self._parameters = tuple(parameters)
+        self._schedules, self._dialect, self._config = schedules, dialect, config
+        vehicle, self._firmware = config.flown_vehicle, dialect.firmware
+        self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
+        self._pilot = Pilot(dialect.firmware, self._parameters, dialect.custom_mode, config.commanded)
+        self._failures = Failures(len(vehicle.rotors), config.phenomenology)
+        self._mission = Mission(self._plan, self._pilot.skip_to)
+        self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
+        self._told_ns, self._yaw = 0, 0.0
         self._handlers: Mapping[int, Callable[[int, Frame, int], list[Action]]] = {
             MessageId.COMMAND_LONG: self._command,
             MessageId.COMMAND_INT: self._command,
-            MessageId.PARAM_REQUEST_LIST: self._list_parameters,
-            MessageId.PARAM_REQUEST_READ: self._read_parameter,
-            MessageId.PARAM_SET: self._read_parameter,
-            MessageId.MISSION_REQUEST_LIST: self._count_mission,
+            MessageId.SET_MODE: self._set_mode,
+            MessageId.SET_POSITION_TARGET_LOCAL_NED: self._set_point,
+            MessageId.SET_POSITION_TARGET_GLOBAL_INT: self._set_point,
+            MessageId.PARAM_REQUEST_LIST: lambda link, frame, now_ns: self._parameters.all(link),
+            MessageId.PARAM_REQUEST_READ: lambda link, frame, now_ns: self._parameters.read(link, frame),
+            MessageId.PARAM_SET: lambda link, frame, now_ns: self._parameters.set(link, frame),
             MessageId.TIMESYNC: self._tell_time,
+            MessageId.PING: self._ping,
+            MessageId.REQUEST_DATA_STREAM: self._set_stream,
+            **dict.fromkeys(self._mission.handled, self._mission.step),
         }
+        self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
+            MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
+            MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
+            MavCmd.REQUEST_MESSAGE: self._request,
+            MavCmd.REQUEST_PROTOCOL_VERSION: lambda link, order: self._tell_protocol(link),
+            MavCmd.REQUEST_AUTOPILOT_CAPABILITIES: lambda link, order: self._tell_version(link),
+            MavCmd.GET_HOME_POSITION: lambda link, order: (self._schedules[link].ask_once(MessageId.HOME_POSITION), []),
+            MavCmd.INJECT_FAILURE: self._inject,
+        }
+
+    @property
+    def dialect(self) -> Dialect:
+        """What is sent at present: the dialect with the flight mode of now."""
+        return replace(self._dialect, custom_mode=self._pilot.custom_mode)
 
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Answer and route one frame that came in on `link` at vehicle time `now_ns`."""
@@ -77,11 +115,26 @@ class Autopilot:
             return []
         if source in self._routes or len(self._routes) < ROUTES_MAX:
             self._routes[source] = link
-        target = _target(frame)
-        actions: list[Action] = [Forward(to, frame) for to in self._links_towards(target) if to != link]
-        if target[0] in (0, self._identity[0]) and target[1] in (Component.ALL, self._identity[1]):
+        meant = target(frame)
+        actions: list[Action] = [Forward(to, frame) for to in self._links_towards(meant) if to != link]
+        if meant[0] in (0, self._identity[0]) and meant[1] in (Component.ALL, self._identity[1]):
             actions += self._handlers.get(frame.msgid, _ignore)(link, frame, now_ns)
         return actions
+
+    def watch(self, samples: PlantSamples) -> tuple[list[Action], list[PlantOrder]]:
+        """See what the vehicle did in a block (n >= 1): what is to be said, and what the plant is to do from now on."""
+        now_ns, self._yaw = int(samples.t_ns[-1]), float(samples.attitude[-1, 2])
+        leg = self._pilot.step(samples)
+        orders, self._orders = [*self._orders, *([leg] if leg is not None else [])], []
+        actions = self._mission.tick(now_ns)
+        texts, reached = self._pilot.take_texts(), self._pilot.take_reached()
+        tells = now_ns - self._told_ns >= STATUS_NS and len(self._mission) > 0
+        for link in sorted(set(self._routes.values())):
+            actions += [Reply(link, MessageId.STATUSTEXT, (Severity.INFO, text)) for text in texts]
+            actions += [Reply(link, MessageId.MISSION_ITEM_REACHED, (item,)) for item in reached]
+            actions += [self._mission.current(link, self._pilot.first)] if tells or reached else []
+        self._told_ns = now_ns if tells else self._told_ns
+        return actions, orders
 
     def _links_towards(self, target: tuple[int, int]) -> list[int]:
         """The links over which the components of an address send; 0 means any."""
@@ -96,77 +149,112 @@ class Autopilot:
         )
 
     def _command(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        command, first, second = (int(_value(frame, name)) for name in ("command", "param1", "param2"))
+        order = order_of(frame)
         replies: list[Action] = []
-        match command:
-            case MavCmd.SET_MESSAGE_INTERVAL:
-                result = self._schedules[link].set_interval(first, second)
-            case MavCmd.REQUEST_MESSAGE if first == MessageId.AUTOPILOT_VERSION:
-                result = MavResult.ACCEPTED
-                replies.append(Reply(link, MessageId.AUTOPILOT_VERSION, (MAVLINK2 | PARAM_FLOAT, VERSION)))
-            case MavCmd.REQUEST_MESSAGE if first == MESSAGE_INTERVAL:
-                result = MavResult.ACCEPTED
-                replies.append(Reply(link, MESSAGE_INTERVAL, (second, self._schedules[link].interval_us(second))))
-            case MavCmd.REQUEST_MESSAGE:
-                result = self._schedules[link].ask_once(first)
-            case _:
-                result = MavResult.UNSUPPORTED
-        # COMMAND_ACK: command, result, progress, result_param2, target_system, target_component
-        ack = Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))
-        return [ack, *replies]
+        if order.command in self._commands:
+            result, replies = self._commands[order.command](link, order)
+        elif order.command in ORDERS:
+            result = ORDERS[order.command](self._pilot, self._firmware, order)
+        else:
+            result = MavResult.UNSUPPORTED
+        return [_ack(link, frame, order.command, result), *replies]
 
-    def _list_parameters(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        return [self._parameter(link, index) for index in range(len(self._parameters))]
+    def _set_interval(self, link: int, order: Order) -> _Answer:
+        return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
 
-    def _read_parameter(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """The parameter as it is, after PARAM_SET too: none can be changed. An unknown one is not answered."""
-        index = -1 if frame.msgid == MessageId.PARAM_SET else int(_value(frame, "param_index"))
-        if index < 0:
-            wanted = _text(frame, "param_id")
-            index = next((i for i, (name, _) in enumerate(self._parameters) if name == wanted), -1)
-        return [self._parameter(link, index)] if 0 <= index < len(self._parameters) else []
+    def _request(self, link: int, order: Order) -> _Answer:
+        """REQUEST_MESSAGE: what is only told when asked, else a message of the schedule, once."""
+        told: Mapping[int, Callable[[], _Answer]] = {
+            MessageId.AUTOPILOT_VERSION: lambda: self._tell_version(link),
+            MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
+            MessageId.MESSAGE_INTERVAL: lambda: self._tell_interval(link, order.whole(2)),
+            MessageId.AVAILABLE_MODES: lambda: self._tell_modes(link, order.whole(2)),
+            MessageId.MISSION_CURRENT: lambda: (
+                MavResult.ACCEPTED,
+                [self._mission.current(link, self._pilot.first)],
+            ),
+        }
+        if order.whole(1) in told:
+            return told[order.whole(1)]()
+        return self._schedules[link].ask_once(order.whole(1)), []
 
-    def _parameter(self, link: int, index: int) -> Reply:
-        name, value = self._parameters[index]
-        return Reply(link, MessageId.PARAM_VALUE, (name, value, REAL32, len(self._parameters), index))
+    def _tell_version(self, link: int) -> _Answer:
+        bytewise = self._firmware.encoding is Encoding.BYTES
+        encoding = _Capability.PARAM_ENCODE_BYTEWISE if bytewise else _Capability.PARAM_ENCODE_C_CAST
+        can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else _Capability(0))
+        fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
+        return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
 
-    def _count_mission(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """Ground stations wait for an answer: there is no mission."""
-        return [Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, 0))]
+    def _tell_protocol(self, link: int) -> _Answer:
+        return MavResult.ACCEPTED, [Reply(link, MessageId.PROTOCOL_VERSION, (PROTOCOL, PROTOCOL, PROTOCOL))]
+
+    def _tell_interval(self, link: int, msgid: int) -> _Answer:
+        interval_us = self._schedules[link].interval_us(msgid)  # 0 means that the message is not carried
+        return MavResult.ACCEPTED, [Reply(link, MessageId.MESSAGE_INTERVAL, (msgid, interval_us))]
+
+    def _tell_modes(self, link: int, wanted: int) -> _Answer:
+        """AVAILABLE_MODES: one by its number from 1, or all of them for 0."""
+        modes = self._firmware.modes
+        told: list[Action] = [
+            Reply(link, MessageId.AVAILABLE_MODES, (len(modes), number, 0, code.custom_mode, 0, code.name))
+            for number, code in enumerate(modes, start=1)
+            if wanted in (0, number)
+        ]
+        return (MavResult.ACCEPTED if told else MavResult.DENIED), told
+
+    def _inject(self, link: int, order: Order) -> _Answer:
+        if not self._parameters.value("SYS_FAILURE_EN", 1):
+            return MavResult.DENIED, []
+        instance = None if order.param[2] is None else order.whole(3)
+        unit, kind, mask = order.whole(1), order.whole(2), order.whole(4)
+        result, present = self._failures.inject(self._parameters, unit, kind, instance, mask)
+        if present is not None:
+            self._orders += [Renewal.CLEAR, *present]
+        return result, []
+
+    def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        result = self._pilot.set_mode(int(number(frame, "custom_mode")))
+        return [_ack(link, frame, MessageId.SET_MODE, result)]  # as ArduPilot does: the message has no command
+
+    def _set_point(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        follow_set_point(self._pilot, frame, self._yaw)
+        return []
+
+    def _plan(self, frames: tuple[Frame, ...]) -> bool:
+        """Whether a flight plan was taken."""
+        plan = waypoints([order_of(frame) for frame in frames], self._firmware)
+        if plan is not None:
+            self._pilot.plan_mission(plan)
+        return plan is not None
+
+    def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        """REQUEST_DATA_STREAM, which has no answer; start_stop 0 is silence, whatever the rate."""
+        stream, rate_hz, start = (number(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
+        streams = self._dialect.streams
+        every = [msgid for messages in streams.values() for msgid in messages]
+        messages = every if stream == ALL_STREAMS else streams.get(int(stream), ())
+        if start in (0, 1):
+            self._schedules[link].set_stream(messages, rate_hz * start)
+        return []
+
+    def _ping(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+        """PING: a request has no target, and comes back to its sender with what it brought."""
+        if optional(frame, "target_system"):
+            return []
+        brought = int(number(frame, "time_usec")), int(number(frame, "seq"))
+        return [Reply(link, MessageId.PING, (*brought, frame.sysid, frame.compid))]
 
     def _tell_time(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """TIMESYNC: a request has tc1 = 0 and gets its ts1 back beside the vehicle's time."""
-        if _value(frame, "tc1"):
+        if number(frame, "tc1"):
             return []
-        return [Reply(link, MessageId.TIMESYNC, (now_ns, int(_value(frame, "ts1"))))]
+        return [Reply(link, MessageId.TIMESYNC, (now_ns, int(number(frame, "ts1"))))]
 
 
 def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
     return []
 
 
-@cache
-def _place(msgid: int, name: str) -> int | None:
-    """Where a field lies in `Frame.fields`; None if the message has none of that name."""
-    try:
-        return field_index(msgid, name)
-    except UsageError:
-        return None
-
-
-def _value(frame: Frame, name: str) -> float:
-    """A number from a frame; 0 for a field that its message has not, and for what is no finite number."""
-    place = _place(frame.msgid, name)
-    value = frame.fields[place] if place is not None else 0
-    return value if isinstance(value, int | float) and abs(value) < float("inf") else 0
-
-
-def _text(frame: Frame, name: str) -> str:
-    place = _place(frame.msgid, name)
-    value = frame.fields[place] if place is not None else b""
-    return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
-
-
-def _target(frame: Frame) -> tuple[int, int]:
-    """System and component that a frame is meant for; 0 is everyone."""
-    return int(_value(frame, "target_system")), int(_value(frame, "target_component"))
+def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
+    """COMMAND_ACK: command, result, progress, result_param2, target_system, target_component."""
+    return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))

@@ -6,16 +6,24 @@ departs from them, so that it is useful without being asked, the row says so.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile, Stamp, profile_named
+from sitl_plant.autopilot.failures import FAULT_PARAMETERS
+from sitl_plant.autopilot.firmware import COPTER, GENERIC, PX4, Firmware
+from sitl_plant.autopilot.parameters import Kind, Parameter
+from sitl_plant.autopilot.pilot import NOSE
+from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.vehicle import Vehicle, airframe_of
 
 __all__ = ["DIALECTS", "ESC_GROUP", "Dialect", "dialect_named"]
 
 ESC_GROUP = 4  # rotors in one message of their speeds
-FRAME_CLASSES = {4: 1.0, 6: 2.0, 8: 3.0}  # ArduPilot: quad, hexa, octa
+FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
+OWN_PARAMETERS = (*FAULT_PARAMETERS, Parameter(NOSE, 1, Kind.INT8, (0, 1)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +34,26 @@ class Dialect:
     custom_mode: flight mode in HEARTBEAT.
     others: rates of the messages besides set-point and IMU [Hz].
     ceiling_hz: the highest rate that is granted.
+    unasked: rates of what the real autopilot sends on a fresh link [Hz].
+    whole_ms: intervals are cut to whole milliseconds.
+    attained_hz: a rate above this is granted, and comes at this one; None if every rate is met.
     send_delay_s: longest time from the sample to its stamp, if messages are stamped when they are sent.
-    parameters: the answer to PARAM_REQUEST_LIST.
+    firmware: how it takes commands.
+    parameters: those of the autopilot besides its firmware's and the emulator's own.
+    streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
     """
 
     profile: Profile
     custom_mode: int
     others: Mapping[int, float]
     ceiling_hz: float
+    firmware: Firmware
     send_delay_s: float = 0.0
-    parameters: tuple[tuple[str, float], ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    unasked: Mapping[int, float] = field(default_factory=dict)
+    whole_ms: bool = False
+    attained_hz: float | None = None
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
@@ -57,12 +75,43 @@ class Dialect:
             rates |= {self.profile.rotor_speed + k: self.others[self.profile.rotor_speed] for k in more}
         return rates
 
-    def parameters_of(self, rotors: int) -> tuple[tuple[str, float], ...]:
-        """The parameters of a vehicle with so many rotors."""
-        return tuple(
-            (name, FRAME_CLASSES.get(rotors, 0.0) if name == "FRAME_CLASS" else value)
-            for name, value in self.parameters
-        )
+    def schedule(self, rate_hz: float | None, rotors: int = 4, fresh: bool = False) -> Schedule:
+        """The rhythm of a link, which grants rates as the autopilot does. fresh: only what is sent unasked."""
+        rates = self.rates_hz(rate_hz, rotors)
+        if fresh:
+            rates = {msgid: min(self.unasked.get(msgid, 0.0), rate) for msgid, rate in rates.items()}
+        return Schedule(rates, self.ceiling_hz, self.whole_ms, self.attained_hz)
+
+    def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
+        """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
+        geometry = _px4_rotors(vehicle) if self.firmware is PX4 else _copter_frame(vehicle)
+        return (*self.parameters, *geometry, *self.firmware.parameters, *OWN_PARAMETERS)
+
+
+def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    """FRAME_CLASS; FRAME_TYPE and SERVOn_FUNCTION only where the rotors have ArduPilot's order."""
+    rotors, layout = len(vehicle.rotors), airframe_of(vehicle, "").layout
+    frame = FRAME_CLASSES.get(rotors, 0)
+    for kind in FRAME_TYPES:
+        told = layout_from_parameters({"FRAME_CLASS": frame, "FRAME_TYPE": kind}).layout
+        if told is not None and layout is not None and told.alike(layout):
+            outputs = [Parameter(f"SERVO{n}_FUNCTION", 32 + n, Kind.INT16) for n in range(1, rotors + 1)]
+            return (_whole("FRAME_CLASS", frame, Kind.INT8), _whole("FRAME_TYPE", kind, Kind.INT8), *outputs)
+    return (_whole("FRAME_CLASS", frame, Kind.INT8),)
+
+
+def _px4_rotors(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    """CA_ROTORn of the rotors, in the vehicle's order."""
+    rows = [_whole("CA_ROTOR_COUNT", len(vehicle.rotors), Kind.INT32)]
+    moment = 1.0 / vehicle.propulsion.thrust_per_torque_1_m
+    for n, rotor in enumerate(vehicle.rotors):
+        values = {"PX": rotor.position_m[0], "PY": rotor.position_m[1], "KM": -rotor.sign * moment}
+        rows += [Parameter(f"CA_ROTOR{n}_{part}", value) for part, value in values.items()]
+    return tuple(rows)
+
+
+def _whole(name: str, value: int, kind: Kind) -> Parameter:
+    return Parameter(name, value, kind)
 
 
 _STATE: dict[int, float] = {
@@ -72,6 +121,12 @@ _STATE: dict[int, float] = {
     MessageId.ATTITUDE: 50.0,
     MessageId.ATTITUDE_QUATERNION: 50.0,
     MessageId.LOCAL_POSITION_NED: 30.0,
+    MessageId.GLOBAL_POSITION_INT: 5.0,
+    MessageId.GPS_RAW_INT: 2.0,
+    MessageId.VFR_HUD: 2.0,
+    MessageId.HOME_POSITION: 0.5,
+    MessageId.BATTERY_STATUS: 0.5,
+    MessageId.GPS_GLOBAL_ORIGIN: 0.0,
 }
 
 
@@ -81,21 +136,73 @@ def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
     return {**_STATE, **vibration, **dict.fromkeys((profile.actuator, profile.rotor_speed, *more), 50.0)}
 
 
-_COPTER = (("SYSID_THISMAV", 1.0), ("FRAME_CLASS", 1.0))
+# ArduPilot Copter 4.5, GCS_Mavlink.cpp, STREAM_..._msgs: which message belongs to which SRn parameter. ATTITUDE_TARGET,
+# EXTENDED_SYS_STATE and ATTITUDE_QUATERNION belong to none: no ground station resets them.
+_STREAMS: Mapping[int, tuple[int, ...]] = {
+    1: (MessageId.RAW_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3),  # RAW_SENSORS
+    2: (MessageId.SYS_STATUS, MessageId.GPS_RAW_INT),  # EXTENDED_STATUS
+    3: (MessageId.SERVO_OUTPUT_RAW,),  # RC_CHANNELS
+    6: (MessageId.LOCAL_POSITION_NED, MessageId.GLOBAL_POSITION_INT),  # POSITION
+    10: (MessageId.ATTITUDE,),  # EXTRA1
+    11: (MessageId.VFR_HUD,),  # EXTRA2
+    12: (  # EXTRA3
+        MessageId.VIBRATION,
+        MessageId.BATTERY_STATUS,
+        MessageId.ESC_TELEMETRY_1_TO_4,
+        MessageId.ESC_TELEMETRY_5_TO_8,
+        MessageId.ESC_TELEMETRY_9_TO_12,
+    ),
+}
+
+_SYSID = (Parameter("SYSID_THISMAV", 1, Kind.INT16),)
+_PX4_UNASKED: Mapping[int, float] = {  # PX4, mavlink_main.cpp, MAVLINK_MODE_NORMAL; as far as carried here
+    MessageId.HEARTBEAT: 1.0,
+    MessageId.ATTITUDE: 15.0,
+    MessageId.ATTITUDE_QUATERNION: 10.0,
+    MessageId.ATTITUDE_TARGET: 2.0,
+    MessageId.SYS_STATUS: 1.0,
+    MessageId.EXTENDED_SYS_STATE: 1.0,
+    MessageId.LOCAL_POSITION_NED: 1.0,
+    MessageId.GLOBAL_POSITION_INT: 5.0,
+    MessageId.GPS_RAW_INT: 1.0,
+    MessageId.VFR_HUD: 4.0,
+    MessageId.HOME_POSITION: 0.5,
+    MessageId.BATTERY_STATUS: 0.5,
+    MessageId.ESC_STATUS: 1.0,
+}
 
 _QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
 
 _ALL = (
-    Dialect(_QDRONE2, 0, _messages(_QDRONE2, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
-    Dialect(_SPEC, 0, _messages(_SPEC, MessageId.HIGHRES_IMU), ceiling_hz=1000.0, parameters=_COPTER),
+    *(
+        Dialect(
+            profile,
+            custom_mode=0,
+            others=_messages(profile, MessageId.HIGHRES_IMU),
+            ceiling_hz=1000.0,
+            firmware=GENERIC,
+            parameters=_SYSID,
+            streams=_STREAMS,
+        )
+        for profile in (_QDRONE2, _SPEC)
+    ),
     # ArduPilot sends ATTITUDE_TARGET and RAW_IMU only on request; the emulator sends them at once, and takes requests.
     Dialect(
         _ARDUPILOT,
         custom_mode=4,  # Copter: guided
         others=_messages(_ARDUPILOT),
         ceiling_hz=1000.0 / 3.0,  # 0.8 x loop rate (400 Hz) in whole milliseconds
+        firmware=COPTER,
         send_delay_s=0.0025,  # one loop
-        parameters=(*_COPTER, ("INS_GYRO_FILTER", 20.0), ("INS_ACCEL_FILTER", 20.0), ("SCHED_LOOP_RATE", 400.0)),
+        parameters=(
+            *_SYSID,
+            Parameter("INS_GYRO_FILTER", 20, Kind.INT16),
+            Parameter("INS_ACCEL_FILTER", 20, Kind.INT16),
+            Parameter("SCHED_LOOP_RATE", 400, Kind.INT16),
+        ),
+        streams=_STREAMS,
+        unasked={MessageId.HEARTBEAT: 1.0},  # SRn_... are 0 on a fresh link
+        whole_ms=True,
     ),
     # PX4 sends ATTITUDE_TARGET at 2 to 10 Hz and HIGHRES_IMU at 50 Hz unless asked; the emulator at the link rate.
     Dialect(
@@ -103,7 +210,15 @@ _ALL = (
         custom_mode=6 << 16,  # main mode offboard
         others=_messages(_PX4),
         ceiling_hz=250.0,  # estimate
-        parameters=(("MAV_SYS_ID", 1.0), ("IMU_GYRO_CUTOFF", 40.0), ("IMU_ACCEL_CUTOFF", 30.0)),
+        firmware=PX4,
+        parameters=(
+            Parameter("MAV_SYS_ID", 1, Kind.INT32),
+            Parameter("IMU_GYRO_CUTOFF", 40.0),
+            Parameter("IMU_ACCEL_CUTOFF", 30.0),
+            *(Parameter(f"CAL_{sensor}0_ID", 1, Kind.INT32) for sensor in ("GYRO", "ACC", "MAG")),
+        ),
+        unasked=_PX4_UNASKED,
+        attained_hz=165.0,  # 200 Hz asked gave 160 to 170
     ),
 )
 

@@ -1,6 +1,6 @@
 """Which messages go out on one link, and when: each at its own rate, changed by SET_MESSAGE_INTERVAL."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,12 +43,21 @@ class Schedule:
 
     rates_hz: the messages and their default rates, 0 for those that come only on request.
     ceiling_hz: a faster rhythm than this is denied.
+    whole_ms: what is asked for is cut to whole milliseconds.
+    attained_hz: a faster rhythm that is asked for is granted, and comes as this one; None if all are met.
     """
 
-    def __init__(self, rates_hz: Mapping[int, float], ceiling_hz: float) -> None:
+    def __init__(
+        self,
+        rates_hz: Mapping[int, float],
+        ceiling_hz: float,
+        whole_ms: bool = False,
+        attained_hz: float | None = None,
+    ) -> None:
         periods = {msgid: round(1e9 / rate) if rate > 0 else 0 for msgid, rate in rates_hz.items()}
         self._beats = {msgid: _Beat(period, period) for msgid, period in periods.items()}
         self._shortest_us = 1e6 / ceiling_hz
+        self._grain_us, self._attained_us = (1e3 if whole_ms else 0.0), (1e6 / attained_hz if attained_hz else 0.0)
         self._once: set[int] = set()
         self._now_ns = 0
 
@@ -60,9 +69,18 @@ class Schedule:
         beat = self._beats.get(msgid)
         if beat is None or (interval_us > 0 and interval_us < self._shortest_us * 0.999):
             return MavResult.DENIED
+        if interval_us > 0:
+            whole_us = interval_us // self._grain_us * self._grain_us if self._grain_us else interval_us
+            interval_us = max(whole_us, self._attained_us)
         wanted_ns = beat.default_ns if interval_us == DEFAULT_INTERVAL else max(0, round(interval_us * 1e3))
         beat.restart(wanted_ns, self._now_ns + 1)
         return MavResult.ACCEPTED
+
+    def set_stream(self, messages: Collection[int], rate_hz: float) -> None:
+        """Obey REQUEST_DATA_STREAM: carried messages get this rate, or the ceiling; 0 is silence."""
+        interval_us = max(1e6 / rate_hz, self._shortest_us) if rate_hz > 0 else NEVER
+        for msgid in self._beats.keys() & set(messages):
+            self.set_interval(msgid, interval_us)
 
     def interval_us(self, msgid: int) -> int:
         """The content of MESSAGE_INTERVAL: the interval, `NEVER` if silent, 0 if the message is not carried."""

@@ -20,6 +20,7 @@ from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US, RPM
 from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect
 from sitl_plant.autopilot.imu_filters import FilteredSamples
+from sitl_plant.autopilot.positions import POSITIONS, integers, remaining
 from sitl_plant.autopilot.schedule import Schedule
 
 __all__ = ["Message", "Streamer", "records"]
@@ -27,14 +28,15 @@ __all__ = ["Message", "Streamer", "records"]
 Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
 Record: TypeAlias = NDArray[Any]
+_Builder: TypeAlias = Callable[[FilteredSamples, IntArray, Dialect], Columns]
 
 STANDBY, ACTIVE = 3, 4  # MAV_STATE
 ON_GROUND, IN_AIR = 1, 2  # MAV_LANDED_STATE
 FLYING = 2  # `PlantSamples.motors`
 HIGHRES_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometer and gyro
-# MAV_SYS_STATUS_SENSOR: gyro, accelerometer, motor outputs, geofence, AHRS, battery, pre-arm check, propulsion
-HEALTH = 0x1 | 0x2 | 0x8000 | 0x100000 | 0x200000 | 0x2000000 | 0x10000000 | 0x40000000
-FULL_V, EMPTY_V = 16.8, 14.0  # of a 4S battery: what "100 %" and "0 %" mean (estimate)
+# MAV_SYS_STATUS_SENSOR: gyro, accelerometer, magnetometer, GPS and vision (motion capture is all three), motor outputs,
+# geofence, AHRS, battery, pre-arm check, propulsion
+HEALTH = 0x1 | 0x2 | 0x4 | 0x20 | 0x80 | 0x8000 | 0x100000 | 0x200000 | 0x2000000 | 0x10000000 | 0x40000000
 TYPES = {4: MavType.QUADROTOR, 6: MavType.HEXAROTOR, 8: MavType.OCTOROTOR}
 SERVOS = 8  # outputs of SERVO_OUTPUT_RAW beside each other; the other eight are extensions
 
@@ -57,8 +59,9 @@ class Streamer:
     def __init__(self, dialect: Dialect, schedule: Schedule) -> None:
         self._dialect, self._schedule = dialect, schedule
 
-    def step(self, filtered: FilteredSamples) -> list[Message]:
-        """The messages of a block in order of time."""
+    def step(self, filtered: FilteredSamples, dialect: Dialect | None = None) -> list[Message]:
+        """The messages of a block in order of time. dialect: that of now, if the flight mode has changed."""
+        self._dialect = dialect or self._dialect
         messages: list[Message] = []
         for msgid, due in self._schedule.due(filtered.samples.t_ns):
             rows, record = records(msgid, filtered, due, self._dialect)
@@ -86,12 +89,6 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
 @cache
 def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void]:
     return record_dtype(msgid, *columns)
-
-
-def _integers(values: FloatArray, bits: int) -> IntArray:
-    """Rounded and held in a signed field of so many bits."""
-    top = (1 << bits - 1) - 1
-    return np.clip(np.rint(values), -top - 1, top).astype(np.int64)
 
 
 def _boot_ms(filtered: FilteredSamples, rows: IntArray) -> IntArray:
@@ -142,9 +139,9 @@ def _sys_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> 
         "onboard_control_sensors_present": HEALTH,
         "onboard_control_sensors_enabled": HEALTH,
         "onboard_control_sensors_health": HEALTH,
-        "voltage_battery": _integers(1e3 * volts, 16),
+        "voltage_battery": integers(1e3 * volts, 16),
         "current_battery": -1,  # not measured
-        "battery_remaining": _integers(100.0 * np.clip((volts - EMPTY_V) / (FULL_V - EMPTY_V), 0.0, 1.0), 8),
+        "battery_remaining": remaining(filtered, rows),
     }
 
 
@@ -165,8 +162,8 @@ def _attitude_target(filtered: FilteredSamples, rows: IntArray, dialect: Dialect
 def _raw_imu(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     return {
         "time_usec": _boot_us(filtered, rows),
-        "xacc": _integers(filtered.accel[rows] / dialect.profile.accel_unit, 16),
-        "xgyro": _integers(filtered.gyro[rows] / dialect.profile.gyro_unit, 16),
+        "xacc": integers(filtered.accel[rows] / dialect.profile.accel_unit, 16),
+        "xgyro": integers(filtered.gyro[rows] / dialect.profile.gyro_unit, 16),
     }
 
 
@@ -206,7 +203,7 @@ def _local_position(filtered: FilteredSamples, rows: IntArray, dialect: Dialect)
 
 def _servo_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     low, high = dialect.profile.actuator_span
-    servos = _integers(low + (high - low) * filtered.samples.duty[rows], 17)
+    servos = integers(low + (high - low) * filtered.samples.duty[rows], 17)
     columns = {"time_usec": _boot_us(filtered, rows) % (1 << 32), "servo1_raw": servos[:, :SERVOS]}
     return columns | ({"servo9_raw": servos[:, SERVOS:]} if servos.shape[1] > SERVOS else {})
 
@@ -227,7 +224,7 @@ def _reported(filtered: FilteredSamples, rows: IntArray) -> FloatArray:
 
 
 def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    rpm = _groups(_integers(_reported(filtered, rows) / RPM, 32))
+    rpm = _groups(integers(_reported(filtered, rows) / RPM, 32))
     groups = len(rpm) // len(rows)
     return {
         "time_usec": np.repeat(_boot_us(filtered, rows), groups),
@@ -239,8 +236,8 @@ def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> 
 
 def _esc_telemetry(first: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
     """Four rotors from `first` on; the places of rotors that are not there stay zero."""
-    rpm = _integers(_reported(filtered, rows)[:, first : first + ESC_GROUP] / RPM, 17)
-    volts = _integers(100.0 * filtered.samples.battery_v[rows], 17)
+    rpm = integers(_reported(filtered, rows)[:, first : first + ESC_GROUP] / RPM, 17)
+    volts = integers(100.0 * filtered.samples.battery_v[rows], 17)
     return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
 
 
@@ -252,7 +249,11 @@ def _vibration(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> C
     }
 
 
-_BUILDERS: Mapping[int, Callable[[FilteredSamples, IntArray, Dialect], Columns]] = {
+def _without_dialect(build: Callable[[FilteredSamples, IntArray], Columns]) -> _Builder:
+    return lambda filtered, rows, dialect: build(filtered, rows)
+
+
+_BUILDERS: Mapping[int, _Builder] = {
     MessageId.HEARTBEAT: _heartbeat,
     MessageId.SYS_STATUS: _sys_status,
     MessageId.EXTENDED_SYS_STATE: _extended_state,
@@ -266,5 +267,6 @@ _BUILDERS: Mapping[int, Callable[[FilteredSamples, IntArray, Dialect], Columns]]
     MessageId.VIBRATION: _vibration,
     MessageId.ESC_STATUS: _esc_status,
     MessageId.ACTUATOR_OUTPUT_STATUS: _actuator_output,
+    **{msgid: _without_dialect(build) for msgid, build in POSITIONS.items()},
     **{MessageId.ESC_TELEMETRY_1_TO_4 + k: partial(_esc_telemetry, ESC_GROUP * k) for k in range(3)},
 }

@@ -83,6 +83,7 @@ class Rows(NamedTuple):
     rotor_speed: FloatArray
     duty: FloatArray
     battery_v: FloatArray
+    charge_ah: FloatArray
     motors: FloatArray
 
 
@@ -156,6 +157,7 @@ def record(state: State, row: int, rows: Rows) -> None:
     _copy(state.control.duty, rows.duty, row)
     rows.thrust[row] = state.control.wrench[0]
     rows.battery_v[row] = state.battery[0]
+    rows.charge_ah[row] = state.battery[1]
     rows.motors[row] = state.control.motors[0]
 
 

@@ -19,7 +19,7 @@ from sitl_plant.physics.supply import Air, Battery
 from sitl_plant.physics.trajectory import FLYING, REFERENCE, Path, reference
 from sitl_plant.vehicle import Vehicle, allocation
 
-__all__ = ["STEP_S", "body_with_payload", "initial_state", "make_model"]
+__all__ = ["STEP_S", "air_of", "body_with_payload", "initial_state", "make_model"]
 
 STEP_S = 0.001  # T 5.1: 1 kHz
 TAKEOFF_SHARE = 0.7  # of the weight: where the thrust starts when the motors lift (our choice)
@@ -38,11 +38,7 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         ground=_ground(vehicle, body, centre_of_gravity) if path.start > 0.0 else NO_GROUND,
         rotors=_rotors(airframe, centre_of_gravity),
         battery=_battery(airframe),
-        air=Air(
-            mean=wind_N,
-            gust_rms=1.0 if turbulent else float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
-            decay=0.0 if turbulent else _decay(vehicle.wind.gust_corner_hz),
-        ),
+        air=air_of(vehicle, wind_N, turbulent),
         imu=_imu(airframe, centre_of_gravity),
         mount=_mount(vehicle),
         mocap=_mocap(vehicle, centre_of_gravity),
@@ -53,6 +49,15 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         ),
         controller=_controller(vehicle),
         path=path,
+    )
+
+
+def air_of(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
+    """The wind, with arguments as those of `make_model`."""
+    return Air(
+        mean=wind_N,
+        gust_rms=1.0 if turbulent else float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
+        decay=0.0 if turbulent else _decay(vehicle.wind.gust_corner_hz),
     )
 
 

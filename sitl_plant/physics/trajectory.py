@@ -5,6 +5,8 @@ by the heading. The figure-8 and the set-points of `waypoints` have their own sp
 the first point of the path, or it stands there on the ground: then it arms, idles, climbs and begins the path at
 `Path.start`. At `Path.land` it stops where it is and descends. The figures of take-off and landing, and of the turning
 nose, are our choice.
+
+A commanded path has no course of its own: it is led along one `Leg` after the other, as an autopilot commands.
 """
 
 from enum import StrEnum
@@ -17,9 +19,24 @@ from sitl_plant.physics.attitude import wrapped
 from sitl_plant.physics.jit import jit
 from sitl_plant.physics.waypoints import LIMITS, RECORDED, heights_of, waypoint
 
-__all__ = ["ARM_S", "LIFT_S", "REFERENCE", "Nose", "Path", "Shape", "landing_time", "path", "reference"]
+__all__ = [
+    "ARM_S",
+    "BELOW_M",
+    "CLIMB_M_S",
+    "DESCENT_M_S",
+    "LIFT_S",
+    "REFERENCE",
+    "Leg",
+    "Nose",
+    "Path",
+    "Shape",
+    "follow",
+    "landing_time",
+    "path",
+    "reference",
+]
 
-HOVER, SQUARE, CIRCLE, FIGURE8 = 0, 1, 2, 3
+HOVER, SQUARE, CIRCLE, FIGURE8, COMMANDED = 0, 1, 2, 3, 4
 FIXED, ALONG, SPIN = 0, 1, 2
 REFERENCE = 9  # length of a reference row
 DISARMED, IDLE, FLYING, LANDING, SHUTDOWN = 0.0, 1.0, 2.0, 3.0, 4.0  # what the motors are to do
@@ -38,6 +55,7 @@ class Shape(StrEnum):
     HOVER = "hover"
     CIRCLE = "circle"
     FIGURE8 = "figure8"
+    COMMANDED = "commanded"  # stand on the ground and wait for commands
     T1_SP1, T1_SP2 = "t1-sp1", "t1-sp2"
     T2_SP1, T2_SP2 = "t2-sp1", "t2-sp2"
     T3_SP1, T3_SP2 = "t3-sp1", "t3-sp2"
@@ -51,6 +69,7 @@ class Shape(StrEnum):
 
 
 _CODES = {Shape.HOVER: HOVER, Shape.SQUARE: SQUARE, Shape.CIRCLE: CIRCLE, Shape.FIGURE8: FIGURE8}
+_CODES |= {Shape.COMMANDED: COMMANDED}
 _CODES |= {shape: RECORDED + shape.recorded[0] - 1 for shape in Shape if shape.recorded}
 
 
@@ -65,6 +84,30 @@ class Nose(StrEnum):
 _NOSES = {Nose.FIXED: FIXED, Nose.PATH: ALONG, Nose.SPIN: SPIN}
 
 
+class Leg(NamedTuple):
+    """A straight line at constant speed, with a turn of the nose beside it; the vehicle then waits at its end.
+
+    begin: flight time at which it starts [s].
+    start, end: (3,) world NED [m].
+    speed: along the line [m/s].
+    yaw: of the nose at the start [rad].
+    turn: by how much the nose turns, positive to the right [rad].
+    turn_speed: [rad/s].
+    motors: what they are to do on the way.
+    then: what they are to do at the end.
+    """
+
+    begin: float = 0.0
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    end: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    speed: float = CLIMB_M_S
+    yaw: float = 0.0
+    turn: float = 0.0
+    turn_speed: float = 1.0
+    motors: float = DISARMED
+    then: float = DISARMED
+
+
 class Path(NamedTuple):
     """A path for the compiled loop.
 
@@ -76,6 +119,7 @@ class Path(NamedTuple):
     arm: flight time at which the motors start, if it begins on the ground [s].
     lift: flight time at which they lift [s].
     turn: speed of the nose on t5 [rad/s].
+    leg: of a commanded path, the present one.
     """
 
     shape: int
@@ -89,6 +133,7 @@ class Path(NamedTuple):
     arm: float = ARM_S
     lift: float = LIFT_S
     turn: float = 0.0
+    leg: Leg = Leg()
 
 
 def path(
@@ -126,6 +171,9 @@ def landing_time(altitude_m: float, shape: Shape = Shape.HOVER) -> float:
 @jit
 def reference(path: Path, t: float, out: FloatArray) -> None:
     """Write the reference at time t [s] into out: (9,) = position_N, velocity_N, yaw, yaw rate, motors."""
+    if path.shape == COMMANDED:
+        follow(path.leg, t, out)
+        return
     now = max(min(t, path.land) - path.start, 0.0)
     if path.shape >= RECORDED:
         _setpoint(path, now, t < path.start or t >= path.land, out)
@@ -146,6 +194,27 @@ def reference(path: Path, t: float, out: FloatArray) -> None:
     out[6], out[7], out[8] = yaw, turn, FLYING
     if path.start > 0.0:
         _vertical(path, t, out)
+
+
+@jit
+def follow(leg: Leg, t: float, out: FloatArray) -> None:
+    """The reference on a leg at time t [s], into out (9,)."""
+    since, way = max(t - leg.begin, 0.0), 0.0
+    for i in range(3):
+        way += (leg.end[i] - leg.start[i]) ** 2
+    way = np.sqrt(way)
+    share, rate = 1.0, 0.0
+    if leg.speed * since < way:
+        share, rate = leg.speed * since / way, leg.speed / way
+    for i in range(3):
+        out[i] = leg.start[i] + share * (leg.end[i] - leg.start[i])
+        out[3 + i] = rate * (leg.end[i] - leg.start[i])
+    turned, out[7] = leg.turn, 0.0
+    if leg.turn_speed * since < abs(leg.turn):
+        out[7] = np.copysign(leg.turn_speed, leg.turn)
+        turned = out[7] * since
+    out[6] = wrapped(leg.yaw + turned)
+    out[8] = leg.motors if share < 1.0 else leg.then
 
 
 @jit

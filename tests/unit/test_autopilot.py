@@ -8,16 +8,18 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from sitl_plant.autopilot.commands import Action, Autopilot, Forward, Reply
+from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.autopilot.orders import ORDERS
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.plant import PlantConfig
 
 GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)
-PARAMETERS = (("SYSID_THISMAV", 1.0), ("INS_GYRO_FILTER", 20.0))
 NOW_NS = 5_000_000_000
 
 
-def autopilot(n_links: int = 3) -> Autopilot:
+def autopilot(n_links: int = 3, profile: str = "qdrone2") -> Autopilot:
     schedules = [Schedule({MessageId.RAW_IMU: 1000.0, MessageId.HIGHRES_IMU: 0.0}, 1000.0) for _ in range(n_links)]
-    return Autopilot(1, schedules, PARAMETERS)
+    return Autopilot(1, schedules, dialect_named(profile), PlantConfig())
 
 
 def frame(source: tuple[int, int], msgid: int, *fields: Argument) -> Frame:
@@ -81,8 +83,17 @@ def test_commands_for_somebody_else_are_not_answered() -> None:
         (MavCmd.REQUEST_MESSAGE, (148,), MavResult.ACCEPTED),
         (MavCmd.REQUEST_MESSAGE, (105,), MavResult.ACCEPTED),
         (MavCmd.REQUEST_MESSAGE, (30_000,), MavResult.DENIED),
-        (400, (1,), MavResult.UNSUPPORTED),
-        (MavCmd.INJECT_FAILURE, (101, 1, 1), MavResult.UNSUPPORTED),
+        (MavCmd.REQUEST_AUTOPILOT_CAPABILITIES, (1,), MavResult.ACCEPTED),
+        (MavCmd.REQUEST_PROTOCOL_VERSION, (1,), MavResult.ACCEPTED),
+        (MavCmd.GET_MESSAGE_INTERVAL, (27,), MavResult.ACCEPTED),
+        (MavCmd.COMPONENT_ARM_DISARM, (1,), MavResult.ACCEPTED),  # it is armed
+        (MavCmd.COMPONENT_ARM_DISARM, (0,), MavResult.DENIED),  # it follows its own path
+        (MavCmd.NAV_LAND, (), MavResult.DENIED),
+        (MavCmd.INJECT_FAILURE, (101, 1, 1), MavResult.ACCEPTED),
+        (MavCmd.INJECT_FAILURE, (101, 3, 1), MavResult.UNSUPPORTED),
+        (MavCmd.INJECT_FAILURE, (101, 1, 5), MavResult.DENIED),  # it has four motors
+        (MavCmd.INJECT_FAILURE, (0, 1, 1), MavResult.UNSUPPORTED),
+        (40_000, (1,), MavResult.UNSUPPORTED),
     ],
 )
 def test_every_command_for_it_is_acknowledged(
@@ -91,7 +102,8 @@ def test_every_command_for_it_is_acknowledged(
     actions = autopilot().step(1, command(GCS, target, number, *parameters), NOW_NS)
     assert acknowledged(actions) == [(number, result)]
     assert replies(actions, MessageId.COMMAND_ACK)[0][4:] == GCS
-    assert bool(replies(actions, MessageId.AUTOPILOT_VERSION)) == (parameters == (148,))
+    tells = number == MavCmd.REQUEST_AUTOPILOT_CAPABILITIES or parameters == (148,)
+    assert bool(replies(actions, MessageId.AUTOPILOT_VERSION)) == tells
 
 
 def test_an_interval_is_changed_on_the_link_that_asked_only() -> None:
@@ -102,43 +114,63 @@ def test_an_interval_is_changed_on_the_link_that_asked_only() -> None:
         assert replies(told, 244) == [(27, interval_us)]
 
 
-def test_parameters_are_listed_read_by_name_or_index_and_never_changed() -> None:
-    one = autopilot()
-    first, second = ("SYSID_THISMAV", 1.0, 9, 2, 0), ("INS_GYRO_FILTER", 20.0, 9, 2, 1)
-    asked = {
-        "list": frame(GCS, MessageId.PARAM_REQUEST_LIST, *PLANT),
-        "name": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "INS_GYRO_FILTER", -1),
-        "index": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "", 0),
-        "set": frame(GCS, MessageId.PARAM_SET, *PLANT, "INS_GYRO_FILTER", 90.0, 9),
-        "unknown": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "NO_SUCH", -1),
-        "beyond": frame(GCS, MessageId.PARAM_REQUEST_READ, *PLANT, "", 2),
-    }
-    told = {name: replies(one.step(1, question, NOW_NS), MessageId.PARAM_VALUE) for name, question in asked.items()}
-    assert told == {
-        "list": [first, second],
-        "name": [second],
-        "index": [first],
-        "set": [second],
-        "unknown": [],
-        "beyond": [],
-    }
-
-
 def test_the_time_is_told_once_and_an_answer_is_not_answered() -> None:
     one = autopilot()
     assert replies(one.step(0, frame(GCS, MessageId.TIMESYNC, 0, 77), NOW_NS), MessageId.TIMESYNC) == [(NOW_NS, 77)]
     assert one.step(0, frame(GCS, MessageId.TIMESYNC, NOW_NS, 77), NOW_NS) == []
 
 
-def test_there_is_no_mission() -> None:
-    actions = autopilot().step(0, frame(GCS, MessageId.MISSION_REQUEST_LIST, *PLANT), NOW_NS)
-    assert replies(actions, MessageId.MISSION_COUNT) == [(*GCS, 0)]
+@pytest.mark.parametrize(
+    ("stream", "rate_hz", "start", "raw_imu_us", "attitude_us"),
+    [(1, 4, 1, 250_000, 100_000), (0, 4, 1, 250_000, 250_000), (0, 4, 0, -1, -1), (10, 60_000, 1, 10_000, 1000)],
+)
+def test_a_ground_station_sets_the_rates_of_a_stream_on_its_link(
+    stream: int, rate_hz: int, start: int, raw_imu_us: int, attitude_us: int
+) -> None:
+    rates: dict[int, float] = {MessageId.RAW_IMU: 100.0, MessageId.ATTITUDE: 10.0, 83: 100.0}
+    schedules = [Schedule(rates, 1000.0) for _ in range(2)]
+    one = Autopilot(1, schedules, dialect_named("ardupilot"), PlantConfig())
+    asked = frame(GCS, MessageId.REQUEST_DATA_STREAM, *PLANT, stream, rate_hz, start)
+    assert one.step(1, asked, NOW_NS) == []
+    told = [[schedule.interval_us(msgid) for msgid in rates] for schedule in schedules]
+    assert told == [[10_000, 100_000, 10_000], [raw_imu_us, attitude_us, 10_000]]
+
+
+def test_px4_ignores_stream_requests() -> None:
+    assert not dialect_named("px4").streams
+
+
+def test_a_ping_comes_back_to_its_sender_and_an_answer_is_not_answered() -> None:
+    one = autopilot()
+    assert replies(one.step(0, frame(GCS, MessageId.PING, 1234, 7, 0, 0), NOW_NS), MessageId.PING) == [(1234, 7, *GCS)]
+    assert one.step(0, frame(GCS, MessageId.PING, 1234, 7, *PLANT), NOW_NS) == []
+
+
+def test_a_command_as_integers_does_what_it_does_as_floats() -> None:
+    one = autopilot()
+    asked = frame(GCS, MessageId.COMMAND_INT, *PLANT, 0, MavCmd.SET_MESSAGE_INTERVAL, 0, 0, MessageId.RAW_IMU, 20_000.0)
+    assert acknowledged(one.step(1, asked, NOW_NS)) == [(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED)]
+    told = one.step(1, command(GCS, PLANT, MavCmd.GET_MESSAGE_INTERVAL, MessageId.RAW_IMU), NOW_NS)
+    assert replies(told, MessageId.MESSAGE_INTERVAL) == [(27, 20_000)]
+
+
+@pytest.mark.parametrize(("profile", "first"), [("ardupilot", (4, b"GUIDED")), ("px4", (4 << 16 | 3 << 24, b"Hold"))])
+def test_the_modes_are_told_one_by_one_or_all(profile: str, first: tuple[int, bytes]) -> None:
+    one = autopilot(profile=profile)
+    every = replies(one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, 0), NOW_NS), 435)
+    assert [mode[1] for mode in every] == list(range(1, len(every) + 1))
+    assert {mode[0] for mode in every} == {len(every)}
+    one_by_one = replies(one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, 1), NOW_NS), 435)
+    assert one_by_one == every[:1]
+    assert (every[0][3], str(every[0][5]).encode()) == first
+    beyond = one.step(0, command(GCS, PLANT, 512, MessageId.AVAILABLE_MODES, len(every) + 1), NOW_NS)
+    assert acknowledged(beyond) == [(512, MavResult.DENIED)]
 
 
 @given(
     source=st.tuples(st.integers(1, 255), st.integers(1, 255)),
     target=st.tuples(st.integers(0, 255), st.integers(0, 255)),
-    number=st.sampled_from([511, 512, 400, 65_535]),
+    number=st.sampled_from([*ORDERS, 410, 420, 510, 511, 512, 519, 520, 65_535]),
     parameters=st.lists(st.floats(width=32), min_size=7, max_size=7),
     link=st.integers(0, 2),
 )

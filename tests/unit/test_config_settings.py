@@ -1,10 +1,11 @@
 """Settings: unknown keys by name, the command line over the file, contradictions in one line."""
 
+import re
 from pathlib import Path
 
 import pytest
 
-from detector.config import Settings, load_settings
+from detector.config import Settings, example_text, load_settings
 from mavdiag.errors import UsageError
 
 
@@ -50,7 +51,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"absent\.toml: cannot be read"):
+    with pytest.raises(UsageError, match=r"absent\.toml: no such file"):
         load_settings(tmp_path / "absent.toml", {})
 
 
@@ -58,3 +59,76 @@ def test_settings_do_not_change() -> None:
     settings = Settings(learn=10.0)
     with pytest.raises(ValueError, match="frozen"):
         settings.learn = 20.0
+
+
+def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
+    path = written(tmp_path, "learn = 30.0\nvehicle = 3\nclear_s = 8.0\n")
+    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_CLEAR_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
+    settings = load_settings(path, {"vehicle": 5}, environ)
+    assert (settings.learn, settings.clear_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
+
+
+def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
+    environ = {
+        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\n")),
+        "MAVDIAG_DETECTOR_FORWARD": "/dev/ttyUSB1,57600 udpout:127.0.0.1:14551",
+        "MAVDIAG_DETECTOR_KEEP_RATES": "true",
+        "MAVDIAG_DETECTOR_SUSPECT": "fsd",
+        "PATH": "/bin",
+    }
+    settings = load_settings(None, {}, environ)
+    assert settings.forward == ("/dev/ttyUSB1,57600", "udpout:127.0.0.1:14551")
+    assert (settings.learn, settings.keep_rates, settings.suspect) == (30.0, True, ("fsd",))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("LERN", "3", "MAVDIAG_DETECTOR_LERN: there is no such setting; known are learn, "),
+        ("VEHICLES", "3", "MAVDIAG_DETECTOR_VEHICLES: there is no such setting"),
+        ("LEARN", "soon", "MAVDIAG_DETECTOR_LEARN: learn: Input should be a valid number"),
+        ("CONFIG", "absent.toml", "absent.toml: no such file"),
+    ],
+)
+def test_what_is_wrong_in_the_environment_is_named(name: str, text: str, words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        load_settings(None, {"connect": "udpin:127.0.0.1:0"}, {f"MAVDIAG_DETECTOR_{name}": text})
+    assert words in str(caught.value)
+
+
+def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
+    settings = load_settings(written(tmp_path, example_text()), {})
+    assert settings == Settings(learn=120.0)
+    shown = set(re.findall(r"^(?:# )?(\w+) = ", example_text(), re.MULTILINE))
+    assert shown == set(Settings.model_fields) - {"vehicles"}
+
+
+def test_what_the_example_comments_out_is_a_default_or_valid(tmp_path: Path) -> None:
+    text = re.sub(r"^# (\[vehicles|\w+ = )", r"\1", example_text(), flags=re.MULTILINE)
+    text = re.sub(r"^learn = .*$", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^(save|airframe|layout|name) = .*$", "", text, flags=re.MULTILINE)
+    settings = load_settings(written(tmp_path, text), {})
+    for name, field in Settings.model_fields.items():
+        if field.default not in (None, ()) and name not in ("vehicles", "journal_fsync", "named_values_axis"):
+            assert getattr(settings, name) == field.default, name
+    assert settings.vehicles[3].baseline == Path("/var/lib/mavdiag/vehicle-3.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[vehicles.300]\nbaseline = 'b'", "vehicles.300: Input should be less than or equal to 255"),
+        ("[vehicles.3]\nbasline = 'b'", "vehicles.3.baseline: Field required"),
+        ("[vehicles.3]\nbaseline = 'b'\nrate = 3", "unknown key 'vehicles.3.rate'; known are baseline"),
+        ("[vehicles.x]\nbaseline = 'b'", "vehicles.x: "),
+    ],
+)
+def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        load_settings(written(tmp_path, text), {})
+    assert words in str(caught.value)
+
+
+def test_vehicles_with_baselines_of_their_own_need_no_common_one(tmp_path: Path) -> None:
+    settings = load_settings(written(tmp_path, "[vehicles.3]\nbaseline = 'b3.json'"), {})
+    assert {sysid: one.baseline for sysid, one in settings.vehicles.items()} == {3: Path("b3.json")}

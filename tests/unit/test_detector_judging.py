@@ -11,6 +11,7 @@ from detector.judging import Alert, Judge, alert_after, not_judged
 from detector.streams import Streams, observe
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Diagnosis, Stage
+from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Instant
 
 ROWS = ChainOutput(events=(), changes=(), gauges=(), flight_s=0.1, judged_s=0.1, now_ns=1)
@@ -72,5 +73,5 @@ def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() 
     for rate, said in ((2.0, (("rotor trim", "yaw rate not learnt"),)), (0.0, ())):
         telemetry, chain = flying(3000, 5, turn=np.full(3000, rate)), chain_of(trim())
         judge, _ = Judge(trim(), chain, chain.start(), Instant(0)).step(telemetry, Instant(0))
-        streams = observe(Streams(), telemetry, Instant(0))
+        streams = observe(Streams(), telemetry, Instant(0), PROFILES["qdrone2"])
         assert not_judged(judge, streams, Instant(30 * 10**9)) == said

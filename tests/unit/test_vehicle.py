@@ -37,10 +37,10 @@ def test_numbers_of_the_thesis_are_in_the_file() -> None:
 
 
 def test_every_number_in_the_file_has_its_source_beside_it() -> None:
-    """The thesis, a data sheet, or plainly: estimate, fitted."""
+    """The thesis, a data sheet, an autopilot's own documentation, or plainly: estimate, fitted."""
     numbers = [line for line in SOURCE.splitlines() if re.match(r"\w+ = [^\"]*\d", line)]
     assert len(numbers) > 60
-    known = re.compile(r"# .*(T Table|T Eq|T 3|data sheet|estimate|fitted|hover)")
+    known = re.compile(r"# .*(T Table|T Eq|T 3|data sheet|estimate|fitted|hover|ArduPilot:|PX4:)")
     assert [line for line in numbers if not known.search(line)] == []
 
 
@@ -149,7 +149,7 @@ def test_payload_moves_mass_centre_and_inertia_as_two_bodies_do() -> None:
 def test_shipped_vehicles_can_be_had_by_name_or_file(tmp_path: Path) -> None:
     assert shipped_vehicles()[0] == "qdrone2"
     assert {name: len(vehicle_from(name).rotors) for name in shipped_vehicles()} == {
-        "qdrone2": 4, "hexa-x": 6, "octo-x": 8, "qdrone2-recorded": 4, "quad-plus": 4,
+        "qdrone2": 4, "hexa-x": 6, "octo-x": 8, "qdrone2-recorded": 4, "quad-plus": 4, "hexa-plus": 6,
     }  # fmt: skip
     file = tmp_path / "heavy.toml"
     file.write_text('base = "hexa-x"\nname = "heavy"\n')

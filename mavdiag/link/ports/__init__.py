@@ -10,6 +10,8 @@ HOST is always written: 127.0.0.1 is this machine only, 0.0.0.0 every network it
 Port 0 asks for a free port; `Endpoint.address` has it. A host name is looked up once, when the endpoint is opened.
 """
 
+import errno
+import os
 import re
 import socket
 import time
@@ -17,16 +19,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from mavdiag.errors import LinkError, UsageError
-from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, wait
+from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, Traffic, link_error, wait
 from mavdiag.link.ports.stream import Serial, TcpClient, TcpServer
 from mavdiag.link.ports.udp import PEER_FRESH_S, UdpIn, UdpOut
 
 __all__ = [
+    "PEER_FRESH_S",
     "Address",
     "Chunk",
     "Endpoint",
     "Kind",
+    "SocketAddress",
     "Traffic",
+    "check_address",
     "open_endpoint",
     "parse_address",
     "wait",
@@ -82,16 +87,33 @@ def parse_address(text: str) -> Address:
     return Address(kind, match["host"].strip("[]"), port)
 
 
-def open_endpoint(address: str, *, clock: Clock = time.monotonic_ns, peer_fresh_s: float = PEER_FRESH_S) -> Endpoint:
+def check_address(address: str) -> None:
+    """Raise what `open_endpoint` would, as far as that shows without opening anything: host names and devices."""
+    parsed = parse_address(address)
+    if parsed.kind is not Kind.SERIAL:
+        _resolve(address, parsed, socket.SOCK_STREAM)
+    elif not os.access(parsed.place, os.R_OK | os.W_OK):
+        there = os.path.lexists(parsed.place)
+        raise link_error(address, OSError(errno.EACCES if there else errno.ENOENT, ""))
+
+
+def open_endpoint(
+    address: str,
+    *,
+    clock: Clock = time.monotonic_ns,
+    peer_fresh_s: float = PEER_FRESH_S,
+    absent_ok: bool = False,
+) -> Endpoint:
     """Open one end of a link.
 
     clock: the host clock that stamps what is received [ns]. peer_fresh_s: how long `udpin` answers a silent peer [s].
+    absent_ok: whether a serial device may come later.
     Raises UsageError for a malformed address; LinkError for a busy port, an unknown host, a missing device or a missing
     right. An absent peer is no error.
     """
     parsed = parse_address(address)
     if parsed.kind is Kind.SERIAL:
-        return Serial(address, parsed.place, parsed.number, clock)
+        return Serial(address, parsed.place, parsed.number, clock, absent_ok=absent_ok)
     datagrams = parsed.kind in (Kind.UDP_IN, Kind.UDP_OUT)
     family, place = _resolve(address, parsed, socket.SOCK_DGRAM if datagrams else socket.SOCK_STREAM)
     match parsed.kind:

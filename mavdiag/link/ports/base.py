@@ -7,20 +7,22 @@ import errno
 import select
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self, TypeAlias
 
 from mavdiag.errors import LinkError
 
-__all__ = ["RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
+__all__ = ["RETRY_MAX_S", "RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
 
 Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
 Clock: TypeAlias = Callable[[], int]  # the host clock [ns]
 SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module resolves it
 
-RETRY_S = 0.25  # how often an endpoint that lost its peer or device looks for it, while it is polled
+# An endpoint that lost its peer or device looks for it, while it is polled: after the first time, then after twice as
+# long each time, up to the second (our choices). It begins anew when a connection has lasted longer than that.
+RETRY_S, RETRY_MAX_S = 0.25, 4.0
 
 _ADVICE = {
     errno.EADDRINUSE: "the port is busy: stop the program that holds it, or name another port",
@@ -63,14 +65,18 @@ class Endpoint(ABC):
     """One end of a link. Once it is open, nothing that the peer or the wire does raises.
 
     datagrams: whether a chunk is a datagram, so that what it leaves unfinished must not be joined to the next one.
+    sources: the sender of each chunk that the latest `receive` returned; empty where there is one other end.
     """
 
     datagrams = False
+    sources: Sequence[SocketAddress] = ()
 
     def __init__(self, address: str, clock: Clock) -> None:
         self._address = address
         self._clock = clock
         self._received = self._sent = self._dropped = self._overflowed = 0
+        self._trust: Sequence[SocketAddress] = ()
+        self._alone = False
 
     @property
     def address(self) -> str:
@@ -98,6 +104,13 @@ class Endpoint(ABC):
             wait([self], min(left, RETRY_S))
         self._received += len(chunks)
         return chunks
+
+    def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
+        """Name the senders that matter. Where strangers can send too, a flood of theirs does not hide these.
+
+        alone: only they are answered.
+        """
+        self._trust, self._alone = tuple(sources), alone
 
     @abstractmethod
     def send(self, data: bytes) -> None:

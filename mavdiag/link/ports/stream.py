@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import serial
 
-from mavdiag.link.ports.base import RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
+from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
 __all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "frame_length", "whole_frames"]
 
@@ -60,12 +60,13 @@ class _Stream:
 
 
 class _Reconnecting(Endpoint, ABC):
-    """One stream that is opened again, every `RETRY_S` while it is polled, after it has ended."""
+    """One stream that is opened again, while it is polled, after it has ended: see `RETRY_S`."""
 
     def __init__(self, address: str, clock: Clock) -> None:
         super().__init__(address, clock)
         self._stream: _Stream | None = None
         self._retry_at = 0.0  # monotonic clock [s]; infinite once closed
+        self._opened_at, self._pause_s = 0.0, RETRY_S
 
     @abstractmethod
     def _open(self) -> _Stream:
@@ -95,15 +96,23 @@ class _Reconnecting(Endpoint, ABC):
     def _hang_up(self) -> None:
         if self._stream is not None:
             self._stream.close()
+            self._wait()
         self._stream = None
-        self._retry_at = time.monotonic() + RETRY_S
+
+    def _wait(self) -> None:
+        """Set the time of the next try."""
+        now = time.monotonic()
+        if self._stream is not None and now - self._opened_at > RETRY_MAX_S:
+            self._pause_s = RETRY_S
+        self._retry_at = now + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, RETRY_MAX_S)
 
     def _drain(self) -> list[Chunk]:
         if self._stream is None and time.monotonic() >= self._retry_at:
-            self._retry_at = time.monotonic() + RETRY_S
             try:
-                self._stream = self._open()
+                self._stream, self._opened_at = self._open(), time.monotonic()
             except OSError:  # still absent: the next retry may find it
+                self._wait()
                 return []
         chunks: list[Chunk] = []
         while self._stream is not None and len(chunks) < _DRAIN_READS:
@@ -140,16 +149,18 @@ class TcpClient(_Reconnecting):
 class Serial(_Reconnecting):
     """A serial device, 8N1, held exclusively; opened again when it comes back after having gone.
 
-    Raises LinkError if it cannot be opened at first.
+    absent_ok: whether it may come later. Raises LinkError if it cannot be opened at first and may not.
     """
 
-    def __init__(self, address: str, device: str, baud: int, clock: Clock) -> None:
+    def __init__(self, address: str, device: str, baud: int, clock: Clock, *, absent_ok: bool = False) -> None:
         super().__init__(address, clock)
         self._device, self._baud = device, baud
         try:
-            self._stream = self._open()
+            self._stream, self._opened_at = self._open(), time.monotonic()
         except OSError as error:
-            raise link_error(address, error) from error
+            if not absent_ok or not error.errno:
+                raise link_error(address, error) from error
+            self._wait()
 
     def _open(self) -> _Stream:
         # inter_byte_timeout=0 sets VMIN=1, VTIME=0 (termios): "nothing yet" then differs from "hung up".
@@ -169,6 +180,7 @@ class TcpServer(Endpoint):
         super().__init__(address, clock)
         self._listener = _tcp_socket(family)
         self._clients: dict[_Stream, bytes] = {}  # each with the beginning of a frame that is not yet complete
+        self._names: dict[_Stream, SocketAddress] = {}
         try:
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(local)
@@ -201,10 +213,12 @@ class TcpServer(Endpoint):
         for client in self._clients:
             client.close()
         self._clients.clear()
+        self._names.clear()
 
     def _drain(self) -> list[Chunk]:
         self._accept()
         chunks: list[Chunk] = []
+        sources: list[SocketAddress] = []
         for client, begun in list(self._clients.items()):
             for _ in range(_DRAIN_READS):
                 data = client.read()
@@ -215,23 +229,26 @@ class TcpServer(Endpoint):
                 begun = data[cut:]
                 if cut:
                     chunks.append((data[:cut], self._clock()))
+                    sources.append(self._names[client])
             self._clients[client] = begun
             if data is None:
                 client.close()
-                del self._clients[client]
+                del self._clients[client], self._names[client]
+        self.sources = sources
         return chunks
 
     def _accept(self) -> None:
         while True:
             try:
-                link, _ = self._listener.accept()
+                link, name = self._listener.accept()
             except OSError:  # nobody there, gone again, or closed
                 return
             if len(self._clients) >= CLIENTS_MAX:
                 link.close()
                 continue
             _tune(link)
-            self._clients[_Stream(link)] = b""
+            client = _Stream(link)
+            self._clients[client], self._names[client] = b"", name
 
 
 def whole_frames(data: bytes) -> int:

@@ -1,7 +1,13 @@
-"""UDP endpoints: `udpin` listens and answers its senders, `udpout` exchanges datagrams with one peer."""
+"""UDP endpoints: `udpin` listens and answers its senders, `udpout` exchanges datagrams with one peer.
+
+A flood hides nobody that `udpin` trusts: a trusted peer gets a socket of its own, connected to it, and with it a buffer
+of its own, for the kernel prefers a connected socket. The strangers share what is left: so many datagrams a second are
+read, and the rest overflows in the kernel, unread.
+"""
 
 import socket
 import time
+from collections.abc import Collection
 
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
 
@@ -9,6 +15,10 @@ __all__ = ["PEERS_MAX", "PEER_FRESH_S", "UdpIn", "UdpOut"]
 
 PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
 PEER_FRESH_S = 10.0  # a peer that was silent for so long is forgotten
+TRUSTED_MAX = 128  # peers that get a socket of their own (our choice)
+STRANGERS_HZ = 20_000.0  # datagrams that are read of all strangers while any peer is trusted (our choice)
+STRANGERS_BURST = 1024.0
+UNIT_BYTES = 64  # a large datagram counts as several: once for each so many bytes
 
 _DATAGRAM_MAX = 65_535
 _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
@@ -25,13 +35,9 @@ class _Udp(Endpoint):
 
     def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
         super().__init__(address, clock)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
-        except PermissionError:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        self._socket = _udp_socket(family)
+        self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor of an open socket
+        self._lost_before = 0  # by closed ones
 
     def filenos(self) -> tuple[int, ...]:
         """The socket's descriptor."""
@@ -43,26 +49,33 @@ class _Udp(Endpoint):
 
     def _drain(self) -> list[Chunk]:
         chunks: list[Chunk] = []
-        if self._socket.fileno() < 0:
-            return chunks
+        if self._socket.fileno() >= 0:
+            self._read(self._socket, chunks, [], _DRAIN_MAX)
+        return chunks
+
+    def _read(self, link: socket.socket, chunks: list[Chunk], sources: list[SocketAddress], units: float) -> float:
+        """Take what is there, as far as so many units allow; returns how many are left."""
         try:
             # The first read asks for the overflow count, which costs more; the others only for the data.
-            data, ancillary, _, peer = self._socket.recvmsg(_DATAGRAM_MAX, _OVFL_SPACE)
+            data, ancillary, _, peer = link.recvmsg(_DATAGRAM_MAX, _OVFL_SPACE)
             for level, kind, value in ancillary:
                 if (level, kind) == (socket.SOL_SOCKET, _SO_RXQ_OVFL):
-                    self._overflowed = int.from_bytes(value, "little")
+                    self._lost[link.fileno()] = int.from_bytes(value, "little")
+                    self._overflowed = self._lost_before + sum(self._lost.values())
             while True:
                 now_ns = self._clock()
                 self._note_sender(peer)
                 chunks.append((data, now_ns))
-                if len(chunks) == _DRAIN_MAX:
+                sources.append(peer)
+                units -= 1 + len(data) // UNIT_BYTES
+                if units < 1.0:
                     break
-                data, peer = self._socket.recvfrom(_DATAGRAM_MAX)
+                data, peer = link.recvfrom(_DATAGRAM_MAX)
         except BlockingIOError:
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
-        return chunks
+        return units
 
     def _note_sender(self, peer: SocketAddress) -> None:
         """Note the sender of a datagram."""
@@ -90,6 +103,9 @@ class UdpIn(_Udp):
         super().__init__(address, family, clock)
         self._fresh_s = fresh_s
         self._peers: dict[SocketAddress, float] = {}  # when each sent last [s], monotonic clock
+        self._trusted: dict[SocketAddress, socket.socket] = {}
+        self._newly = False  # a peer has got its own socket, and what it sent before may wait in the common one
+        self._units, self._filled_s = STRANGERS_BURST, time.monotonic()
         try:
             self._socket.bind(local)
         except OSError as error:
@@ -102,21 +118,67 @@ class UdpIn(_Udp):
         """Whether a peer sent something lately."""
         return self._socket.fileno() >= 0 and bool(self._fresh_peers())
 
+    def filenos(self) -> tuple[int, ...]:
+        """The descriptors of all sockets."""
+        return (*super().filenos(), *(link.fileno() for link in self._trusted.values()))
+
     def send(self, data: bytes) -> None:
         """Send to every fresh peer; with none, the message is dropped and counted."""
         peers = self._fresh_peers()
+        if self._alone:
+            peers = [peer for peer in peers if peer in self._trusted]
         if not peers:
             self._dropped += 1
         for peer in peers:
             self._send_to(data, peer)
 
+    def close(self) -> None:
+        """Close the sockets."""
+        self.trust((), alone=self._alone)
+        super().close()
+
+    def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:
+        """Give each of these a socket of its own (at most `TRUSTED_MAX`), and take it from all others."""
+        super().trust(sources, alone=alone)
+        for gone in [peer for peer in self._trusted if peer not in sources]:
+            link = self._trusted.pop(gone)
+            self._lost_before += self._lost.pop(link.fileno(), 0)
+            link.close()
+        for peer in sources:
+            if peer not in self._trusted and len(self._trusted) < TRUSTED_MAX and self._socket.fileno() >= 0:
+                own = _beside(self._socket, peer)
+                if own is not None:
+                    self._trusted[peer], self._newly = own, True
+                    self._peers.setdefault(peer, time.monotonic())
+
+    def _drain(self) -> list[Chunk]:
+        chunks: list[Chunk] = []
+        sources: list[SocketAddress] = []
+        if self._socket.fileno() >= 0 and (self._newly or not self._trusted):
+            self._read(self._socket, chunks, sources, _DRAIN_MAX)
+            self._newly = False
+        for link in self._trusted.values():
+            self._read(link, chunks, sources, _DRAIN_MAX)
+        if self._trusted and self._refilled() >= 1.0:
+            self._units = self._read(self._socket, chunks, sources, self._units)
+        self.sources = sources
+        return chunks
+
+    def _refilled(self) -> float:
+        """How many datagrams of strangers may be read now."""
+        now_s = time.monotonic()
+        self._units = min(STRANGERS_BURST, self._units + STRANGERS_HZ * (now_s - self._filled_s))
+        self._filled_s = now_s
+        return self._units
+
     def _note_sender(self, peer: SocketAddress) -> None:
-        if peer in self._peers or len(self._peers) < PEERS_MAX or len(self._fresh_peers()) < PEERS_MAX:
+        strangers = len(self._peers) - len(self._trusted)
+        if peer in self._peers or strangers < PEERS_MAX or len(self._fresh_peers()) - len(self._trusted) < PEERS_MAX:
             self._peers[peer] = time.monotonic()
 
     def _fresh_peers(self) -> list[SocketAddress]:
         horizon = time.monotonic() - self._fresh_s
-        for peer in [peer for peer, sent in self._peers.items() if sent < horizon]:
+        for peer in [peer for peer, sent in self._peers.items() if sent < horizon and peer not in self._trusted]:
             del self._peers[peer]
         return list(self._peers)
 
@@ -159,3 +221,36 @@ class UdpOut(_Udp):
         if self._sent:
             self._sent -= 1
             self._dropped += 1
+
+
+def _udp_socket(family: socket.AddressFamily) -> socket.socket:
+    """A socket that never waits, with a large buffer and an overflow count."""
+    link = socket.socket(family, socket.SOCK_DGRAM)
+    link.setblocking(False)
+    link.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+    try:
+        link.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
+    except PermissionError:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    return link
+
+
+def _beside(listening: socket.socket, peer: SocketAddress) -> socket.socket | None:
+    """A socket on the same port that gets what this peer sends; None if the system has none left.
+
+    Both must allow the port to be shared as the second is bound; afterwards it is theirs alone again.
+    """
+    link = _udp_socket(listening.family)
+    try:
+        for one in (listening, link):
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        link.bind(listening.getsockname())
+        link.connect(peer)
+    except OSError:
+        link.close()
+        return None
+    finally:
+        for one in (listening, link):
+            if one.fileno() >= 0:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+    return link

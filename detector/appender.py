@@ -1,0 +1,149 @@
+"""Files that grow while the daemon runs, up to a size (edge): appended to, rotated, written through to the disk.
+
+Nothing here stops the daemon: what cannot be written is counted and reported once, and the next entry is tried again.
+"""
+
+import contextlib
+import os
+import stat
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from mavdiag.errors import UsageError
+
+__all__ = ["Appender", "Rotation", "check_appendable", "older"]
+
+MB = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """When a file makes room for a new one.
+
+    limit_bytes: size that it does not exceed; None for no limit.
+    keep: how many old ones stay.
+    """
+
+    limit_bytes: int | None = None
+    keep: int = 0
+
+    @classmethod
+    def of(cls, limit_mb: float, keep: int) -> "Rotation":
+        """From a setting in megabytes."""
+        return cls(round(limit_mb * MB), keep)
+
+
+def older(path: Path, number: int) -> Path:
+    """The name of an old file; the kind stays at the end.
+
+    >>> older(Path("flight.tlog"), 2).name
+    'flight.2.tlog'
+    """
+    return path.with_suffix(f".{number}{path.suffix}")
+
+
+def check_appendable(path: Path, option: str) -> None:
+    """Raise UsageError, naming the option, unless a file at this path can be appended to or made. It is not opened."""
+    place = path if path.exists() else path.parent
+    if path.is_dir() or not place.exists():
+        raise UsageError(_refused(path, option, "is a folder" if path.is_dir() else f"there is no folder {place}"))
+    if not os.access(place, os.W_OK):
+        raise UsageError(_refused(path, option, "no permission"))
+
+
+def _refused(path: Path, option: str, reason: str) -> str:
+    return f"{path}: cannot be written ({reason}); choose another {option} file"
+
+
+class Appender:
+    """A file that is appended to, each entry written whole at once.
+
+    option: the command-line option that names it.
+    warn: called once when writing begins to fail, and once when it works again.
+    Raises UsageError if the file cannot be opened.
+    """
+
+    def __init__(self, path: Path, option: str, warn: Callable[[str], None], rotation: Rotation | None = None) -> None:
+        self._path, self._name, self._warn = path, f"{option.removeprefix('--')} {path}", warn
+        self._rotation = rotation or Rotation()
+        try:
+            self._file = self._open()
+        except OSError as error:
+            raise UsageError(_refused(path, option, error.strerror or str(error))) from error
+        self._torn = False  # the last entry was written only in part
+        self._failing = 0  # entries in a row that could not be written
+        self.lost = 0  # entries that could not be written, so far
+
+    def append(self, data: bytes, after_torn: bytes = b"") -> None:
+        """Append an entry, or count it as lost. after_torn: what goes before it if the last one was torn."""
+        data = (after_torn if self._torn else b"") + data
+        limit = self._rotation.limit_bytes
+        try:
+            if limit is not None and self._regular and self._size > 0 and self._size + len(data) > limit:
+                self._rotate()
+            written = self._file.write(data)
+        except OSError as error:
+            self._failed(error.strerror or str(error))
+            return
+        self._size += written
+        if written < len(data):
+            self._torn = self._torn or written > 0
+            self._failed("the entry did not fit")
+            return
+        if self._failing:
+            self._warn(f"{self._name}: writing again; {self._failing} entries were lost")
+        self._torn, self._failing = False, 0
+
+    def sync(self) -> None:
+        """Write through to the disk; what that cannot do counts as a lost entry. A pipe or device is left alone."""
+        if self._regular:
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                self._failed(error.strerror or str(error))
+
+    def close(self) -> None:
+        """Write through and close the file."""
+        self.sync()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _open(self) -> BinaryIO:
+        file = self._path.open("ab", buffering=0)
+        status = os.fstat(file.fileno())
+        self._regular, self._size = stat.S_ISREG(status.st_mode), status.st_size
+        if self._regular:
+            _sync_folder(self._path.parent)
+        return file
+
+    def _rotate(self) -> None:
+        """Number the old files one higher and begin a new one. Raises OSError; the present file is kept then."""
+        if self._path.exists():  # it is gone if the last attempt failed half-way
+            for number in range(self._rotation.keep - 1, 0, -1):
+                if older(self._path, number).exists():
+                    older(self._path, number).replace(older(self._path, number + 1))
+            if self._rotation.keep:
+                self._path.replace(older(self._path, 1))
+            else:
+                self._path.unlink()
+        new = self._open()
+        self._file.close()
+        self._file, self._torn = new, False
+
+    def _failed(self, reason: str) -> None:
+        if not self._failing:
+            self._warn(f"{self._name}: cannot be written ({reason}); watching goes on without it")
+        self._failing += 1
+        self.lost += 1
+
+
+def _sync_folder(folder: Path) -> None:
+    """Let a new name survive a power cut, where the file system can do that."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,96 @@
+"""`mavdiag-detector --check` (edge): what a start with these settings would do, and whether it could. Opens no link."""
+
+from collections.abc import Iterator
+
+from detector.appender import check_appendable
+from detector.config import Settings, split_metrics_address
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import Baseline, check_link
+from mavdiag.errors import LinkError
+from mavdiag.link.keys import read_key
+from mavdiag.link.ports import check_address
+from mavdiag.storage import check_output
+
+__all__ = ["plan"]
+
+
+def plan(settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None) -> str:
+    """What a start would do, line by line. Raises UsageError, LinkError or BaselineError where it could not.
+
+    baseline, own, airframe: as they were loaded.
+    """
+    return "\n".join(_lines(settings, baseline, own, airframe))
+
+
+def _lines(
+    settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None
+) -> Iterator[str]:
+    yield f"link       {_place(settings.connect)}"
+    yield f"watches    {_watched(settings)}"
+    if settings.signing_key is not None:
+        read_key(settings.signing_key)
+        yield f"signing    by {settings.signing_key}; unsigned frames are refused"
+    if baseline is not None:
+        yield f"judges by  {settings.baseline}: {_summary(baseline, settings)}"
+    if settings.learn is not None:
+        about = f" about {airframe.name}" if airframe else ""
+        yield f"learns     from {settings.learn:g} s of healthy flight{about}{_saving(settings)}"
+    for sysid, one in own.items():
+        yield f"vehicle {sysid:<3}by {settings.vehicles[sysid].baseline}: {_summary(one, settings)}"
+    if settings.threshold_scale != 1.0:
+        yield f"thresholds times {settings.threshold_scale:g}"
+    for address in settings.forward:
+        kept = "; keeps the rates that it needs" if settings.keep_rates else ""
+        yield f"forwards   {address}{kept}{_absence(address)}"
+    if settings.parameters:
+        yield "parameters MD_LEARN_S and MD_THR_SCALE can be set by anybody on these links"
+    for option, path, mb, keep in (
+        ("journal", settings.journal, settings.journal_mb, settings.journal_keep),
+        ("record", settings.record, settings.record_mb, settings.record_keep),
+    ):
+        if path is not None:
+            check_appendable(path, f"--{option}")
+            yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
+    if settings.metrics is not None:
+        host, port = split_metrics_address(settings.metrics)
+        yield f"metrics    http://{host}:{port}/metrics"
+
+
+def _place(address: str) -> str:
+    """The address, checked as far as that goes without opening it. Raises LinkError."""
+    check_address(address)
+    return address
+
+
+def _absence(address: str) -> str:
+    """A device behind may come later. Raises LinkError for an unknown host."""
+    try:
+        check_address(address)
+    except LinkError as error:
+        if not address.startswith("/"):
+            raise
+        return f"; not now ({error})"
+    return ""
+
+
+def _watched(settings: Settings) -> str:
+    if settings.vehicle is not None:
+        return f"vehicle {settings.vehicle}"
+    rest = "" if settings.baseline or settings.learn else " that have a baseline here"
+    return f"every vehicle on it{rest}, {settings.max_vehicles} at most"
+
+
+def _summary(baseline: Baseline, settings: Settings) -> str:
+    if settings.profile is not None:
+        check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
+    return (
+        f"{baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.0f} Hz, "
+        f"{len(baseline.monitors)} monitors"
+    )
+
+
+def _saving(settings: Settings) -> str:
+    if settings.save is None:
+        return "; the result is not kept"
+    check_output(settings.save)
+    return f", kept in {settings.save}"

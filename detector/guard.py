@@ -1,0 +1,97 @@
+"""What somebody tries on a link is told, once each: a second sender in a vehicle's name, refused signatures.
+
+No clock, no socket: the link's counts and `now` in, effects out.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from detector.fleet import Turn
+from detector.values import Effect, Note, SendText
+from mavdiag.link.messages import Severity
+from mavdiag.link.ports import SocketAddress
+from mavdiag.link.sequence import PINNED_S, Source
+from mavdiag.link.signing import Signing
+from mavdiag.link.vehicles import LinkDecoder
+from mavdiag.telemetry import Instant
+from mavdiag.units import NS_PER_S
+
+__all__ = ["Guard"]
+
+AGAIN_S = 60.0  # how often refused signatures are told again while they go on (our choice)
+RESTARTS = 3  # new beginnings of the running numbers in a second, and
+SECONDS = 3  # seconds in a row, that two senders with one name show (our choice)
+
+
+@dataclass(slots=True)
+class _Known:
+    """What is known of one vehicle: its source, new beginnings, for how many looks they went on, and what was told."""
+
+    source: Source = None
+    restarts: int = 0
+    looks: int = 0
+    told: set[str] = field(default_factory=set)
+
+
+class Guard:
+    """Looks at one link; call `look` once a second. signing: of the link, None without."""
+
+    def __init__(self, link: LinkDecoder, signing: Signing | None) -> None:
+        self._link, self._signing = link, signing
+        self._known: dict[int, _Known] = {}
+        self._told_at: Instant | None = None
+        self._told = 0
+
+    def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
+        """Where the vehicles are heard from that were heard lately."""
+        heard = self._link.heard_since(now.ns - round(within_s * NS_PER_S))
+        return [source for source in dict.fromkeys(map(self._link.source, heard)) if isinstance(source, tuple)]
+
+    def look(self, now: Instant) -> tuple[list[Turn], list[str]]:
+        """What is new: what to tell about vehicles, and about the link."""
+        turns, texts = list[Turn](), list[str]()
+        for sysid in self._link.vehicles:
+            effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
+            turns += [Turn(sysid, effects)] if effects else []
+        refused = 0 if self._signing is None else sum(self._signing.refused.values())
+        if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
+            self._told, self._told_at = refused, now
+            texts.append(self.summary())
+        return turns, texts
+
+    def summary(self) -> str:
+        """What was refused so far, in one line; empty if nothing was."""
+        parts = []
+        for sysid in self._link.vehicles:
+            intruder = self._link.intruder(sysid)
+            if intruder is not None:
+                parts.append(f"{intruder.frames} frames in the name of vehicle {sysid} from elsewhere")
+        if self._signing is not None:
+            parts += [f"{count} {cause}" for cause, count in self._signing.refused.items()]
+        return f"refused: {', '.join(parts)}" if parts else ""
+
+    def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
+        intruder, count = self._link.intruder(sysid), self._link.count(sysid)
+        source = self._link.source(sysid)
+        if known.source not in (None, source):
+            moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
+            yield Note(f"vehicle {sysid} is heard from {moved}")
+        known.source = source
+        if intruder is not None and "source" not in known.told:
+            known.told.add("source")
+            where = _address(intruder.source)
+            yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
+            yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
+        if count is not None:
+            known.looks = known.looks + 1 if count.restarts - known.restarts >= RESTARTS else 0
+            known.restarts = count.restarts
+            if known.looks >= SECONDS and "sequence" not in known.told:
+                known.told.add("sequence")
+                yield Note(
+                    f"two senders seem to use the name of vehicle {sysid}: its running numbers keep jumping back"
+                )
+                yield SendText(Severity.WARNING, f"PROP two senders as vehicle {sysid}?")
+
+
+def _address(source: Source) -> str:
+    return ":".join(map(str, source[:2])) if isinstance(source, tuple) else str(source)

@@ -1,0 +1,154 @@
+"""What ground stations ask of the detector: its own parameters, commands, and rates that it keeps. No clock, no socket.
+
+Frames go in with `now`; what is passed on, what is answered and what the daemon has to do come out.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from detector.config import Settings
+from detector.fleet import Fleet, Turn
+from detector.own_parameters import PARAMETERS, REAL32, REQUESTS, Answer, View, addressee, answer
+from detector.rate_guard import GUARDED, RateGuard
+from detector.sender import MavlinkSender
+from detector.values import Effect, Note
+from mavdiag.baseline import Baseline
+from mavdiag.link.codec import Decoder, Frame, field_index, message_name
+from mavdiag.link.messages import Component, MessageId
+from mavdiag.telemetry import Instant
+
+__all__ = ["Handled", "Requests"]
+
+NOTED_MOST = 64  # requests that were kept back are named once each, as long as they are so few (our choice)
+NOTHING_TO_JUDGE_BY = "there is no baseline to go back to"
+WHILE_LEARNING = "it can be set when learning is over"
+
+_COMMAND: Mapping[int, tuple[int, ...]] = {
+    msgid: tuple(field_index(msgid, name) for name in ("target_system", "target_component", "command"))
+    for msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Handled:
+    """What became of frames.
+
+    passed: what goes to the vehicle.
+    answers: what goes back to who sent them.
+    turns: effects for the daemon.
+    """
+
+    passed: tuple[bytes, ...] = ()
+    answers: tuple[bytes, ...] = ()
+    turns: tuple[Turn, ...] = ()
+
+
+class Requests:
+    """Answers for all vehicles of a fleet.
+
+    sender: encodes for a vehicle's detector, by system id.
+    """
+
+    def __init__(self, fleet: Fleet, settings: Settings, sender: Callable[[int], MavlinkSender]) -> None:
+        self._fleet, self._settings, self._sender = fleet, settings, sender
+        self._guard = RateGuard()
+        self._decoder = Decoder(GUARDED | REQUESTS)
+        self._noted: set[tuple[int, ...]] = set()
+        self._before: dict[int, Baseline] = {}  # what was judged by before learning anew
+
+    def from_behind(self, messages: Iterable[bytes], now: Instant) -> Handled:
+        """Frames of a link behind, one in each message; all pass but requests for rates that are kept."""
+        passed, answers, turns = list[bytes](), list[bytes](), list[Turn]()
+        for message in messages:
+            frames = self._decoder.feed_datagram(message, now.ns)
+            handled = self._one(frames[0], message, now) if frames else Handled((message,))
+            passed += handled.passed
+            answers += handled.answers
+            turns += handled.turns
+        return Handled(tuple(passed), tuple(answers), tuple(turns))
+
+    def parameters(self, sysid: int, frames: Iterable[Frame], now: Instant) -> Handled:
+        """Requests about the parameters of a vehicle's detector."""
+        if not self._settings.parameters or sysid not in self._fleet.vehicles:
+            return Handled()
+        answers, effects = list[bytes](), list[Effect]()
+        for frame in frames:
+            found = answer(frame)
+            effects += self._change(sysid, found, now)
+            view = self._view(sysid)
+            for one in found.show:
+                fields = (one.name, one.value(view), REAL32, len(PARAMETERS), PARAMETERS.index(one))
+                answers.append(self._sender(sysid).frame(MessageId.PARAM_VALUE, *fields))
+        return Handled((), tuple(answers), (Turn(sysid, tuple(effects)),) if effects else ())
+
+    def _one(self, frame: Frame, message: bytes, now: Instant) -> Handled:
+        to = addressee(frame)
+        if to is not None:
+            return replace(self.parameters(to, (frame,), now), passed=(message,))
+        if self._settings.keep_rates:
+            needed = {sysid: self._fleet.link.vehicles[sysid].profile.messages for sysid in self._fleet.vehicles}
+            verdict = self._guard.verdict(frame, needed)
+            if verdict is not None:
+                asked = [
+                    self._sender(one.vehicle).frame(
+                        MessageId.REQUEST_DATA_STREAM,
+                        one.vehicle,
+                        Component.AUTOPILOT1,
+                        one.group,
+                        one.rate_hz,
+                        one.start,
+                    )
+                    for one in verdict.instead
+                ]
+                return Handled(tuple(asked), (verdict.answer,) if verdict.answer else (), self._kept_back(frame))
+        return Handled((message,), self._declined(frame))
+
+    def _declined(self, frame: Frame) -> tuple[bytes, ...]:
+        """The answer to a command for the detector itself: it takes none."""
+        if frame.msgid not in _COMMAND:
+            return ()
+        system, component, command = (int(frame.fields[place]) for place in _COMMAND[frame.msgid])
+        if component != Component.ONBOARD_COMPUTER or system not in self._fleet.vehicles:
+            return ()
+        return (self._sender(system).decline(command, frame.sysid, frame.compid),)
+
+    def _kept_back(self, frame: Frame) -> tuple[Turn, ...]:
+        """What is recorded of a request that was kept back: the first of a kind from each sender."""
+        kind = (frame.sysid, frame.compid, frame.msgid)
+        if kind in self._noted or len(self._noted) >= NOTED_MOST:
+            return ()
+        self._noted.add(kind)
+        text = (
+            f"{message_name(frame.msgid)} of {frame.sysid}/{frame.compid} would change rates that are needed; kept back"
+        )
+        return tuple(Turn(sysid, (Note(text),)) for sysid in list(self._fleet.vehicles)[:1])
+
+    def _view(self, sysid: int) -> View:
+        session = self._fleet.vehicles[sysid].session
+        return View(session.spec.settings, session.state.baseline is None, self._fleet.figures_of(sysid))
+
+    def _change(self, sysid: int, found: Answer, now: Instant) -> tuple[Effect, ...]:
+        """Set a parameter: the session begins anew with what is left of the old one. A refusal is recorded."""
+        if found.change is None:
+            return (Note(found.refused),) if found.refused else ()
+        parameter, value = found.change
+        vehicle, before = self._fleet.vehicles[sysid], self._view(sysid)
+        if parameter.value(before) == value:
+            return ()
+        spec, present = vehicle.session.spec, vehicle.session.state.baseline
+        refused = ""
+        if parameter.name == "MD_THR_SCALE":
+            settings = spec.settings.model_copy(update={"threshold_scale": value})
+            baseline, refused = present, WHILE_LEARNING if present is None else ""
+        elif value > 0:
+            settings = spec.settings.model_copy(update={"learn": value})
+            baseline = None
+        else:
+            settings, baseline = spec.settings, self._before.get(sysid)
+            refused = "" if baseline else NOTHING_TO_JUDGE_BY
+        if refused:
+            return (Note(f"{parameter.name} {value:g} refused: {refused}"),)
+        if present is not None:
+            self._before[sysid] = present
+        left = vehicle.restart(replace(spec, baseline=baseline, settings=settings), now)
+        return (*left, Note(f"{parameter.name} set from {parameter.value(before):g} to {value:g}"))

@@ -1,0 +1,149 @@
+"""Are the units what they are taken for? Gravity weighs the accelerometer, the attitude's slope the gyro.
+
+A vehicle that stands or hovers feels 1 g, whatever the units of its messages are. RAW_IMU has none by definition: how
+many counts 1 g is tells what the counts are. The gyro integrates to the change of attitude: how much it is of that
+change gives its scale and sign, and the shift at which both agree best its delay.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray, Series
+from mavdiag.units import NS_PER_S, G
+
+__all__ = ["CONTRARY", "AxisCheck", "gravity_of", "gyro_checks", "scale_of"]
+
+CONTRARY = 1.4  # an acceleration so many times off 1 g is of another scale; 2048/1000 counts are 2.05 (our choice)
+ALIKE = 0.1  # counts this near to a known scale are of it (our choice: hovering does not weigh better)
+LAGS_S = np.arange(-0.2, 0.2001, 0.002)  # delays that are tried
+LEAST_MOTION = 0.02  # rad/s, standard deviation of a rate below which it says nothing of the gyro (our choice)
+LEAST_STEPS = 50  # of the attitude
+MOST_STEPS = 2000  # of them that are compared: those that turn fastest
+SURE = 0.8  # correlation below which scale and delay are not believed (our choice)
+SCALE_OK = 0.2  # a scale this near to 1 is right: filters and slow attitude streams take their part (our choice)
+USUAL = 3.0  # steps of the attitude above this multiple of the median are gaps (our choice)
+
+# Counts of 1 g, and what they are. Two's complement of 16 bits over the full scale of the sensor.
+_SCALES = (
+    (1000.0, "milli-g, as ArduPilot sends it"),
+    (1365.0, "16 bits over 24 g (BMI088)"),
+    (2048.0, "16 bits over 16 g (IIM-42652, ICM-20689, MPU-6000)"),
+    (4096.0, "16 bits over 8 g"),
+    (8192.0, "16 bits over 4 g"),
+    (16384.0, "16 bits over 2 g"),
+)
+# How many times too large a gyro may come, and what it is then.
+_RATES = (
+    (180.0 / np.pi, "deg/s"),
+    (np.pi / 180.0, "rad/s taken for deg/s"),
+    (1000.0, "mrad/s"),
+    (1e-3, "rad/s taken for mrad/s"),
+)
+
+
+def scale_of(counts: float) -> str:
+    """What counts of 1 g are.
+
+    >>> scale_of(2061.0)
+    '16 bits over 16 g (IIM-42652, ICM-20689, MPU-6000)'
+    >>> scale_of(3000.0)
+    'of no known scale'
+    """
+    return next((name for one, name in _SCALES if abs(counts / one - 1.0) <= ALIKE), "of no known scale")
+
+
+def gravity_of(force: FloatArray) -> float:
+    """What a vehicle feels [g]: the norm of the mean of (n, 3) specific forces [m/s^2], which no vibration raises."""
+    return float(np.linalg.norm(force.mean(axis=0))) / G
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCheck:
+    """The gyro about one axis beside the slope of the attitude.
+
+    axis: roll, pitch or yaw.
+    scale: gyro over slope, with its sign; None where the axis hardly moved or both do not belong together.
+    delay_s: how much later the gyro is stamped; None likewise.
+    correlation: of both at that delay; 0 where the axis hardly moved.
+    verdict: one phrase.
+    """
+
+    axis: str
+    scale: float | None
+    delay_s: float | None
+    correlation: float
+    verdict: str
+
+
+def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
+    """Scale, sign and delay of the gyro, by axis; empty where too little of either came.
+
+    The slope of the attitude between two of its samples, as body rates (W of the order yaw, pitch, roll), is compared
+    with the mean gyro in between, shifted.
+    """
+    t_ns, first = np.unique(attitude.t_ns, return_index=True)
+    angles = np.unwrap(attitude.values[first], axis=0)
+    gyro_ns, own = np.unique(gyro.t_ns, return_index=True)
+    if len(t_ns) < LEAST_STEPS or len(gyro_ns) < LEAST_STEPS:
+        return ()
+    t, start_ns = (t_ns - t_ns[0]) / NS_PER_S, t_ns[0]
+    turned = _integral((gyro_ns - start_ns) / NS_PER_S, gyro.values[own])
+    steps = np.diff(t)
+    used = (steps < USUAL * np.median(steps)) & (t[:-1] > turned[0][0]) & (t[1:] < turned[0][-1])
+    if np.count_nonzero(used) < LEAST_STEPS:
+        return ()
+    slopes = _body_rates(0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None])
+    fastest = np.argsort(np.where(used, np.abs(slopes).max(axis=1), -1.0))[-min(MOST_STEPS, int(used.sum())) :]
+    slopes, begin, end = slopes[fastest], t[:-1][fastest], t[1:][fastest]
+    means = [_means(turned, begin + lag, end + lag) for lag in LAGS_S]
+    return tuple(
+        _axis_check(name, slopes[:, k], np.array([mean[:, k] for mean in means]))
+        for k, name in enumerate(("roll", "pitch", "yaw"))
+    )
+
+
+def _axis_check(name: str, slope: FloatArray, shifted: FloatArray) -> AxisCheck:
+    """slope: (n,) of the attitude; shifted: (lags, n) mean gyro."""
+    slope = slope - slope.mean()
+    gyro = shifted - shifted.mean(axis=1, keepdims=True)
+    if slope.std() < LEAST_MOTION:
+        return AxisCheck(name, None, None, 0.0, "hardly moved: turn it by hand, or fly")
+    norms = np.sqrt((gyro**2).sum(axis=1) * (slope**2).sum())
+    correlation = np.divide(gyro @ slope, norms, out=np.zeros(len(gyro)), where=norms > 0)
+    best = int(np.argmax(np.abs(correlation)))
+    found = float(correlation[best])
+    if abs(found) < SURE:
+        return AxisCheck(name, None, None, found, "does not follow the attitude: another axis, or a poor clock")
+    scale, delay_s = float(gyro[best] @ slope / (slope @ slope)), float(LAGS_S[best])
+    return AxisCheck(name, scale, delay_s, found, _verdict(scale))
+
+
+def _verdict(scale: float) -> str:
+    sign = "turns the wrong way; " if scale < 0 else ""
+    if abs(abs(scale) - 1.0) <= SCALE_OK:
+        return f"{sign}scale right" if sign else "right"
+    named = next((name for one, name in _RATES if abs(abs(scale) / one - 1.0) <= SCALE_OK), "")
+    return f"{sign}wrong scale" + (f": {named}" if named else "")
+
+
+def _integral(t: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angle turned since the first sample, (n, 3), by the trapezoidal rule; with its times."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None]
+    return t, np.vstack((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+
+
+def _means(turned: tuple[FloatArray, FloatArray], start: FloatArray, end: FloatArray) -> FloatArray:
+    """(n, 3) mean rates between two times each."""
+    t, angle = turned
+    change = [np.interp(end, t, column) - np.interp(start, t, column) for column in angle.T]
+    return np.stack(change, axis=1) / (end - start)[:, None]
+
+
+def _body_rates(angles: FloatArray, slopes: FloatArray) -> FloatArray:
+    """W(phi, theta) times the slopes of roll, pitch and yaw, (n, 3)."""
+    phi, theta = angles[:, 0], angles[:, 1]
+    dphi, dtheta, dpsi = slopes.T
+    turn = np.cos(theta) * dpsi
+    p, q = dphi - np.sin(theta) * dpsi, np.cos(phi) * dtheta + np.sin(phi) * turn
+    return np.stack((p, q, np.cos(phi) * turn - np.sin(phi) * dtheta), axis=1)

@@ -1,0 +1,322 @@
+"""The pilot of a commanded flight: arm, take off, go, hold, land, return, fly a mission, disarm.
+
+Sans-I/O: commands and samples in, a `Leg` for the plant out. A vehicle that follows a path of its own has a pilot that
+refuses what would change it. Its figures are our choice; those of ArduPilot and PX4 say so.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.link.messages import MavResult
+from sitl_plant.autopilot.firmware import Firmware, Mode
+from sitl_plant.autopilot.parameters import Parameters
+from sitl_plant.physics.attitude import wrapped
+from sitl_plant.physics.trajectory import (
+    BELOW_M,
+    CLIMB_M_S,
+    DESCENT_M_S,
+    DISARMED,
+    FLYING,
+    IDLE,
+    LANDING,
+    REFERENCE,
+    Leg,
+    follow,
+)
+from sitl_plant.plant import STEP_NS, PlantSamples
+
+__all__ = ["NOSE", "Pilot", "Waypoint"]
+
+ACCEPT_M, SETTLE_S, LATE_S = 0.3, 0.5, 10.0  # a waypoint is reached: so near, so long after the line ends; or so late
+REACH_M, LOWEST_M = 500.0, 0.3  # from home to a waypoint, and above the ground
+TURN_RAD_S = 1.0
+NOSE, NOSE_FROM_M = "SIM_NOSE", 0.5  # parameter: 1 turns the nose along a line at least so long, 0 leaves it
+VELOCITY_S = 3.0  # a velocity set-point is obeyed so long (ArduPilot: GUID_TIMEOUT)
+LANDED_S = 2.0  # on the ground after a landing, before the motors disarm
+IDLE_S = 10.0  # armed on the ground without a take-off (ArduPilot: DISARM_DELAY)
+
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """Something to do in flight.
+
+    place: where to go, world NED [m]; None stays. lands: goes down there until the motors stop.
+    yaw: of the nose; None leaves it to `NOSE`.
+    speed: on the way [m/s]; None for the parameter's.
+    wait_s: at its end.
+    item: of the mission, to report it; None for another order.
+    """
+
+    place: Place | None = None
+    yaw: float | None = None
+    speed: float | None = None
+    wait_s: float = 0.0
+    lands: bool = False
+    item: int | None = None
+
+    @property
+    def passes(self) -> bool:
+        """Whether it is an item of a mission in which nothing is flown."""
+        return self.item is not None and self.place is None and not self.wait_s and not self.lands
+
+
+def _far(place: Place) -> bool:
+    """Whether a place is out of reach."""
+    return max(abs(place[0]), abs(place[1]), -place[2]) > REACH_M or place[2] > -LOWEST_M
+
+
+class Pilot:
+    """Flies one vehicle. commanded: it stands on the ground and waits; else it follows its own path and takes no order.
+
+    custom_mode: as HEARTBEAT says it.
+    first: the mission's item that is flown, or with which it begins.
+    """
+
+    def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
+        self._firmware, self._parameters, self._commanded = firmware, parameters, commanded
+        self.custom_mode = firmware.shown(Mode.HOLD) if commanded else custom_mode
+        self._now_s, self._position, self._flies = 0.0, (0.0, 0.0, 0.0), not commanded
+        self.armed = not commanded
+        self._leg, self._turned = Leg(), False
+        self._plan: deque[Waypoint] = deque()
+        self._doing: Waypoint | None = None
+        self._ends_s = math.inf  # when the present line is over
+        self._idle_since_s = 0.0
+        self._mission: tuple[Waypoint, ...] = ()
+        self.first = 0
+        self._texts: list[str] = []
+        self._reached: list[int] = []
+        if commanded:
+            self._led()  # compiles it, which would take a second in flight
+
+    @property
+    def refused(self) -> MavResult:
+        """What a command gets that the vehicle's state does not allow."""
+        return self._firmware.refused
+
+    @property
+    def position(self) -> Place:
+        """Where the vehicle is, world NED [m]."""
+        return self._position
+
+    def take_texts(self) -> list[str]:
+        """What the pilot has to say since the last call."""
+        said, self._texts = self._texts, []
+        return said
+
+    def take_reached(self) -> list[int]:
+        """Items of the mission that were reached since the last call."""
+        reached, self._reached = self._reached, []
+        return reached
+
+    def plan_mission(self, waypoints: Iterable[Waypoint]) -> None:
+        """Set what the mission is; it is flown once the mode says so and the vehicle is armed."""
+        self._mission, self.first = tuple(waypoints), 0
+
+    def skip_to(self, item: int) -> None:
+        """Go on with another item of the mission, or begin with it."""
+        self.first = item
+        if self._mode is Mode.MISSION and self.armed:
+            self._fly_mission()
+
+    def arm(self, on: bool, force: bool = False) -> MavResult:
+        """Start or stop the motors on the ground; in flight stop them only by force."""
+        if on == self.armed:
+            return MavResult.ACCEPTED
+        if not self._commanded:
+            return self._refuse("it follows its own path")
+        if not on and self._flies and not force:
+            return self._refuse("disarming is denied in flight")
+        self.armed = on
+        self._plan.clear()
+        self._doing, self._idle_since_s, self._ends_s = None, self._now_s, math.inf
+        ground = (self._position[0], self._position[1], 0.0)
+        self._lead(ground if not self._flies else self._position, motors=IDLE if on else DISARMED)
+        self._texts.append("Armed" if on else "Disarmed")
+        if on and self._mode is Mode.MISSION:
+            self._fly_mission()
+        return MavResult.ACCEPTED
+
+    def take_off(self, height_m: float | None) -> MavResult:
+        """Climb. height_m: above home; None for the parameter's."""
+        wrong_mode = self._firmware.needs_guided and self._mode is not Mode.GUIDED
+        if not self._commanded or not self.armed or self._flies or wrong_mode:
+            return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
+        height = self._unit(self._firmware.height) if height_m is None else height_m
+        place = (self._position[0], self._position[1], -height)
+        if _far(place):
+            return MavResult.DENIED
+        self.custom_mode = self._firmware.shown(self._firmware.takeoff)
+        self._start([Waypoint(place)])
+        return MavResult.ACCEPTED
+
+    def go(self, place: Place, yaw: float | None = None, speed: float | None = None) -> MavResult:
+        """Fly to a place and hold there."""
+        if not self._in_flight():
+            return self._refuse("it is not in flight")
+        if _far(place):
+            return MavResult.DENIED
+        self.custom_mode = self._firmware.shown(self._firmware.reposition)
+        self._start([Waypoint(place, yaw, speed)])
+        return MavResult.ACCEPTED
+
+    def set_point(self, place: Place, yaw: float | None, speed: float | None = None) -> None:
+        """Follow a position set-point, which is obeyed in guided flight only and not answered."""
+        if self._in_flight() and self._mode is Mode.GUIDED and not _far(place):
+            same = self._doing is not None and self._doing.place is not None and self._doing.yaw == yaw
+            if not (same and math.dist(self._leg.end, place) < 0.01):
+                self._start([Waypoint(place, yaw, speed)])
+
+    def set_velocity(self, velocity: Place, yaw: float | None) -> None:
+        """Follow a velocity set-point [m/s]; it is obeyed for 3 s."""
+        here = self._led()
+        north, east, down = (at + VELOCITY_S * rate for at, rate in zip(here[:3], velocity, strict=True))
+        self.set_point((north, east, min(down, -LOWEST_M)), yaw, math.hypot(*velocity))
+
+    def set_mode(self, custom_mode: int) -> MavResult:
+        """Change the flight mode, and do what it means."""
+        code = self._firmware.code(custom_mode)
+        if custom_mode == self.custom_mode:
+            return MavResult.ACCEPTED
+        if code is None:
+            return MavResult.DENIED
+        if not self._commanded or (code.mode is Mode.MISSION and not self._mission):
+            return self._refuse("there is no mission" if self._commanded else "it follows its own path")
+        if code.mode is Mode.TAKEOFF:
+            return self.take_off(None)
+        self.custom_mode = custom_mode
+        if self.armed and code.mode is Mode.MISSION:
+            self._fly_mission()
+        elif self._flies:
+            self._start(self._way_of(code.mode))
+        return MavResult.ACCEPTED
+
+    def do(self, mode: Mode) -> MavResult:
+        """As `set_mode`, for what the mode is to do."""
+        return self.set_mode(self._firmware.shown(mode))
+
+    def set_speed(self, speed: float) -> MavResult:
+        """Change the speed of lines to come [m/s]."""
+        taken = self._parameters.change(self._firmware.speed, speed / self._firmware.unit)
+        return MavResult.ACCEPTED if taken else MavResult.DENIED
+
+    def step(self, samples: PlantSamples) -> Leg | None:
+        """See what happened in a block (n >= 1); what to be led along from now on, None to go on as before."""
+        self._now_s = (int(samples.t_ns[-1]) + STEP_NS) * 1e-9
+        north, east, down = samples.position[-1].tolist()
+        self._position, self._flies = (north, east, down), bool(samples.motors[-1] == FLYING)
+        if not self._commanded:
+            return None
+        if self._flies:
+            self._idle_since_s = self._now_s
+        doing = self._doing
+        if doing is None:
+            if self.armed and self._now_s - self._idle_since_s > IDLE_S:
+                self.arm(False)
+        elif doing.lands:
+            if self._now_s - self._idle_since_s > LANDED_S:
+                self._finish(doing)
+                self.arm(False)
+        elif self._arrived():
+            self._finish(doing)
+            self._next()
+        turned, self._turned = self._turned, False
+        return self._leg if turned else None
+
+    @property
+    def _mode(self) -> Mode | None:
+        code = self._firmware.code(self.custom_mode)
+        return code.mode if code else None
+
+    def _in_flight(self) -> bool:
+        return self._commanded and self.armed and self._flies
+
+    def _refuse(self, why: str) -> MavResult:
+        self._texts.append(f"Refused: {why}")
+        return self.refused
+
+    def _unit(self, name: str) -> float:
+        return self._parameters.value(name) * self._firmware.unit
+
+    def _way_of(self, mode: Mode) -> list[Waypoint]:
+        """What a mode does with a vehicle in flight."""
+        if mode is Mode.LAND:
+            return [Waypoint(lands=True)]
+        if mode is Mode.RTL:
+            north, east, down = self._led()[:3]
+            down = min(down, -self._unit(self._firmware.return_height))
+            return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
+        return [Waypoint()]
+
+    def _fly_mission(self) -> None:
+        self._start(one for one in self._mission if one.item is None or one.item >= self.first)
+
+    def _start(self, plan: Iterable[Waypoint]) -> None:
+        self._plan = deque(plan)
+        place = next((one.place for one in self._plan if one.place is not None), None)
+        if not self._flies and place is not None:  # straight up to its height
+            self._plan.appendleft(Waypoint((self._position[0], self._position[1], place[2])))
+        self._next()
+
+    def _finish(self, done: Waypoint) -> None:
+        self._doing = None
+        if done.item is not None and not (self._plan and self._plan[0].item == done.item):
+            self._reached.append(done.item)
+
+    def _next(self) -> None:
+        """Begin the next waypoint; without one, hold."""
+        while self._plan and self._plan[0].passes:
+            self._finish(self._plan.popleft())
+        if not self._plan:
+            if self._mode in (Mode.TAKEOFF, Mode.MISSION):
+                self.custom_mode = self._firmware.shown(Mode.HOLD)
+            self._doing = None
+            return
+        doing = self._doing = self._plan.popleft()
+        self.first = doing.item if doing.item is not None else self.first
+        led = self._led()
+        here = (led[0], led[1], led[2])
+        if doing.lands:
+            self._lead((here[0], here[1], BELOW_M), DESCENT_M_S, then=LANDING)
+        else:
+            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.speed), doing.yaw)
+        turn_s = abs(self._leg.turn) / self._leg.turn_speed
+        self._ends_s = self._now_s + max(math.dist(here, self._leg.end) / self._leg.speed, turn_s) + doing.wait_s
+
+    def _arrived(self) -> bool:
+        over_s = self._now_s - self._ends_s
+        return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self._position, self._leg.end) < ACCEPT_M)
+
+    def _led(self) -> tuple[float, ...]:
+        """The reference now: position, velocity, yaw, yaw rate, motors."""
+        out = np.zeros(REFERENCE)
+        follow(self._leg, self._now_s, out)
+        return tuple(out.tolist())
+
+    def _lead(
+        self,
+        end: Place,
+        speed: float = CLIMB_M_S,
+        yaw: float | None = None,
+        motors: float = FLYING,
+        then: float | None = None,
+    ) -> None:
+        led = self._led()
+        start = (led[0], led[1], led[2])
+        ahead, up = math.hypot(end[0] - start[0], end[1] - start[1]), abs(end[2] - start[2])
+        if yaw is None and motors == FLYING and ahead > NOSE_FROM_M and self._parameters.value(NOSE):
+            yaw = math.atan2(end[1] - start[1], end[0] - start[0])
+        turn = 0.0 if yaw is None else float(wrapped(yaw - led[6]))
+        if up:  # neither climbs nor descends faster than take-off
+            speed = min(speed, CLIMB_M_S * math.hypot(ahead, up) / up)
+        if motors != FLYING:
+            start = end
+        then = motors if then is None else then
+        self._leg = Leg(self._now_s, start, end, max(speed, 0.01), led[6], turn, TURN_RAD_S, float(motors), float(then))
+        self._turned = True

@@ -1,0 +1,115 @@
+"""ArduPilot's JSON physics (its `libraries/SITL/examples/JSON/readme.md`): servo frames in, one line of JSON out.
+
+    uint16 magic (18458: 16 channels, 29569: 32), uint16 frame_rate [Hz], uint32 frame_count, uint16 pwm[] [us]
+
+ArduPilot sends a frame, waits for the answer, and sends the frame again if none came within about a second. So every
+frame is one span of 1/frame_rate, and the same number a second time is the same span: its answer is sent again. A
+number that falls means that ArduPilot was started anew: so is the plant, on the ground.
+"""
+
+import json
+import struct
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+from sitl_plant.hil.outputs import OutputMap
+from sitl_plant.hil.simulation import Simulation
+from sitl_plant.plant import PlantSamples
+
+__all__ = ["Counts", "Lockstep", "ServoFrame", "answer", "servo_frame"]
+
+CHANNELS = {18458: 16, 29569: 32}  # by magic
+SILENT_S = 2.0  # an autopilot that sent nothing for so long gives way to any other (our choice)
+LONGEST_S = 1.0  # of one frame: a smaller rate is no simulation
+_head = struct.Struct("<HHI")
+
+
+@dataclass(frozen=True, slots=True)
+class ServoFrame:
+    """One frame of ArduPilot. rate_hz: of its frames. count: its running number. pwm: (16,) or (32,) [us]."""
+
+    rate_hz: int
+    count: int
+    pwm: tuple[int, ...]
+
+
+def servo_frame(data: bytes) -> ServoFrame | None:
+    """The frame in a datagram, None if it is none: another magic, another length, or no rate."""
+    if len(data) < _head.size:
+        return None
+    magic, rate_hz, count = _head.unpack_from(data)
+    channels = CHANNELS.get(magic)
+    if channels is None or len(data) != _head.size + 2 * channels or rate_hz * LONGEST_S < 1.0:
+        return None
+    return ServoFrame(rate_hz, count, struct.unpack_from(f"<{channels}H", data, _head.size))
+
+
+def answer(row: PlantSamples) -> bytes:
+    """What the sensors measured, and where the vehicle is. ArduPilot's parser wants no blanks, and a line end before.
+
+    row: samples of length 1.
+    """
+    line = {
+        "timestamp": row.t_ns[0].item() * 1e-9,
+        "imu": {"gyro": row.gyro[0].tolist(), "accel_body": row.accel[0].tolist()},
+        "position": row.position[0].tolist(),
+        "quaternion": row.quaternion[0].tolist(),
+        "velocity": row.velocity[0].tolist(),
+    }
+    return b"\n" + json.dumps(line, separators=(",", ":")).encode() + b"\n"
+
+
+@dataclass(slots=True)
+class Counts:
+    """What came in.
+
+    frames: answered for the first time. resent: answered again. restarts: of the autopilot.
+    foreign: datagrams that are no servo frame. ignored: frames of an autopilot that another one has replaced.
+    """
+
+    frames: int = 0
+    resent: int = 0
+    restarts: int = 0
+    foreign: int = 0
+    ignored: int = 0
+
+
+class Lockstep:
+    """One simulation and the autopilot that flies it: that of the newest address."""
+
+    def __init__(self, simulation: Simulation, outputs: OutputMap) -> None:
+        self.counts = Counts()
+        self._simulation, self._outputs = simulation, outputs
+        self._peer: Hashable = None
+        self._replaced: Hashable = None
+        self._heard_s = 0.0
+        self._count: int | None = None
+        self._answer = b""
+
+    def feed(self, data: bytes, peer: Hashable, now_s: float) -> bytes | None:
+        """The answer to a datagram of `peer`; None for no answer. now_s: any clock that only goes on."""
+        frame = servo_frame(data)
+        if frame is None:
+            self.counts.foreign += 1
+            return None
+        if peer == self._replaced and now_s - self._heard_s < SILENT_S:
+            self.counts.ignored += 1
+            return None
+        fresh = peer != self._peer
+        if fresh:
+            self._replaced, self._peer = self._peer, peer
+        self._heard_s = now_s
+        self._answer = self._next(frame, fresh)
+        return self._answer
+
+    def _next(self, frame: ServoFrame, fresh: bool) -> bytes:
+        """The answer to the next frame. fresh: from an address that did not fly before."""
+        if frame.count == self._count and not fresh:
+            self.counts.resent += 1
+            return self._answer
+        if self._count is not None and frame.count <= self._count:
+            self.counts.restarts += 1
+            self._simulation.restart()
+        self._count = frame.count
+        self.counts.frames += 1
+        return answer(self._simulation.step(self._outputs.from_pwm(frame.pwm), 1.0 / frame.rate_hz))

@@ -1,0 +1,217 @@
+"""The commands that put the plant under an autopilot outside (edge)."""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, get_args
+
+import typer
+
+from mavdiag import commandline
+from mavdiag.errors import UsageError
+from mavdiag.link.ports import open_endpoint
+from sitl_plant.config import PlantConfig, fault_injection
+from sitl_plant.hil.ardupilot import Lockstep
+from sitl_plant.hil.datagrams import Datagrams
+from sitl_plant.hil.outputs import AutopilotName, OutputMap, output_map
+from sitl_plant.hil.parameters import parameter_file
+from sitl_plant.hil.px4 import Bridge
+from sitl_plant.hil.serve import serve_frames, serve_json
+from sitl_plant.hil.simulation import FLYING_M, HilPlan, Simulation
+from sitl_plant.options import TruthFile, VehicleName, parse_speed, with_options
+from sitl_plant.physics.airframe import Payload
+from sitl_plant.truth_file import TruthWriter, truth_file
+from sitl_plant.vehicle import Vehicle, vehicle_from
+
+__all__ = ["HilOptions", "OnsetFrom", "hil_options", "serve_ardupilot", "serve_hil", "serve_px4"]
+
+_ROTOR = "Damaged rotor, as the vehicle's file counts."
+
+
+class OnsetFrom(StrEnum):
+    """From when --onset counts."""
+
+    TAKEOFF = "takeoff"
+    START = "start"
+
+
+@dataclass(frozen=True, slots=True)
+class HilOptions:
+    """What the commands share. duration_s: infinite if it was left open. fault: what is told of it, empty for none."""
+
+    plan: HilPlan
+    vehicle: Vehicle
+    duration_s: float
+    truth: Path | None
+    fault: str
+    rotor: int
+    parameters_of: AutopilotName | None
+
+    @contextmanager
+    def simulation(self, name: str, rate_hz: float) -> Iterator[Simulation]:
+        """The simulation, with its truth file open. name, rate_hz: of the link, for the truth file."""
+        with truth_file(self.truth) as lines:
+            yield Simulation(self.plan, TruthWriter(lines, self.plan.config, name, rate_hz, None).write)
+
+    def announce(self, autopilot: str, address: str, outputs: OutputMap) -> None:
+        """One line: who may connect where, and what will happen."""
+        what = f"{self.fault} on rotor {self.rotor} (motor {outputs.motor(self.rotor)})" if self.fault else "healthy"
+        when = self.fault and f" {self.onset_text}"
+        typer.echo(f"{self.vehicle.name} stands ready, {what}{when}; waiting for {autopilot} on {address}")
+
+    @property
+    def onset_text(self) -> str:
+        """When the fault begins, in words."""
+        if self.plan.after_takeoff:
+            return f"{self.plan.after_takeoff[0].onset_s:g} s after the take-off"
+        return f"{self.plan.config.onset_s:g} s after the start"
+
+
+def hil_options(
+    vehicle: VehicleName = "qdrone2",
+    drone: Annotated[int, typer.Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")] = 1,
+    fault: Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")] = None,
+    rotor: Annotated[int, typer.Option(help=_ROTOR)] = 1,
+    onset: Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")] = 0.0,
+    onset_from: Annotated[
+        OnsetFrom, typer.Option(help=f"Count --onset from the first {FLYING_M:g} m of height, or from the start.")
+    ] = OnsetFrom.TAKEOFF,
+    phenomenology: Annotated[
+        float, typer.Option(help="Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1.")
+    ] = 1.0,
+    wind: Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")] = 0.0,
+    turbulence: Annotated[
+        float, typer.Option(metavar="W20", help="Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s].")
+    ] = 0.0,
+    payload: Annotated[float, typer.Option(metavar="KG", help="Point mass below the body.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Equal seeds and equal commands give equal flights.")] = 0,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
+    ] = None,
+    truth: TruthFile = None,
+    print_parameters: Annotated[
+        str | None,
+        typer.Option(metavar="ardupilot|px4", help="Print the parameter file to load into the autopilot, and end."),
+    ] = None,
+) -> HilOptions:
+    """Check the options and put them together. Raises UsageError for what cannot be flown."""
+    if duration is not None and not duration > 0.0:
+        raise UsageError(f"duration must be positive, not {duration:g}")
+    if not (math.isfinite(onset) and onset >= 0.0):
+        raise UsageError(f"--onset must be zero or more, not {onset:g}")
+    if fault is None and onset > 0.0:
+        raise UsageError("--onset needs a fault: add --fault F2/SV2")
+    wanted = next((name for name in get_args(AutopilotName) if name == print_parameters), None)
+    if wanted != print_parameters:
+        raise UsageError(f"no parameters for {print_parameters!r}: give ardupilot or px4")
+    kind, from_start = vehicle_from(vehicle), onset_from is OnsetFrom.START
+    later = () if fault is None or from_start else (fault_injection(fault, rotor, onset, phenomenology),)
+    if not 1 <= rotor <= len(kind.rotors):
+        raise UsageError(f"rotor must be 1 to {len(kind.rotors)}, not {rotor}")
+    config = PlantConfig(
+        vehicle=kind,
+        drone=drone,
+        start="ground",
+        trajectory="hover",
+        fault=fault if from_start else None,
+        rotor=rotor,
+        onset_s=onset if from_start else 0.0,
+        phenomenology=phenomenology,
+        wind_m_s=wind,
+        turbulence_m_s=turbulence,
+        payload=Payload(payload),
+        seed=seed,
+    )
+    span = math.inf if duration is None else duration
+    return HilOptions(HilPlan(config, later), kind, span, truth, fault or "", rotor, wanted)
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+@with_options(hil_options)
+def serve_ardupilot(
+    options: HilOptions,
+    listen: Annotated[
+        str, typer.Option(metavar="udpin:HOST:PORT", help="Where ArduPilot (--model JSON:HOST) sends its frames.")
+    ] = "udpin:127.0.0.1:9002",
+) -> None:
+    """Be the JSON physics of ArduPilot, until the duration is over, SIGINT or SIGTERM. Exit code 0, or 2 for an error.
+
+    Rotors and outputs are those of the table [hil] of the vehicle's file.
+    """
+    if options.parameters_of:
+        typer.echo(parameter_file(options.vehicle, options.parameters_of), nl=False)
+        return
+    outputs = output_map(options.vehicle, "ardupilot")
+    with ExitStack() as stack:
+        port = stack.enter_context(Datagrams(listen))
+        simulation = stack.enter_context(options.simulation("ardupilot-json", 1000.0))
+        stop = stack.enter_context(commandline.stop_signals())
+        lockstep = Lockstep(simulation, outputs)
+        options.announce("ArduPilot", port.address, outputs)
+        started_s = time.monotonic()
+        serve_json(port, lockstep, simulation, duration_s=options.duration_s, stop=stop, say=_say)
+    counts, took_s = lockstep.counts, time.monotonic() - started_s
+    typer.echo(
+        f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
+        f"{counts.resent} answered again, {counts.restarts} restarts of the autopilot, "
+        f"{counts.foreign} foreign datagrams, {counts.ignored} of a replaced autopilot"
+    )
+
+
+Rate = Annotated[float, typer.Option(metavar="HZ", min=50.0, max=1000.0, help="Rate of HIL_SENSOR.")]
+
+
+@with_options(hil_options)
+def serve_px4(
+    options: HilOptions,
+    listen: Annotated[
+        str, typer.Option(metavar="tcpin:HOST:PORT", help="Where PX4 in simulation connects to.")
+    ] = "tcpin:127.0.0.1:4560",
+    rate: Rate = 250.0,
+    speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second, if PX4 keeps step.")] = "1",
+) -> None:
+    """Be the simulator of PX4, until the duration is over, SIGINT or SIGTERM. Exit code 0, or 2 for an error.
+
+    PX4 and the plant wait for each other, if PX4 was built so.
+    """
+    pace = parse_speed(speed)
+    _serve_mavlink(options, listen, rate, period_s=1.0 / (rate * pace) if pace else 0.0, hardware=False)
+
+
+@with_options(hil_options)
+def serve_hil(
+    options: HilOptions,
+    endpoint: Annotated[str, typer.Argument(help="/dev/ttyX,BAUD, or another address of a flight controller.")],
+    rate: Rate = 250.0,
+) -> None:
+    """Be sensors and motors of a PX4 flight controller in HIL mode, in real time. Exit code 0, or 2 for an error."""
+    _serve_mavlink(options, endpoint, rate, period_s=1.0 / rate, hardware=True)
+
+
+def _serve_mavlink(options: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
+    """hardware: a flight controller, which has a clock of its own."""
+    if options.parameters_of:
+        typer.echo(parameter_file(options.vehicle, options.parameters_of, hardware=hardware), nl=False)
+        return
+    outputs = output_map(options.vehicle, "px4")
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(open_endpoint(address))
+        simulation = stack.enter_context(options.simulation("px4-hil", rate_hz))
+        stop = stack.enter_context(commandline.stop_signals())
+        bridge = Bridge(simulation, outputs, rate_hz)
+        options.announce("a flight controller" if hardware else "PX4", endpoint.address, outputs)
+        started_s = time.monotonic()
+        span, lockstep = options.duration_s, not hardware
+        serve_frames(endpoint, bridge, period_s=period_s, lockstep=lockstep, duration_s=span, stop=stop, say=_say)
+        traffic = endpoint.traffic
+    typer.echo(
+        f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "
+        f"{traffic.sent} messages sent, {traffic.dropped} dropped, {bridge.restarts} restarts of the autopilot"
+    )

@@ -1,0 +1,146 @@
+"""PX4's simulator messages, and those of its flight controllers in HIL mode: frames in, frames out.
+
+    to PX4     HIL_SENSOR at the rate of the link, HIL_GPS at 10 Hz, HIL_STATE_QUATERNION (the truth), HEARTBEAT
+    from PX4   HIL_ACTUATOR_CONTROLS, HEARTBEAT, and SET_MESSAGE_INTERVAL for HIL_STATE_QUATERNION
+
+(https://docs.px4.io/main/en/simulation/#simulator-mavlink-api, and PX4's simulator_mavlink). PX4 in simulation takes
+its clock from HIL_SENSOR. Bit 0 of its flags says that it waits for each of them, and answers: then the plant waits,
+too. A flight controller has a clock of its own, and newer ones use the flags for other things.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mavdiag.link.codec import Encoder, Frame, field_index
+from mavdiag.link.messages import Autopilot, MavCmd, MavType, MessageId, ModeFlag
+from mavdiag.telemetry import FloatArray
+from mavdiag.units import G
+from sitl_plant.hil.instruments import TEMPERATURE_C, Instruments, fix_at
+from sitl_plant.hil.outputs import OutputMap
+from sitl_plant.hil.simulation import Simulation
+from sitl_plant.plant import PlantSamples
+
+__all__ = ["WANTED", "Bridge"]
+
+WANTED = (MessageId.HIL_ACTUATOR_CONTROLS, MessageId.HEARTBEAT, MessageId.COMMAND_LONG)
+LOCKSTEP = 1
+IMU, COMPASS, BARO = 0b111_111, 0b111_000_000, 0b1101_000_000_000  # HIL_SENSOR_UPDATED_FLAGS
+SYSID, COMPID = 142, 1  # our choice: neither a vehicle nor a ground station
+FIX_3D, SATELLITES = 3, 12
+CM = 100.0
+
+_CONTROLS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "controls")
+_FLAGS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "flags")
+_MODE = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "mode")
+_COMMAND = field_index(MessageId.COMMAND_LONG, "command")
+_PARAM1 = field_index(MessageId.COMMAND_LONG, "param1")
+_AUTOPILOT = field_index(MessageId.HEARTBEAT, "autopilot")
+_BASE_MODE = field_index(MessageId.HEARTBEAT, "base_mode")
+
+
+class _Due(NamedTuple):
+    """How often something is sent [s of flight], and when next."""
+
+    every_s: float
+    next_s: float = 0.0
+
+
+class Bridge:
+    """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR.
+
+    period_s: of HIL_SENSOR.
+    answered: whether controls came since the last `advance`. lockstep: whether they say that PX4 waits for us.
+    in_hil: what the last heartbeat of an autopilot says; None before the first.
+    controls: messages so far. restarts: of the autopilot.
+    """
+
+    def __init__(self, simulation: Simulation, outputs: OutputMap, rate_hz: float) -> None:
+        self.simulation = simulation
+        self._outputs = outputs
+        self.period_s = 1.0 / rate_hz
+        self._encoder = Encoder(SYSID, COMPID)
+        self._instruments = Instruments(simulation.config.seed)
+        self.controls = self.restarts = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self.answered = self.lockstep = False
+        self.in_hil: bool | None = None
+        self._duties: FloatArray = np.zeros(self.simulation.rotors)
+        self._dues = {"compass": _Due(0.02), "baro": _Due(0.05), "gps": _Due(0.1), "truth": _Due(0.02), "beat": _Due(1)}
+
+    def restart(self) -> None:
+        """The autopilot was started anew: so is the flight."""
+        self.restarts += 1
+        self.simulation.restart()
+        self._begin()
+
+    def hear(self, frame: Frame) -> None:
+        """Take what the autopilot sent."""
+        fields = frame.fields
+        if frame.msgid == MessageId.HIL_ACTUATOR_CONTROLS:
+            armed = int(fields[_MODE]) & ModeFlag.SAFETY_ARMED
+            shares = np.array(fields[_CONTROLS : _CONTROLS + 16], dtype=np.float64)
+            self._duties = self._outputs.from_share(shares if armed else np.zeros(16))
+            self.lockstep = bool(int(fields[_FLAGS]) & LOCKSTEP)
+            self.answered = True
+            self.controls += 1
+        elif frame.msgid == MessageId.HEARTBEAT and fields[_AUTOPILOT] != Autopilot.INVALID:
+            self.in_hil = bool(int(fields[_BASE_MODE]) & ModeFlag.HIL_ENABLED)
+        elif frame.msgid == MessageId.COMMAND_LONG and fields[_COMMAND] == MavCmd.SET_MESSAGE_INTERVAL:
+            wanted, interval_us = float(fields[_PARAM1]), float(fields[_PARAM1 + 1])
+            if wanted == MessageId.HIL_STATE_QUATERNION and interval_us > 0.0:
+                self._dues["truth"] = _Due(1e-6 * interval_us, self._dues["truth"].next_s)
+
+    def advance(self) -> list[bytes]:
+        """Fly one period with the latest controls, and say what the sensors show."""
+        row = self.simulation.step(self._duties, self.period_s)
+        self.answered = False
+        sent = [self._sensor(row)]
+        if self._is_due("gps"):
+            sent.append(self._gps(row))
+        if self._is_due("truth"):
+            sent.append(self._truth(row))
+        if self._is_due("beat"):
+            sent.append(self._encoder.encode(MessageId.HEARTBEAT, MavType.GENERIC, Autopilot.INVALID, 0, 0, 4, 3))
+        return sent
+
+    def _is_due(self, name: str) -> bool:
+        due, now_s = self._dues[name], self.simulation.t_s
+        if now_s < due.next_s - 1e-9:
+            return False
+        self._dues[name] = _Due(due.every_s, max(due.next_s + due.every_s, now_s))
+        return True
+
+    def _sensor(self, row: PlantSamples) -> bytes:
+        updated, field, pressure, altitude_m = IMU, [0.0, 0.0, 0.0], 0.0, fix_at(row.position[0]).altitude_m
+        if self._is_due("compass"):
+            updated, field = updated | COMPASS, self._instruments.compass(row.quaternion[0]).tolist()
+        if self._is_due("baro"):
+            updated, pressure = updated | BARO, self._instruments.pressure_hpa(altitude_m)
+        motion = (*row.accel[0].tolist(), *row.gyro[0].tolist())
+        air = (pressure, 0.0, altitude_m, TEMPERATURE_C)
+        return self._encoder.encode(MessageId.HIL_SENSOR, _micros(row), *motion, *field, *air, updated, 0)
+
+    def _gps(self, row: PlantSamples) -> bytes:
+        fix, (north, east, down) = fix_at(row.position[0]), (CM * row.velocity[0]).tolist()
+        course = np.degrees(np.arctan2(east, north)) % 360.0
+        place = (round(fix.latitude_deg * 1e7), round(fix.longitude_deg * 1e7), round(fix.altitude_m * 1e3))
+        moves = (np.hypot(north, east), north, east, down, CM * course)
+        return self._encoder.encode(
+            MessageId.HIL_GPS, _micros(row), FIX_3D, *place, 30, 40, *map(round, moves), SATELLITES
+        )
+
+    def _truth(self, row: PlantSamples) -> bytes:
+        fix = fix_at(row.position[0])
+        place = (round(fix.latitude_deg * 1e7), round(fix.longitude_deg * 1e7), round(fix.altitude_m * 1e3))
+        velocity, accel = (CM * row.velocity[0]).tolist(), (1e3 / G * row.accel[0]).tolist()
+        turns, air = (row.quaternion[0].tolist(), *row.omega[0].tolist()), (0, 0)
+        return self._encoder.encode(
+            MessageId.HIL_STATE_QUATERNION, _micros(row), *turns, *place, *velocity, *air, *accel
+        )
+
+
+def _micros(row: PlantSamples) -> int:
+    return int(row.t_ns[0]) // 1000

@@ -1,0 +1,183 @@
+"""The plant flies what its autopilot is commanded: arm, take off, go, hold, return, land, missions, failures."""
+
+import math
+
+import numpy as np
+import pytest
+from commanded import PLANT, Vehicle
+
+from mavdiag.errors import UsageError
+from mavdiag.link.messages import MavCmd, MavResult, MessageId
+from sitl_plant.autopilot.firmware import Mode
+from sitl_plant.autopilot.geo import HOME_ALT_M, to_global
+from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.trajectory import Leg
+from sitl_plant.plant import Plant, PlantConfig
+
+NAN = float("nan")
+
+
+def degrees(north: float, east: float) -> tuple[int, int]:
+    """Latitude and longitude in 1e-7 degrees."""
+    latitude, longitude, _ = to_global(np.array([[north, east, 0.0]]))[0].tolist()
+    return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def in_flight(profile: str = "px4") -> Vehicle:
+    """A vehicle at 1.5 m."""
+    vehicle = Vehicle(profile)
+    if profile == "ardupilot":
+        assert vehicle.send(MessageId.SET_MODE, 1, 1, 4)[0].fields[:2] == (11, MavResult.ACCEPTED)
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    height = NAN if profile == "px4" else 1.5
+    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, height) == MavResult.ACCEPTED
+    vehicle.fly(5.0)
+    assert vehicle.place == pytest.approx((0, 0, -1.5), abs=0.15)
+    return vehicle
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot", "qdrone2"])
+def test_a_flight_by_command_from_the_ground_to_the_ground(profile: str) -> None:
+    vehicle = in_flight(profile)
+    refused = {"px4": MavResult.TEMPORARILY_REJECTED, "ardupilot": MavResult.FAILED, "qdrone2": MavResult.DENIED}
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 0) == refused[profile]  # not in flight
+    there = degrees(2.0, -1.0)
+    goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *there, 2.0)
+    assert vehicle.send(MessageId.COMMAND_INT, *goto)[0].fields[1] == MavResult.ACCEPTED
+    vehicle.fly(5.0)
+    assert vehicle.place == pytest.approx((2.0, -1.0, -2.0), abs=0.15)
+    assert vehicle.now.attitude[-1, 2] == pytest.approx(math.atan2(-1.0, 2.0), abs=0.1)  # the nose went along
+    assert vehicle.order(MavCmd.NAV_RETURN_TO_LAUNCH) == MavResult.ACCEPTED
+    assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.RTL)
+    vehicle.fly(16.0)
+    assert vehicle.place == pytest.approx((0.0, 0.0, 0.0), abs=0.15)
+    assert not vehicle.armed
+    assert vehicle.autopilot.dialect.custom_mode != vehicle.code(Mode.GUIDED)
+    texts = [reply.fields[1] for reply in vehicle.said if reply.msgid == MessageId.STATUSTEXT]
+    assert texts == ["Armed", "Refused: disarming is denied in flight", "Disarmed"]
+
+
+def test_a_landing_is_followed_by_another_take_off() -> None:
+    vehicle = in_flight()
+    for _ in range(2):
+        assert vehicle.order(MavCmd.NAV_LAND) == MavResult.ACCEPTED
+        vehicle.fly(9.0)
+        assert not vehicle.armed
+        assert vehicle.order(MavCmd.NAV_TAKEOFF) == MavResult.TEMPORARILY_REJECTED  # not armed
+        assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+        assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, NAN, NAN, NAN, HOME_ALT_M + 1.0) == MavResult.ACCEPTED
+        vehicle.fly(4.0)
+        assert vehicle.place[2] == pytest.approx(-1.0, abs=0.15)
+        assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.HOLD)
+
+
+def test_by_force_it_stops_its_motors_in_flight_and_falls() -> None:
+    vehicle = in_flight()
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 0, 21196) == MavResult.ACCEPTED
+    vehicle.fly(2.0)
+    assert not vehicle.armed
+    assert vehicle.place[2] == pytest.approx(0.0, abs=0.05)
+
+
+def test_armed_and_forgotten_it_disarms() -> None:
+    vehicle = Vehicle()
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    vehicle.fly(9.0)
+    assert vehicle.armed
+    vehicle.fly(2.0)
+    assert not vehicle.armed
+
+
+def test_copter_takes_off_in_guided_only() -> None:
+    vehicle = Vehicle("ardupilot")
+    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 5) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.5) == MavResult.FAILED
+    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 4) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 1.5) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 99) == MavResult.DENIED
+
+
+def test_set_points_are_followed_in_guided_flight_only() -> None:
+    vehicle = in_flight()
+    position = (0, *PLANT, 1, 0b110111111000, 1.0, 1.0, -2.0)
+    vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *position)
+    vehicle.fly(3.0)
+    assert vehicle.place == pytest.approx((0.0, 0.0, -1.5), abs=0.15)
+    assert vehicle.order(MavCmd.DO_SET_MODE, 1, 6) == MavResult.ACCEPTED  # offboard
+    for _ in range(30):
+        vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *position)
+        vehicle.fly(0.1)
+    assert vehicle.place == pytest.approx((1.0, 1.0, -2.0), abs=0.2)
+    velocity = (0, *PLANT, 1, 0b110111000111, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0)
+    for _ in range(20):
+        vehicle.send(MessageId.SET_POSITION_TARGET_LOCAL_NED, *velocity)
+        vehicle.fly(0.1)
+    assert vehicle.now.velocity[-1] == pytest.approx((0.5, 0.0, 0.0), abs=0.2)
+    vehicle.fly(5.0)  # forgotten, it stops
+    assert vehicle.now.velocity[-1] == pytest.approx((0.0, 0.0, 0.0), abs=0.1)
+
+
+def test_out_of_reach_is_denied() -> None:
+    vehicle = in_flight()
+    for place in ((0.0, 600.0, 2.0), (1.0, 1.0, -1.0), (1.0, 1.0, 600.0)):
+        goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *degrees(*place[:2]), place[2])
+        assert vehicle.send(MessageId.COMMAND_INT, *goto)[0].fields[1] == MavResult.DENIED
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_mission_is_flown_item_by_item(profile: str) -> None:
+    vehicle = Vehicle(profile)
+    plan = [(22, 0.0, 0.0, 1.5), (16, 2.0, 0.0, 1.5), (16, 2.0, 1.0, 2.0), (21, 2.0, 1.0, 0.0)]
+    if profile == "ardupilot":
+        plan.insert(0, (16, 0.0, 0.0, 0.0))  # its item 0 is home
+    vehicle.send(MessageId.MISSION_COUNT, *PLANT, len(plan), 0)
+    for seq, (number, north, east, height) in enumerate(plan):
+        item = (*PLANT, seq, 6, number, 0, 1, 0.0, 0.0, 0.0, NAN, *degrees(north, east), height, 0)
+        answer = vehicle.send(MessageId.MISSION_ITEM_INT, *item)
+    assert [(reply.msgid, reply.fields[2]) for reply in answer] == [(MessageId.MISSION_ACK, 0)]
+    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
+    assert vehicle.order(MavCmd.MISSION_START) == MavResult.ACCEPTED
+    vehicle.fly(25.0)
+    assert vehicle.place == pytest.approx((2.0, 1.0, 0.0), abs=0.15)
+    assert not vehicle.armed
+    reached = [reply.fields[0] for reply in vehicle.said if reply.msgid == MessageId.MISSION_ITEM_REACHED]
+    assert reached == list(range(len(plan)))
+    highest = min(samples.position[:, 2].min() for samples in vehicle.flown)
+    assert highest == pytest.approx(-2.0, abs=0.15)
+
+
+def test_a_failure_names_a_motor_or_a_fault_of_the_thesis() -> None:
+    vehicle = in_flight()
+    inject = (MavCmd.INJECT_FAILURE, 101)
+    assert vehicle.order(*inject, 5, 2) == MavResult.ACCEPTED
+    vehicle.fly(0.1)
+    for name, value in (("SIM_PROP_FAULT", 2.0), ("SIM_PROP_SEV", 3.0)):
+        integer = np.array([round(value)], dtype="<i4").view("<f4")[0]
+        vehicle.send(MessageId.PARAM_SET, *PLANT, name, float(integer), 6)
+    assert vehicle.order(*inject, 1, 3) == MavResult.ACCEPTED
+    vehicle.fly(0.1)
+    assert vehicle.order(*inject, 0, 2) == MavResult.ACCEPTED
+    vehicle.fly(0.1)
+    changes = [change.what for change in vehicle.plant.take_changes()]
+    named = [(what.name, what.rotor) if isinstance(what, Injection) else str(what) for what in changes]
+    slow, broken = ("motor slow", 2), ("F2/SV3", 3)
+    assert named == ["clear", slow, "clear", slow, broken, "clear", broken]
+    assert vehicle.order(*inject, 0, 0) == MavResult.ACCEPTED
+    vehicle.fly(0.1)
+    assert [str(change.what) for change in vehicle.plant.take_changes()] == ["clear"]
+
+
+def test_the_battery_that_is_told_is_the_charge_that_was_drawn() -> None:
+    plant = Plant(PlantConfig(seed=1))
+    first = plant.advance(1)
+    samples = plant.advance(20_000)
+    assert 0.0 < first.charge_ah[0] < samples.charge_ah[-1] < 0.2
+    assert np.all(np.diff(samples.charge_ah) > 0.0)
+
+
+def test_a_path_of_its_own_cannot_be_led_and_a_commanded_one_needs_the_ground() -> None:
+    with pytest.raises(UsageError, match="square is followed without commands"):
+        Plant(PlantConfig()).lead(Leg())
+    with pytest.raises(UsageError, match="starts on the ground"):
+        PlantConfig(trajectory="commanded")

@@ -1,0 +1,219 @@
+"""The detector as a service: checked beforehand, supervised, stopped in an alert, with a full disk and dead links."""
+
+import json
+import resource
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from detector_process import PATIENCE_S, ended, port_of, ran, running, until
+from made_session import baseline_for
+from made_vehicle import MadeVehicle
+
+from detector.config import load_settings
+from mavdiag.link.ports import open_endpoint
+
+UDP = ("--connect", "udpin:127.0.0.1:0")
+LEARNING = ("--learn", "50", *UDP)
+
+
+@pytest.fixture
+def baseline(tmp_path: Path) -> Path:
+    path = tmp_path / "b.json"
+    baseline_for().save(path)
+    return path
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp_path: Path) -> None:
+    config = tmp_path / "detector.toml"
+    config.write_text(
+        f'baseline = "{baseline}"\njournal = "{tmp_path}/j.jsonl"\nforward = ["/dev/absent,57600"]\nmetrics = "9100"\n'
+        f'threshold_scale = 2.0\n[vehicles.3]\nbaseline = "{baseline}"\n'
+    )
+    before = sorted(tmp_path.iterdir())
+    with open_endpoint("udpin:127.0.0.1:0") as taken:
+        run = ran("--config", str(config), "--connect", taken.address, "--check")
+    assert run.returncode == 0, run.stderr
+    assert [line.split()[0] for line in run.stdout.splitlines()] == [
+        *("link", "watches", "judges", "vehicle", "thresholds", "forwards", "journal", "metrics")
+    ]
+    assert "made, qdrone2 at 100 Hz, 1 monitors" in run.stdout
+    assert "not now (/dev/absent,57600: no such device" in run.stdout
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--baseline", "absent.json"), "absent.json: no such file"),
+        (("--learn", "9", "--connect", "/dev/absent,57600"), "no such device"),
+        (("--learn", "9", "--connect", "udpout:no.such.host.invalid:14550"), "unknown host"),
+        (("--learn", "9", "--forward", "udpout:no.such.host.invalid:1"), "unknown host"),
+        (("--learn", "9", "--journal", "absent/j"), "there is no folder absent"),
+        (("--learn", "9", "--record", "."), "is a folder"),
+        (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
+        (("--learn", "9", "--airframe", "absent.toml"), "absent.toml"),
+    ],
+)
+def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
+    run = ran("--check", *options)
+    assert run.returncode == 2
+    assert words in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_the_printed_configuration_is_one_that_it_takes(tmp_path: Path) -> None:
+    run = ran("--print-config")
+    assert run.returncode == 0
+    (tmp_path / "c.toml").write_text(run.stdout)
+    assert load_settings(tmp_path / "c.toml", {}).learn == 120.0
+
+
+def test_the_environment_is_read(tmp_path: Path) -> None:
+    environ = {"MAVDIAG_DETECTOR_LEARN": "77", "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0"}
+    with running(environ=environ) as (_, first):
+        assert first.startswith("ready: tcpin:127.0.0.1:")
+        assert "learning from 77 s" in first
+
+
+@pytest.mark.realtime
+def test_a_service_manager_hears_when_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(PATIENCE_S)
+        environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "30000000"}
+        with running(*LEARNING, environ=environ) as (child, _):
+            found = [manager.recv(4096).decode() for _ in range(4)]
+            code, _ = ended(child, signal.SIGTERM)
+            while found[-1] != "STOPPING=1":
+                found.append(manager.recv(4096).decode())
+    assert code == 0
+    assert found[:4] == ["READY=1", "WATCHDOG=1", "STATUS=no vehicle was received yet", "WATCHDOG=1"]
+
+
+@pytest.mark.realtime
+def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> None:
+    metrics = ("--metrics", str(free_port()))
+    with running(*LEARNING, *metrics) as (child, _):
+        give_up = time.monotonic() + PATIENCE_S
+        while (run := ran("--health", *metrics)).returncode and time.monotonic() < give_up:
+            pass
+        assert (run.returncode, run.stdout) == (0, "healthy\n")
+        child.send_signal(signal.SIGSTOP)
+        run = ran("--health", *metrics)
+        child.send_signal(signal.SIGCONT)
+        assert run.returncode == 1
+        assert "does not answer (timed out)" in run.stdout
+    run = ran("--health", *metrics)
+    assert run.returncode == 1
+    assert "Connection refused" in run.stdout
+
+
+@pytest.mark.realtime
+def test_sigterm_in_an_alert_loses_no_event(baseline: Path, tmp_path: Path) -> None:
+    journal, vehicle = tmp_path / "j.jsonl", MadeVehicle(1)
+    with (
+        running("--baseline", str(baseline), *UDP, "--journal", str(journal)) as (child, first),
+        open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far,
+    ):
+        until(far, vehicle, "monitoring")
+        until(far, vehicle, "FAULT", 6.0)  # nothing is judged in the first seconds of a flight
+        vehicle.turning = 0.5
+        assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
+        code, _ = ended(child, signal.SIGTERM)
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    kinds = [line["kind"] for line in lines]
+    assert code == 0
+    assert kinds[-1] == "stop"
+    opened = [line for line in lines if line["kind"] == "opened"]
+    closed = [line for line in lines if line["kind"] == "event"]
+    assert len(opened) == 1
+    assert [(line["monitor"], line["t_s"], line["end_s"]) for line in closed] == [("fsd", opened[0]["t_s"], None)]
+    assert closed[0]["statistic"] >= opened[0]["statistic"]
+    assert any(line["kind"] == "text" and "FAULT" in line["text"] for line in lines)
+
+
+@pytest.mark.realtime
+def test_nohup_keeps_it_from_ending_with_its_terminal() -> None:
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    with running(*LEARNING, before=ignore) as (child, _):
+        child.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(1.0)
+        code, rest = ended(child, signal.SIGTERM)
+    assert code == 0
+    assert "stopped after" in rest
+
+
+@pytest.mark.realtime
+def test_a_full_disk_stops_the_files_and_nothing_else(baseline: Path, tmp_path: Path) -> None:
+    """A limit on the size of files stands for the disk: the system refuses to write beyond it."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    vehicle, journal = MadeVehicle(1), tmp_path / "j.jsonl"
+    options = ("--baseline", str(baseline), *UDP, "--journal", str(journal), "--record", str(tmp_path / "f.tlog"))
+    with running(*options, before=limit) as (child, first):
+        with open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:
+            until(far, vehicle, "monitoring")
+            until(far, vehicle, "FAULT", 6.0)
+            vehicle.turning = 0.5
+            assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
+        code, rest = ended(child, signal.SIGTERM)
+    assert code == 0
+    told = [line for line in rest.splitlines() if f"record {tmp_path}/f.tlog: " in line]
+    assert len(told) == 1
+    assert "cannot be written (the entry did not fit); watching goes on without it" in told[0]
+    assert "entries lost to the record" in rest.splitlines()[-1]
+    assert " 0 lost on the way" in rest
+    assert (tmp_path / "f.tlog").stat().st_size <= 20_000
+
+
+@pytest.mark.realtime
+def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> None:
+    """One server accepts and never reads, nobody listens on the other, and the device is not there."""
+    vehicle = MadeVehicle(1)
+    with socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.bind(("127.0.0.1", 0))
+        deaf.listen(1)
+        behind = (f"tcp:127.0.0.1:{deaf.getsockname()[1]}", f"tcp:127.0.0.1:{free_port()}", "/dev/absent,57600")
+        options = [part for address in behind for part in ("--forward", address)]
+        with running("--baseline", str(baseline), *UDP, *options) as (child, first):
+            with open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:
+                until(far, vehicle, "monitoring")
+                frames = vehicle.samples(20_000)  # 1.5 MB: more than the system keeps for the deaf one
+                for start in range(0, len(frames), 50):
+                    for frame in frames[start : start + 50]:
+                        far.send(frame)
+                    time.sleep(0.002)
+                vehicle.turning = 0.5
+                assert any("FAULT" in text for text in until(far, vehicle, "FAULT"))
+            code, rest = ended(child, signal.SIGTERM)
+    assert code == 0
+    assert " 0 lost on the way" in rest
+    assert "0 datagrams overflowed here" in rest
+
+
+@pytest.mark.realtime
+def test_a_second_start_on_the_same_files_goes_on_where_the_first_was_killed(baseline: Path, tmp_path: Path) -> None:
+    journal = tmp_path / "j.jsonl"
+    for _ in range(2):
+        with running("--baseline", str(baseline), *UDP, "--journal", str(journal)) as (child, _):
+            child.kill()
+            child.communicate(timeout=PATIENCE_S)
+    assert child.returncode == -signal.SIGKILL
+    assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "start"]

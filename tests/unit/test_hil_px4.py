@@ -1,0 +1,151 @@
+"""PX4's simulator messages by their bytes: what is sent, how often, and what the controls do."""
+
+import math
+from collections import Counter
+from itertools import chain
+
+import numpy as np
+import pytest
+from hil_bytes import controls_bytes, frames_in, mavlink_bytes, x25
+
+from mavdiag.link.codec import Decoder
+from sitl_plant.config import PlantConfig
+from sitl_plant.hil.outputs import output_map
+from sitl_plant.hil.px4 import WANTED, Bridge
+from sitl_plant.hil.simulation import HilPlan, Simulation
+
+RATE_HZ = 250
+HOME = (47.397742, 8.545594)
+
+
+def bridge() -> Bridge:
+    simulation = Simulation(HilPlan(PlantConfig(seed=3)))
+    return Bridge(simulation, output_map(simulation.config.vehicle, "px4"), RATE_HZ)
+
+
+def hear(link: Bridge, data: bytes) -> None:
+    for frame in Decoder(WANTED).feed(data, 0):
+        link.hear(frame)
+
+
+def sent(link: Bridge, periods: int) -> list[tuple[int, tuple[float, ...]]]:
+    return [
+        (msgid, values)
+        for message in chain.from_iterable(link.advance() for _ in range(periods))
+        for msgid, values, _ in frames_in(message)
+    ]
+
+
+def of(messages: list[tuple[int, tuple[float, ...]]], msgid: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return np.array([values for one, values in messages if one == msgid])
+
+
+def test_the_test_has_the_right_checksum() -> None:
+    assert x25(b"123456789") == 0x6F91  # CRC-16/MCRF4XX
+
+
+def test_messages_come_at_their_rates() -> None:
+    counts = Counter(msgid for msgid, _ in sent(bridge(), 10 * RATE_HZ))
+    within = {107: 0, 113: 2, 115: 10, 0: 1}
+    assert counts == {
+        msgid: pytest.approx(10 * rate_hz, abs=within[msgid])
+        for msgid, rate_hz in {107: RATE_HZ, 113: 10, 115: 50, 0: 1}.items()
+    }
+
+
+def test_the_sensors_of_a_vehicle_at_rest() -> None:
+    """Gravity, the field of Zurich in body axes, and the pressure at 488 m by the standard atmosphere."""
+    rows = of(sent(bridge(), 4 * RATE_HZ), 107)
+    np.testing.assert_array_equal(np.diff(rows[:, 0]), 4000)
+    np.testing.assert_allclose(rows[:, 1:4].mean(axis=0), [0.0, 0.0, -9.81], atol=0.02)
+    np.testing.assert_allclose(rows[:, 4:7].mean(axis=0), 0.0, atol=0.004)
+    updated = rows[:, 14].astype(int)
+    assert np.all(updated & 0b111_111 == 0b111_111)
+    compass, baro = updated & 0b111_000_000 != 0, updated & 0b1_000_000_000 != 0
+    assert set(updated[baro] & 0b1_101_000_000_000) == {0b1_101_000_000_000}
+    assert compass.sum() == pytest.approx(200, abs=4)
+    assert baro.sum() == pytest.approx(80, abs=2)
+    np.testing.assert_allclose(rows[compass, 7:10].mean(axis=0), [0.21523, 0.00771, 0.42741], atol=0.002)
+    assert rows[baro, 10].mean() == pytest.approx(1013.25 * (1 - 0.0065 * 488 / 288.15) ** 5.2559, abs=0.1)
+    assert len(np.unique(rows[compass, 7])) > 100, "a reading that stands still is a broken sensor to PX4"
+
+
+def test_the_place_of_a_vehicle_at_rest() -> None:
+    messages = sent(bridge(), RATE_HZ)
+    for msgid, first in ((113, 1), (115, 8)):
+        lat, lon, alt = of(messages, msgid)[-1][first : first + 3]
+        assert (lat, lon) == pytest.approx((HOME[0] * 1e7, HOME[1] * 1e7), abs=2)
+        assert alt == pytest.approx(488_000, abs=5)
+    gps = of(messages, 113)[-1]
+    assert (gps[11], gps[12]) == (3, 12)
+
+
+def test_controls_turn_the_motors_only_if_armed() -> None:
+    link = bridge()
+    hear(link, controls_bytes(0, [0.62] * 4, armed=False))
+    sent(link, 100)
+    assert link.simulation.now.rotor_speed.max() < 1.0
+    hear(link, controls_bytes(0, [0.62] * 4))
+    assert (link.answered, link.lockstep, link.controls) == (True, True, 2)
+    rows = of(sent(link, 100), 115)
+    assert not link.answered
+    assert rows[-1][13] < -20, "climbs, in cm/s down"
+    assert rows[-1][10] > 488_010
+
+
+def test_the_truth_is_in_degrees_and_moves_with_the_vehicle() -> None:
+    """0.001 degrees of latitude are 111.2 m; the field turns with the vehicle."""
+    link = bridge()
+    plant = link.simulation.plant
+    plant._state.rigid[:3] = 111.2, 0.0, -10.0
+    plant._state.rigid[6:10] = math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4)
+    messages = sent(link, 10)
+    truth = of(messages, 115)[0]
+    assert truth[8] == pytest.approx((HOME[0] + 0.001) * 1e7, abs=5)
+    assert truth[10] == pytest.approx(498_000, abs=50)
+    compass = of(messages, 107)[0][7:10]
+    np.testing.assert_allclose(compass, [0.00771, -0.21523, 0.42741], atol=0.01)
+
+
+def test_px4_asks_for_the_truth_at_another_rate() -> None:
+    link = bridge()
+    hear(link, mavlink_bytes(76, 115.0, 8e3, 0, 0, 0, 0, 0, 511, 0, 0, 0))
+    assert Counter(msgid for msgid, _ in sent(link, RATE_HZ))[115] == pytest.approx(125, abs=2)
+    hear(link, mavlink_bytes(76, 115.0, -1.0, 0, 0, 0, 0, 0, 511, 0, 0, 0))
+    hear(link, mavlink_bytes(76, 27.0, 1e3, 0, 0, 0, 0, 0, 511, 0, 0, 0))
+    assert Counter(msgid for msgid, _ in sent(link, RATE_HZ))[115] == pytest.approx(125, abs=2)
+
+
+def test_a_build_without_lockstep_is_noticed() -> None:
+    link = bridge()
+    hear(link, controls_bytes(0, [0.0] * 4, flags=0))
+    assert (link.answered, link.lockstep) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "base_mode", "in_hil"),
+    [(18, 8, 0, None), (2, 12, 81, False), (2, 12, 81 | 32, True)],
+    ids=["companion computer", "HIL mode off", "HIL mode on"],
+)
+def test_a_heartbeat_tells_of_hil_mode(kind: int, autopilot: int, base_mode: int, in_hil: bool | None) -> None:
+    link = bridge()
+    hear(link, mavlink_bytes(0, 0, kind, autopilot, base_mode, 4, 3))
+    assert link.in_hil is in_hil
+
+
+def test_outputs_that_are_no_numbers_stand_still() -> None:
+    link = bridge()
+    hear(link, controls_bytes(0, [math.nan, math.inf, -math.inf, 1e30]))
+    link.advance()
+    assert link.simulation.now.duty[0].tolist() == [1.0, 0.0, 1.0, 0.0]  # rotors 2, 3, 4, 1 at outputs 1 to 4
+
+
+def test_a_restarted_autopilot_finds_the_vehicle_on_the_ground() -> None:
+    link = bridge()
+    hear(link, controls_bytes(0, [0.62] * 4))
+    sent(link, 100)
+    risen_s = link.simulation.takeoff_s
+    assert risen_s is not None
+    link.restart()
+    assert (link.restarts, link.lockstep, link.simulation.takeoff_s) == (1, False, None)
+    assert of(sent(link, 1), 107)[0][0] < 10_000

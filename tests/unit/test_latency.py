@@ -1,0 +1,49 @@
+"""The time from a sample's arrival to its verdict: each sample once, none for those that are never judged."""
+
+import numpy as np
+import pytest
+
+from detector.latency import BOUNDS_S, FORGET_NS, MOST, Awaiting, LatencyCounts
+from mavdiag.telemetry import Series, Signal
+
+MS = 1_000_000
+
+
+def gyro(*ms: int) -> Series:
+    """Samples of these vehicle times, which come 5 ms later on a clock that is 1 s ahead."""
+    t_ns = np.array(ms, dtype=np.int64) * MS
+    return Series(Signal.BODY_RATE, t_ns, t_ns + 1005 * MS, np.zeros((len(t_ns), 3)))
+
+
+def test_a_sample_is_counted_when_the_judged_time_has_reached_it() -> None:
+    awaiting, judged = Awaiting().step(gyro(0, 10, 20), None, 1030 * MS)
+    assert judged.tolist() == []
+    awaiting, judged = awaiting.step(gyro(30), 10 * MS, 1040 * MS)
+    assert judged.tolist() == [1005 * MS, 1015 * MS]
+    awaiting, judged = awaiting.step(None, 30 * MS, 1050 * MS)
+    assert judged.tolist() == [1025 * MS, 1035 * MS]
+    assert awaiting.step(None, 30 * MS, 1060 * MS)[1].tolist() == []
+
+
+def test_a_sample_that_is_never_judged_is_forgotten() -> None:
+    awaiting, _ = Awaiting().step(gyro(0), None, 1010 * MS)
+    awaiting, judged = awaiting.step(None, 0, 1006 * MS + FORGET_NS)
+    assert judged.tolist() == []
+    assert len(awaiting.t_ns) == 0
+
+
+def test_memory_is_bounded() -> None:
+    awaiting = Awaiting()
+    for k in range(5):
+        awaiting, _ = awaiting.step(gyro(*range(4000 * k, 4000 * (k + 1))), None, 0)
+    assert len(awaiting.t_ns) == MOST
+
+
+def test_the_histogram_counts_each_latency_in_its_bin() -> None:
+    counts = LatencyCounts()
+    counts.add(np.array([0, 55 * MS, 1500 * MS], dtype=np.int64), 2000 * MS)
+    counts.add(np.array([], dtype=np.int64), 2000 * MS)
+    assert counts.counts.sum() == 3
+    assert counts.counts[-1] == 2  # beyond the last bound
+    assert counts.counts[BOUNDS_S.index(0.5)] == 1
+    assert counts.sum_s == pytest.approx(2.0 + 1.945 + 0.5)

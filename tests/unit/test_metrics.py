@@ -1,0 +1,123 @@
+"""The page of figures: what it has, that its label sets are bounded, and what the health command reads from it."""
+
+import re
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_session import baseline_for
+from made_vehicle import Bench, MadeVehicle
+
+from detector.config import Settings
+from detector.fleet import Turn
+from detector.health import ask_health, verdict
+from detector.metrics import Metrics
+from mavdiag.errors import LinkError, UsageError
+
+
+@pytest.fixture
+def metrics() -> Iterator[Metrics]:
+    one = Metrics("127.0.0.1", 0)
+    yield one
+    one.close()
+
+
+def page(metrics: Metrics) -> str:
+    with urllib.request.urlopen(f"http://127.0.0.1:{metrics.port}/metrics", timeout=5.0) as answer:
+        text: str = answer.read().decode()
+    return text
+
+
+def flown(metrics: Metrics, vehicles: int = 1) -> Bench:
+    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
+    flying = [MadeVehicle(k + 1) for k in range(vehicles)]
+    bench = Bench(settings, baseline_for(), vehicles=flying, links_behind=1, metrics=metrics)
+    bench.run(12.0)
+    return bench
+
+
+def value(text: str, name: str) -> float:
+    found = re.search(rf"^mavdiag_{re.escape(name)} (.+)$", text, re.MULTILINE)
+    assert found, name
+    return float(found[1])
+
+
+def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
+    bench = flown(metrics)
+    text = page(metrics)
+    bench.close()
+    assert value(text, 'state{state="monitoring",vehicle="1"}') == 1
+    assert value(text, 'state{state="lost",vehicle="1"}') == 0
+    assert value(text, 'frames_received{vehicle="1"}') > 2000
+    assert value(text, 'frames_lost{vehicle="1"}') == 0
+    assert value(text, 'stream_hertz{stream="body_rate",vehicle="1"}') == pytest.approx(100.0, rel=0.01)
+    assert value(text, 'judged_seconds{vehicle="1"}') > 4.0
+    assert 0.3 < value(text, 'judged_share{vehicle="1"}') < 1.0  # the first five seconds are not judged
+    assert 0.0 <= value(text, 'statistic_ratio{axis="roll",monitor="fsd",vehicle="1"}') < 1.0
+    assert value(text, 'link_connected{link="vehicle"}') == 1
+    assert value(text, 'link_dropped{link="behind 1 memory:near"}') == 0
+    assert value(text, "healthy") == 1
+
+
+def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> None:
+    bench = flown(metrics)
+    text = page(metrics)
+    count = value(text, "verdict_latency_seconds_count")
+    judge = bench.daemon.fleet.vehicles[1].session.state.judge
+    bench.close()
+    assert judge is not None
+    # The bench's clock stands still within a look: a sample waits for the filter's half window and for whole looks.
+    assert count == pytest.approx(100 * judge.flight_s, abs=150)
+    assert value(text, 'verdict_latency_seconds_bucket{le="0.15"}') > 0.8 * count
+    assert value(text, 'verdict_latency_seconds_bucket{le="+Inf"}') == count
+    assert value(text, "look_latency_seconds_count") == bench.vehicles[0].sent
+
+
+def test_the_page_does_not_grow_with_the_time(metrics: Metrics) -> None:
+    bench = flown(metrics, vehicles=3)
+    before = len(page(metrics).splitlines())
+    bench.run(10.0)
+    after = len(page(metrics).splitlines())
+    bench.close()
+    assert after <= before + 3 * 2  # an alarm or a ratio that was absent
+
+
+def test_before_the_first_look_there_is_nothing_and_that_is_not_healthy(metrics: Metrics) -> None:
+    assert "mavdiag_healthy" not in page(metrics)
+    healthy, words = ask_health(f"127.0.0.1:{metrics.port}")
+    assert not healthy
+    assert words == "not healthy: no figures of a detector that looks at its links"
+
+
+def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
+    with pytest.raises(LinkError, match="name another --metrics HOST:PORT"):
+        Metrics("127.0.0.1", metrics.port)
+
+
+@pytest.mark.parametrize(
+    ("page", "words"),
+    [
+        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 0.2", "healthy"),
+        ("mavdiag_healthy 0.0\nmavdiag_figures_age_seconds 0.2", "not healthy: all sessions are off"),
+        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 61.2", "not healthy: the loop hangs since 61 s"),
+        ("mavdiag_healthy one\nmavdiag_figures_age_seconds 0.2", "not healthy: no figures of a detector"),
+        ("<html>another server</html>", "not healthy: no figures of a detector"),
+    ],
+)
+def test_the_verdict_of_a_page(page: str, words: str) -> None:
+    healthy, said = verdict(page)
+    assert said.startswith(words)
+    assert healthy == (words == "healthy")
+
+
+def test_health_without_an_address_says_what_to_do() -> None:
+    with pytest.raises(UsageError, match="name the --metrics HOST:PORT"):
+        ask_health(None)
+
+
+def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:
+    two, one = np.array([0, 1], dtype=np.int64), np.array([2], dtype=np.int64)
+    metrics.observe([Turn(1, (), arrived_ns=two, judged_ns=two), Turn(2, (), arrived_ns=one)], 1_000_000)
+    assert (metrics._look.counts.sum(), metrics._verdict.counts.sum()) == (3, 2)

@@ -1,0 +1,128 @@
+"""What is changed in flight: causes, wind, battery; and what the truth file says of it."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from plant_cases import quiet_airframe
+
+from mavdiag.errors import UsageError
+from sitl_plant.changes import Change, Renewal, SteadyWind
+from sitl_plant.config import fault_injection
+from sitl_plant.physics.airframe import drone
+from sitl_plant.physics.injections import Injection, SensorFault, bending
+from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.truth import Truth
+from sitl_plant.vehicle import vehicle_named
+
+HOVER = PlantConfig(trajectory="hover", seed=4)
+
+
+def test_injected_in_flight_is_as_configured_before_it() -> None:
+    cause = Injection(bending(0.1, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
+    configured = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800)
+    plant = Plant(HOVER)
+    before = plant.advance(500)
+    plant.inject(cause)
+    after = plant.advance(300)
+    np.testing.assert_array_equal(np.vstack([before.gyro, after.gyro]), configured.gyro)
+
+
+def test_a_past_onset_means_now_and_a_coming_one_waits() -> None:
+    healthy = Plant(HOVER).advance(900)
+    plant = Plant(HOVER)
+    plant.advance(500)
+    plant.inject(fault_injection("F3/SV3", 3, onset_s=0.7))
+    np.testing.assert_array_equal(plant.advance(200).gyro, healthy.gyro[500:700])
+    plant.inject(fault_injection("F1/SV1", 1, onset_s=0.1))
+    assert not np.array_equal(plant.advance(200).gyro, healthy.gyro[700:900])
+    noted = [change.what for change in plant.take_changes()]
+    assert [one.onset_s for one in noted if isinstance(one, Injection)] == pytest.approx([0.7, 0.7])
+
+
+@pytest.mark.parametrize("name", ["qdrone2", "qdrone2-recorded"])
+def test_cleared_is_healthy_again(name: str) -> None:
+    """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro reads 0."""
+    vehicle = vehicle_named(name)
+    plant = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, fault="F1/SV1", rotor=4, seed=1))
+    plant.inject(Injection(bending(0.15, 1.0), rotor=2))
+    plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01)))
+    weak = plant.advance(6000).duty[-2000:].mean(axis=0)
+    plant.clear()
+    whole = plant.advance(8000)
+    healthy = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, seed=1)).advance(8000)
+    duty = healthy.duty[-2000:].mean(axis=0)
+    assert weak[1] / duty[1] > 1.05
+    np.testing.assert_allclose(whole.duty[-2000:].mean(axis=0), duty, rtol=0.01)
+    assert whole.gyro[-2000:, 2].mean() == pytest.approx(healthy.gyro[-2000:, 2].mean(), abs=0.005)
+
+
+def test_wind_leans_the_vehicle_by_its_drag() -> None:
+    """tan(lean) = drag x wind / weight: 0.25 x 3 / (1.504 x 9.81); wind to the north is met with the nose up."""
+    plant = Plant(PlantConfig(trajectory="hover", airframe=quiet_airframe(), seed=2))
+    plant.advance(1000)
+    plant.set_wind(SteadyWind(3.0, 0.0))
+    q = plant.advance(40_000).quaternion[-20_000:]
+    pitch = np.arcsin(2 * (q[:, 0] * q[:, 2] - q[:, 3] * q[:, 1]))
+    assert pitch.mean() == pytest.approx(math.atan(0.25 * 3.0 / (1.504 * 9.81)), rel=0.1)
+
+
+def test_a_fresh_battery_is_full() -> None:
+    """A hover of 30 s, 10 of them before t = 0, draws about 25 A: 0.21 A h, at 0.45 V/(A h)."""
+    plant = Plant(HOVER)
+    used = plant.advance(20_000).battery_v[-1000:].mean()
+    plant.renew_battery()
+    assert plant.advance(1000).battery_v.mean() - used == pytest.approx(0.45 * 25 * 30 / 3600, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("injection", "says"),
+    [(Injection(bending(0.1, 1.0), 9), "rotor must be 1 to 4"), (Injection(bending(0.1, 1.0), 1, 0.0, 0.1), "end_s")],
+)
+def test_what_cannot_be_injected_is_refused_and_not_noted(injection: Injection, says: str) -> None:
+    plant = Plant(HOVER)
+    plant.advance(200)
+    with pytest.raises(UsageError, match=says):
+        plant.inject(injection)
+    assert plant.take_changes() == ()
+
+
+def test_a_wind_of_no_number_is_refused() -> None:
+    with pytest.raises(UsageError, match="finite"):
+        SteadyWind(math.nan)
+
+
+def test_the_truth_has_every_change_with_its_time() -> None:
+    plant = Plant(PlantConfig(trajectory="hover", airframe=drone(vehicle_named("qdrone2"), 2), seed=4))
+    truth, lines = Truth(plant.config, "qdrone2", 1000.0, 10**18), []
+    plant.advance(500)
+    plant.inject(fault_injection("F2/SV2", 3, onset_s=0.75))
+    plant.inject(Injection(SensorFault("accel", 1, offset=0.2)))
+    plant.set_wind(SteadyWind(2.0, 1.0))
+    lines += truth.step(plant.advance(600), plant.take_changes())
+    plant.clear()
+    plant.renew_battery()
+    lines += truth.step(plant.advance(1000), plant.take_changes())
+    found = [json.loads(line) for line in lines]
+    told = [(one["record"], one["t_s"], one.get("fault"), one.get("rotor")) for one in found]
+    assert told == [
+        ("wind", 0.5, None, None),
+        ("onset", 0.5, None, None),
+        ("onset", 0.75, "F2/SV2", 3),
+        ("state", 1.0, None, None),
+        ("clear", 1.1, None, None),
+        ("battery", 1.1, None, None),
+        ("state", 2.0, None, None),
+    ]
+    assert [one["fault_present"] for one in found if one["record"] == "state"] == [True, False]
+    assert found[1]["cause"]["sensor"] == "accel"
+    assert found[0]["wind_m_s"] == 2.0
+    assert found[2]["unix_ns"] == 10**18 + 750_000_000
+
+
+def test_the_last_changes_are_kept_if_nobody_takes_them() -> None:
+    plant = Plant(HOVER)
+    for _ in range(1001):
+        plant.renew_battery()
+    assert plant.take_changes() == (Change(0, Renewal.BATTERY),) * 1000

@@ -1,0 +1,116 @@
+"""Each path by which a text from the wire or a file reaches a terminal, the journal or the metrics is safe."""
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from made_session import baseline_for
+from memory_port import memory_pair
+
+import detector.__main__ as command
+from detector.journal import When, line, mark
+from detector.states import State
+from detector.values import Note, SendText, StateChanged
+from mavdiag import commandline
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import parse
+from mavdiag.commands import inspect
+from mavdiag.commands.inspection import MonitorState, Units
+from mavdiag.demo.ground_station import GroundStation
+from mavdiag.errors import BaselineError, InputError
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import Severity
+from mavdiag.printable import printable
+from mavdiag.telemetry import Log, Telemetry
+
+EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+
+
+def steering(text: str, keep: str = "\n") -> list[str]:
+    return [one for one in text if not one.isprintable() and one not in keep]
+
+
+def test_every_control_character_is_shown_as_its_escape() -> None:
+    shown = printable(EVIL)
+    assert shown == r"\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
+    for number in (*range(32), *range(127, 160), 0x200E, 0x202A, 0x2066, 0xFEFF, 0xD800, 0xE0001):
+        assert not steering(printable(chr(number)), keep=""), hex(number)
+    assert printable("Größe 5 µs, 3 × „Ω“") == "Größe 5 µs, 3 × „Ω“"
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
+
+
+def test_log_lines_of_the_daemon(capsys: pytest.CaptureFixture[str]) -> None:
+    command._say(f"vehicle 1: {EVIL}")
+    (text,) = capsys.readouterr().err.splitlines()
+    assert not steering(text, keep="")
+
+
+def test_errors_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    app = commandline.application("Nothing.")
+
+    @app.command()
+    def fail() -> None:
+        """Fail."""
+        raise InputError(f"{EVIL}.tlog: cannot be read")
+
+    with pytest.raises(SystemExit) as caught:
+        commandline.run(app, EVIL)
+    assert caught.value.code == 2
+    assert not steering(capsys.readouterr().err)
+
+
+def test_a_baseline_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    sound = baseline_for()
+    evil = sound.model_copy(update={"airframe": replace(sound.airframe, name=EVIL)})
+    assert len(str(evil).splitlines()) == len(str(sound).splitlines())
+    commandline.say(f"{evil}\nwritten to {EVIL}")
+    assert not steering(capsys.readouterr().out)
+
+
+def test_lines_of_the_journal() -> None:
+    when = When(datetime(2026, 5, 1, tzinfo=UTC), 1, 5)
+    records = (
+        Note(EVIL),
+        SendText(Severity.INFO, EVIL),
+        StateChanged(State.WAITING, State.LOST, EVIL),
+    )
+    for text in (*(line(one, when) for one in records), mark("note", when, {"text": EVIL})):
+        assert text.isascii()
+        assert text.isprintable()
+        assert EVIL in json.loads(text).values()
+
+
+def test_what_inspect_says_of_a_log() -> None:
+    log = Log(f"{EVIL}.tlog", "", EVIL, Telemetry(), notes=(EVIL,))
+    told = Airframe(layout_basis=EVIL)
+    states = (MonitorState(EVIL, EVIL, works=False, missing=(EVIL,)),)
+    found = inspect.Inspection(EVIL, log, (), {}, None, (EVIL,), None, Units(None, EVIL, ()), told, states, EVIL)
+    assert not steering(inspect._as_text(found))
+
+
+def test_texts_that_the_demo_hears() -> None:
+    near, far = memory_pair()
+    far.send(Encoder(1, 191).statustext(Severity.CRITICAL, EVIL[:40]))
+    station = GroundStation(near)
+    station.listen(0.0)
+    (text,) = station.texts
+    assert not steering(text.text, keep="")
+    near.close()
+    far.close()
+
+
+def test_labels_of_the_metrics_come_from_no_wire() -> None:
+    """Vehicles are numbers, states and monitors are names of ours: a baseline with another monitor is refused."""
+    raw = json.loads(json.dumps(baseline_for().model_dump(mode="json", by_alias=True)))
+    raw["monitors"][0]["spec"]["kind"] = EVIL
+    with pytest.raises(BaselineError, match=r"monitors\.0"):
+        parse(json.dumps(raw))
+
+
+def test_no_module_prints_past_the_one_function() -> None:
+    """`typer.echo` is for JSON and for what is ours; the daemon has one such call."""
+    root = Path(__file__).resolve().parents[2]
+    lines = [text for path in (root / "detector").rglob("*.py") for text in path.read_text().splitlines()]
+    assert [text.strip() for text in lines if "typer.echo(" in text] == ["typer.echo(example_text(), nl=False)"]

@@ -1,0 +1,90 @@
+"""How often an endpoint that lost its peer looks for it: less and less often, up to a bound; soon after a good time."""
+
+import socket
+from collections.abc import Callable
+
+import pytest
+
+from mavdiag.link.ports import open_endpoint
+from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S
+from mavdiag.link.ports.stream import Serial, TcpClient
+
+
+class Clock:
+    """Stands for the monotonic clock of the ports."""
+
+    def __init__(self) -> None:
+        self.s = 1000.0
+
+    def __call__(self) -> float:
+        return self.s
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    one = Clock()
+    monkeypatch.setattr("mavdiag.link.ports.stream.time.monotonic", one)
+    return one
+
+
+def tries(poll: Callable[[], object], count: Callable[[], int], clock: Clock, span_s: float) -> list[float]:
+    """When it tried within a span, in seconds from its beginning."""
+    found, begun, before = list[float](), clock.s, count()
+    while clock.s - begun < span_s:
+        poll()
+        if count() > before:
+            found.append(round(clock.s - begun, 2))
+        before = count()
+        clock.s += 0.05
+    return found
+
+
+def test_a_device_that_is_absent_is_looked_for_ever_more_seldom(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = list[float]()
+
+    def absent(port: Serial) -> None:
+        opened.append(clock.s)
+        raise FileNotFoundError(2, "No such file")
+
+    monkeypatch.setattr(Serial, "_open", absent)
+    with open_endpoint("/dev/absent,57600", absent_ok=True) as port:
+        found = tries(lambda: port.receive(0.0), lambda: len(opened), clock, 30.0)
+    pauses = [b - a for a, b in zip([0.0, *found], found, strict=False)]
+    assert pauses[:4] == pytest.approx([RETRY_S, 2 * RETRY_S, 4 * RETRY_S, 8 * RETRY_S], abs=0.06)
+    assert pauses[5:] == pytest.approx([RETRY_MAX_S] * len(pauses[5:]), abs=0.06)
+    assert len(pauses) > 8
+
+
+def test_a_server_that_comes_back_is_found_and_a_long_connection_counts_as_good(clock: Clock) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        address = f"tcp:127.0.0.1:{server.getsockname()[1]}"
+        client = open_endpoint(address)
+        assert isinstance(client, TcpClient)
+        for _ in range(200):  # refused, and waited for, up to the longest pause
+            client.receive(0.0)
+            clock.s += 0.1
+        server.listen()
+        clock.s += RETRY_MAX_S
+        client.receive(0.0)
+        peer, _ = server.accept()
+        assert client.connected
+        clock.s += 2 * RETRY_MAX_S
+        peer.close()
+        client.receive(0.0)
+        assert not client.connected
+        clock.s += RETRY_S
+        client.receive(0.0)
+        assert client.connected
+        client.close()
+
+
+def test_a_link_that_is_closed_stays_closed(clock: Clock) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        client = open_endpoint(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+        client.close()
+        clock.s += 1000.0
+        client.receive(0.0)
+        assert not client.connected

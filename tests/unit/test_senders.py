@@ -1,0 +1,165 @@
+"""Who is heard on a link, from where, and what made-up senders cost."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from mavdiag.link.codec import Decoder, Encoder
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.sequence import PINNED_S, SENDERS_MAX, Intruder, Senders, SequenceTracker
+from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
+
+S = 1_000_000_000
+HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
+KEY = 1 << 8 | 1
+
+
+def beat(encoder: Encoder, kind: MavType = MavType.QUADROTOR) -> bytes:
+    return encoder.encode(MessageId.HEARTBEAT, kind, Autopilot.ARDUPILOTMEGA, 128, 0, 4, 3)
+
+
+def second(encoder: Encoder, k: int) -> list[tuple[bytes, int]]:
+    """One second of a vehicle, a datagram each."""
+    frames = [beat(encoder)]
+    for j in range(20):
+        frames.append(encoder.encode(MessageId.ATTITUDE_TARGET, 1000 * k + 50 * j, 0, (1.0, 0, 0, 0), 0, 0, 0, 0.5))
+        frames.append(encoder.encode(MessageId.RAW_IMU, 1000 * (1000 * k + 50 * j), 0, 0, -1000, 1, 2, 3))
+    return [(frame, k * S + n * S // 50) for n, frame in enumerate(frames)]
+
+
+def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
+    senders = Senders()
+    assert senders.note(KEY, 0, 0, 0, HERE)
+    assert not senders.note(KEY, 1, 0, S, THERE)
+    assert senders.note(KEY, 1, 0, 2 * S, HERE)
+    assert not senders.note(KEY, 2, 0, 4 * S, THERE)
+    one = senders.get(1, 1)
+    assert one is not None
+    assert (one.source, one.intruder, one.received) == (HERE, Intruder(THERE, 2), 2)
+
+
+def test_a_sender_may_move_after_silence_and_then_the_old_source_is_the_second() -> None:
+    senders = Senders()
+    senders.note(KEY, 0, 0, 0, HERE)
+    assert not senders.note(KEY, 1, 0, round(PINNED_S * S) - 1, THERE)
+    assert senders.note(KEY, 1, 0, round(PINNED_S * S), THERE)
+    assert not senders.note(KEY, 2, 0, round(PINNED_S * S) + 1, HERE)
+
+
+def test_other_components_of_the_vehicle_may_be_elsewhere() -> None:
+    senders = Senders()
+    assert senders.note(KEY, 0, 0, 0, HERE)
+    assert senders.note(1 << 8 | 100, 0, 0, 0, THERE)
+
+
+def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
+    senders = Senders(kept={7 << 8 | 1})
+    senders.note(7 << 8 | 1, 0, 0, 0, HERE)
+    for k in range(50):
+        senders.note(KEY, k, 0, k, HERE)
+    for key in range(65_536):
+        if key != KEY:
+            senders.note(key, 0, 0, 0, THERE)
+        assert len(senders._trackers) <= SENDERS_MAX
+    genuine, kept = senders.get(1, 1), senders.get(7, 1)
+    assert genuine is not None
+    assert kept is not None
+    assert (genuine.received, kept.source) == (50, HERE)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "sound"),
+    [
+        ([0], False),
+        ([0, 1], False),
+        ([255, 0, 1], True),
+        ([0, 0, 0], False),
+        ([5, 7, 8, 9], False),
+        ([5, 7, *range(8, 16)], True),
+        ([9, 3, 200, 77, 78], False),
+    ],
+)
+def test_running_numbers_of_one_sender_follow_on(numbers: list[int], sound: bool) -> None:
+    tracker = SequenceTracker(numbers[0])
+    for seq in numbers:
+        tracker.step(seq, 0)
+    assert tracker.sound is sound
+
+
+def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
+    decoder, link = Decoder(), LinkDecoder(careful=True)
+    frames = [beat(Encoder(sysid, compid)) for sysid in range(1, 256) for compid in range(1, 256)]
+    ids = [(70_000 + k).to_bytes(3, "little") for k in range(50_000)]
+    unknown = [b"\xfd\x01\x00\x00" + bytes([k & 0xFF, 9, 1]) + one + b"xyz" for k, one in enumerate(ids)]
+    for warm in (frames[:2000], unknown[:2000]):
+        for frame in warm:
+            decoder.feed_datagram(frame, 0)
+            link.feed([(frame, 0)], 0, [THERE])
+    tracemalloc.start()
+    for k, frame in enumerate((*frames, *unknown)):
+        decoder.feed_datagram(frame, k)
+    link.feed([(frame, 0) for frame in frames], S, [THERE] * len(frames))
+    grown, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert grown < 3e6
+    assert decoder.count.unknown == 52_000
+    assert len(decoder.senders) <= SENDERS_MAX
+    assert not link.vehicles
+
+
+def test_a_careful_decoder_wants_two_heartbeats_of_one_sender() -> None:
+    link, encoder = LinkDecoder(careful=True), Encoder(1, 1)
+    for k in range(3):
+        chunks = second(encoder, k)
+        link.feed(chunks, chunks[-1][1], [HERE] * len(chunks))
+        assert bool(link.vehicles) is (k > 0)
+    assert link.source(1) == HERE
+    assert link.heard_since(2 * S) == [1]
+    assert link.heard_since(30 * S) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_frames_with_a_good_checksum_let_no_vehicle_in(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    link = LinkDecoder(careful=True)
+    encoders = {}
+    for k in range(4000):
+        sysid, compid, seq = (int(one) for one in rng.integers(1, 256, 3))
+        one = encoders[sysid] = Encoder(sysid, 1 if rng.random() < 0.5 else compid)
+        one._seq = seq
+        kind = MavType(int(rng.choice([2, 13, 14])))
+        imu = one.encode(MessageId.RAW_IMU, k, *rng.integers(-1000, 1000, 6).tolist())
+        data = beat(one, kind) if rng.random() < 0.5 else imu
+        link.feed([(data, k * S // 100)], k * S // 100, [THERE])
+    assert not link.vehicles
+
+
+def test_a_link_takes_so_many_vehicles_and_says_so() -> None:
+    link = LinkDecoder(PROFILES["ardupilot"], careful=True)
+    encoders = [Encoder(sysid, 1) for sysid in range(1, 141)]
+    for k in range(3):
+        data = [(beat(one), k * S) for one in encoders]
+        link.feed(data, k * S, [HERE] * len(data))
+    assert len(link.vehicles) == VEHICLES_MAX
+    assert set(link.waiting.values()) == {"there are 128 vehicles already (max_vehicles)"}
+    assert all(not one.frames for one in link._pending.values())
+
+
+def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
+    link, encoder, station = LinkDecoder(PROFILES["ardupilot"]), Encoder(1, 1), Encoder(255, 190)
+    link.feed(second(encoder, 0), 0)
+    ask = [(station.encode(MessageId.COMMAND_LONG, 1, Component.ONBOARD_COMPUTER, MavCmd.REQUEST_MESSAGE), S)] * 5000
+    assert len(link.feed(ask, S)[1].commands) == REQUESTS_MAX
+
+
+def test_only_the_chosen_vehicle_is_heard() -> None:
+    link = LinkDecoder(only=7, careful=True)
+    one, other = Encoder(7, 1), Encoder(8, 1)
+    for k in range(3):
+        chunks = [*second(one, k), *second(other, k)]
+        received = link.feed(chunks, chunks[-1][1])
+        assert set(received) <= {7}
+    assert list(link.vehicles) == [7]
+    assert set(link._pending) == set()

@@ -1,0 +1,180 @@
+"""MAVLink 2 signing, against pymavlink's signer and verifier, a vector made by hand, and what an attacker does."""
+
+import hashlib
+
+import pymavlink.dialects.v20.ardupilotmega as dialect
+import pytest
+
+from mavdiag.errors import UsageError
+from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.messages import MessageId
+from mavdiag.link.signing import STALE, Refusal, Signing, stamp_at
+
+KEY = hashlib.sha256(b"correct horse").digest()
+NOW_NS = 1_800_000_000 * 1_000_000_000
+NOW = stamp_at(NOW_NS)
+HEARTBEAT = (2, 3, 0, 0, 4, 3)
+
+
+def peer(key: bytes = KEY, stamp: int = NOW, link_id: int = 0) -> dialect.MAVLink:
+    """pymavlink, signing with a key and checking by it."""
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    mav.robust_parsing = True
+    mav.signing.secret_key, mav.signing.sign_outgoing = key, True
+    mav.signing.timestamp, mav.signing.link_id = stamp, link_id
+    return mav
+
+
+def beat(mav: dialect.MAVLink) -> bytes:
+    """pymavlink's next heartbeat."""
+    packed = bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav))
+    mav.seq = (mav.seq + 1) % 256
+    return packed
+
+
+def beats(count: int, signing: Signing, compid: int = 1) -> list[bytes]:
+    encoder = Encoder(1, compid, signing)
+    return [encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(count)]
+
+
+def verifier(stamp: int = NOW) -> tuple[Signing, Decoder]:
+    signing = Signing(KEY, stamp=stamp)
+    return signing, Decoder(signing=signing)
+
+
+def heard(decoder: Decoder, *datagrams: bytes) -> list[Frame]:
+    return [frame for data in datagrams for frame in decoder.feed_datagram(data, 0)]
+
+
+def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
+    """By hand, with printf, xxd and sha256sum: link id 7, stamp 0x010203040507, the first 6 bytes of the hash."""
+    frame = Encoder(1, 1, Signing(bytes(range(32)), link_id=7, stamp=0x010203040506)).encode(0, *HEARTBEAT)
+    body, link, stamp, signature = "fd090100000101000000000000000203000403ad2f", "07", "070504030201", "4a418387aab5"
+    assert frame.hex() == body + link + stamp + signature
+
+
+def test_the_stamp_counts_ten_microseconds_since_2015() -> None:
+    assert stamp_at(0) == 0
+    assert stamp_at(1_420_070_400 * 1_000_000_000 + 1_000_000_000) == 100_000
+    assert stamp_at(1 << 63) == (1 << 48) - 1
+
+
+def test_what_we_sign_pymavlink_accepts() -> None:
+    signing, mav = Signing(KEY, stamp=NOW), peer()
+    for frame in beats(300, signing):
+        parsed = mav.parse_buffer(frame)
+        assert parsed is not None
+        assert parsed[0].get_type() == "HEARTBEAT"
+
+
+def test_what_pymavlink_signs_we_accept() -> None:
+    (signing, decoder), mav = verifier(), peer(link_id=9)
+    assert [frame.seq for frame in heard(decoder, *(beat(mav) for _ in range(300)))] == [k % 256 for k in range(300)]
+    assert (signing.accepted, signing.refused) == (300, {})
+
+
+def test_pymavlink_with_another_key_is_refused_in_both_directions() -> None:
+    (signing, decoder), mav = verifier(), peer(b"x" * 32)
+    assert heard(decoder, beat(mav)) == []
+    assert signing.refused == {Refusal.FORGED: 1}
+    (parsed,) = mav.parse_buffer(beats(1, Signing(KEY, stamp=NOW + 1))[0]) or []
+    assert parsed.get_type() == "BAD_DATA"
+
+
+def test_a_forged_frame_with_a_huge_stamp_does_not_stop_the_genuine_stream() -> None:
+    """pymavlink keeps the stamp before it compares the hash: one such frame, and the stream is bad for good."""
+    genuine = beats(20, Signing(KEY, stamp=NOW))
+    forged = beats(1, Signing(b"x" * 32, stamp=(1 << 48) - 2))[0]
+    signing, decoder = verifier()
+    assert len(heard(decoder, *genuine[:10], forged, *genuine[10:])) == 20
+    assert signing.refused == {Refusal.FORGED: 1}
+    assert signing.stamp < NOW + 100
+    mav = peer()
+    kinds = [one.get_type() for data in (*genuine[:10], forged, *genuine[10:]) for one in mav.parse_buffer(data) or []]
+    assert kinds.count("HEARTBEAT") == 10  # the peer's fault, which is why its check is not used
+
+
+def test_every_bit_of_a_signed_frame_is_protected() -> None:
+    frame = beats(1, Signing(KEY, stamp=NOW))[0]
+    for place in range(3, len(frame)):
+        signing, _ = verifier()
+        changed = bytearray(frame)
+        changed[place] ^= 1
+        assert not signing.admit(bytes(changed)), place
+        assert signing.refused == {Refusal.FORGED: 1}
+
+
+def test_replayed_frames_are_refused_and_counted() -> None:
+    frames = beats(5, Signing(KEY, stamp=NOW))
+    signing, decoder = verifier()
+    assert len(heard(decoder, *frames, *frames, frames[2])) == 5
+    assert signing.refused == {Refusal.REPLAYED: 6}
+
+
+def test_each_stream_has_its_own_stamps() -> None:
+    signing, decoder = verifier()
+    slow = beats(5, Signing(KEY, stamp=NOW - STALE // 2))
+    assert len(heard(decoder, *beats(5, Signing(KEY, stamp=NOW)))) == 5
+    assert len(heard(decoder, *beats(5, Signing(KEY, link_id=1, stamp=NOW - STALE // 2)))) == 5
+    assert heard(decoder, *slow) == []
+    assert signing.refused == {Refusal.REPLAYED: 5}
+
+
+def test_a_new_stream_older_than_a_minute_is_stale() -> None:
+    signing, decoder = verifier()
+    assert heard(decoder, *beats(3, Signing(KEY, stamp=NOW - STALE - 10))) == []
+    assert signing.refused == {Refusal.STALE: 3}
+    assert len(heard(decoder, *beats(3, Signing(KEY, stamp=NOW - STALE), compid=2))) == 3
+
+
+def test_unsigned_and_mavlink_1_are_refused_with_a_key() -> None:
+    signing, decoder = verifier()
+    (unsigned,) = beats(1, Signing(KEY, stamp=NOW))
+    plain = Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT)
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    old = bytes(dialect.mavlink_map[0](*HEARTBEAT).pack(mav, force_mavlink1=True))
+    unknown = bytearray(plain)
+    unknown[7:10] = b"\xff\xff\xff"
+    assert heard(decoder, plain, old, bytes(unknown)) == []
+    assert signing.refused == {Refusal.UNSIGNED: 2, Refusal.MAVLINK_1: 1}
+    assert decoder.senders == {}
+    assert len(heard(decoder, unsigned)) == 1
+
+
+def test_a_refused_frame_is_not_passed_on() -> None:
+    passed: list[tuple[bytes, int]] = []
+    decoder = Decoder(signing=Signing(KEY, stamp=NOW), passed=passed)
+    genuine = beats(1, Signing(KEY, stamp=NOW))[0]
+    heard(decoder, Encoder(1, 1).encode(MessageId.HEARTBEAT, *HEARTBEAT), genuine, genuine)
+    assert passed == [(genuine, 0)]
+
+
+def test_stamps_rise_with_every_frame_and_with_the_clock() -> None:
+    signing = Signing(KEY)
+    signing.advance(NOW_NS)
+    stamps = [int.from_bytes(frame[-12:-6], "little") for frame in beats(50, signing)]
+    assert stamps == [NOW + k for k in range(1, 51)]
+    signing.advance(NOW_NS - 10**12)
+    assert signing.stamp == NOW + 50
+    signing.advance(NOW_NS + 10**9)
+    assert signing.stamp == NOW + 100_000
+
+
+def test_our_stamp_follows_the_newest_that_was_accepted() -> None:
+    signing, decoder = verifier()
+    heard(decoder, *beats(1, Signing(KEY, stamp=NOW + 1000)))
+    assert signing.stamp == NOW + 1001
+
+
+def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.link.signing.STREAMS_MAX", 10)
+    signing, decoder = verifier()
+    for compid in range(1, 21):
+        heard(decoder, *beats(1, Signing(KEY, stamp=NOW), compid))
+    assert (signing.accepted, signing.refused) == (10, {Refusal.STALE: 10})
+
+
+@pytest.mark.parametrize(("size", "link_id"), [(31, 0), (33, 0), (32, 256), (32, -1)])
+def test_a_key_of_another_size_is_refused(size: int, link_id: int) -> None:
+    with pytest.raises(UsageError, match="32 bytes"):
+        Signing(b"k" * size, link_id=link_id)

@@ -1,0 +1,122 @@
+"""The key file and the stamp beside it: who may read it, what is in it, and that a restart uses no stamp again."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import pytest
+
+from mavdiag.errors import UsageError
+from mavdiag.link.keys import AHEAD, RETRY_S, KeptSigning, open_signing, read_key
+from mavdiag.link.signing import stamp_at
+
+NOW_NS = 1_800_000_000 * 1_000_000_000
+S = 1_000_000_000
+
+
+def key_file(folder: Path, content: bytes = b"correct horse\n", mode: int = 0o600) -> Path:
+    path = folder / "key"
+    path.write_bytes(content)
+    path.chmod(mode)
+    return path
+
+
+@pytest.mark.parametrize("end", [b"", b"\n", b"\r\n"])
+def test_a_passphrase_is_hashed_as_ground_stations_do(tmp_path: Path, end: bytes) -> None:
+    assert read_key(key_file(tmp_path, b"correct horse" + end)) == hashlib.sha256(b"correct horse").digest()
+
+
+def test_64_digits_are_the_key_itself(tmp_path: Path) -> None:
+    key = bytes(range(32))
+    assert read_key(key_file(tmp_path, key.hex().upper().encode() + b"\n", 0o400)) == key
+    (tmp_path / "key").unlink()
+    short = key.hex()[:-1].encode()
+    assert read_key(key_file(tmp_path, short)) == hashlib.sha256(short).digest()
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o644, 0o610])
+def test_a_key_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
+    path = key_file(tmp_path, mode=mode)
+    with pytest.raises(UsageError, match=f"run `chmod 600 {path}`") as caught:
+        read_key(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n", b"one\ntwo\n", b"\r\n"])
+def test_a_key_is_one_line(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(UsageError, match="one line"):
+        read_key(key_file(tmp_path, content))
+
+
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name, why in (("fifo", "regular"), ("zero", "regular"), (".", "folder"), ("none", "no such file")):
+        with pytest.raises(UsageError, match=why):
+            read_key(tmp_path / name)
+    with pytest.raises(UsageError, match="too large"):
+        read_key(key_file(tmp_path, b"x" * 5000))
+
+
+def test_another_users_key_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = key_file(tmp_path)
+    os.chown(path, 12_345, -1) if os.geteuid() == 0 else monkeypatch.setattr(os, "geteuid", lambda: 12_345)
+    if os.geteuid() == 0 and path.stat().st_uid == 0:
+        pytest.skip("the owner cannot be changed here")
+    with pytest.raises(UsageError, match="another user's"):
+        read_key(path)
+
+
+def test_a_restart_uses_no_stamp_again_even_if_the_clock_went_back(tmp_path: Path) -> None:
+    first = open_signing(key_file(tmp_path), "detector", NOW_NS)
+    for k in range(200):
+        assert first.step(NOW_NS + k * S) is None
+        first.signing.seal(b"\xfd")
+    killed = first.signing.stamp  # no close
+    second = open_signing(tmp_path / "key", "detector", NOW_NS - 3600 * S)
+    assert killed < second.signing.stamp <= killed + AHEAD
+    second.close()
+    assert open_signing(tmp_path / "key", "detector", 0).signing.stamp == second.signing.stamp
+
+
+def test_two_programs_keep_a_stamp_each(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    open_signing(path, "detector", NOW_NS).close()
+    assert open_signing(path, "plant", 0).signing.stamp == 0
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["key", "key.detector.stamp", "key.plant.stamp"]
+
+
+def test_few_writes_keep_the_stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    monkeypatch.setattr("mavdiag.link.keys.write_atomically", lambda _, text: written.append(text))
+    kept = KeptSigning(b"k" * 32, tmp_path / "stamp", NOW_NS)
+    for k in range(25 * 600):
+        kept.step(NOW_NS + k * S // 25)
+    assert len(written) == 10  # in ten minutes
+    assert int(written[-1]) > kept.signing.stamp
+
+
+@pytest.mark.parametrize("text", ["", "soon", "-5", "9" * 16, str(1 << 48), "1e9"])
+def test_a_damaged_stamp_is_told(tmp_path: Path, text: str) -> None:
+    (tmp_path / "key.detector.stamp").write_text(text)
+    with pytest.raises(UsageError, match="no time stamp"):
+        open_signing(key_file(tmp_path), "detector", NOW_NS)
+
+
+def test_a_full_disk_is_told_now_and_then_and_signing_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = open_signing(key_file(tmp_path), "detector", NOW_NS)
+
+    def full(path: Path, text: str) -> None:
+        raise UsageError(f"{path}: no space left")
+
+    monkeypatch.setattr("mavdiag.link.keys.write_atomically", full)
+    told = [kept.step(NOW_NS + k * S) for k in range(200)]
+    assert set(told) == {None, f"{tmp_path}/key.detector.stamp: no space left"}
+    assert 13 <= sum(one is not None for one in told) <= 1 + 140 / RETRY_S
+    assert kept.signing.stamp == stamp_at(NOW_NS + 199 * S)
+
+
+def test_a_stamp_that_cannot_be_kept_is_refused_at_the_start(tmp_path: Path) -> None:
+    (tmp_path / "key.detector.stamp").mkdir()
+    with pytest.raises(UsageError, match="folder"):
+        open_signing(key_file(tmp_path), "detector", NOW_NS)

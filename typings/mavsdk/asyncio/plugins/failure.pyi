@@ -1,0 +1,6 @@
+from mavsdk.asyncio import System
+from mavsdk.plugins.failure import FailureType, FailureUnit
+
+class FailureAsync:
+    def __init__(self, system: System) -> None: ...
+    async def inject(self, failure_unit: FailureUnit, failure_type: FailureType, instance: int) -> int: ...
