@@ -39,6 +39,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import KeptSigning
+from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
@@ -295,7 +296,7 @@ class Daemon:
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
             case TimesyncMessage():
-                self._relay.send_to_vehicle(sender.timesync(effect))
+                self._relay.send_to_vehicle(sender.frame(MessageId.TIMESYNC, effect.tc1_ns, effect.ts1_ns))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))

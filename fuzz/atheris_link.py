@@ -26,6 +26,7 @@ from mavdiag.telemetry import Instant
 
 IDS = sorted({int(one) for one in MessageId} | {source.message for source in SOURCES})
 BASELINE = baseline_for()
+FLIGHT = MadeVehicle(1).samples(8000)
 SETTINGS = SessionSettings()
 MOST = 64  # operations of one input
 STEPS_NS = [0, 1_000_000, 40_000_000, 1_000_000_000, 11_000_000_000, 1 << 45]
@@ -39,7 +40,7 @@ def one_input(data: bytes) -> None:
     fleet = Fleet(
         lambda profile: SessionSpec(profile, BASELINE, SETTINGS), profile=None, only=only, datagrams=datagrams
     )
-    vehicle, now_ns, chunks = MadeVehicle(1), START_NS, list[tuple[bytes, int]]()
+    flown, now_ns, chunks = 0, START_NS, list[tuple[bytes, int]]()
     for _ in range(MOST):
         if not wire.remaining_bytes():
             break
@@ -51,7 +52,8 @@ def one_input(data: bytes) -> None:
                 msgid = wire.PickValueInList(IDS)
                 chunks.append((encoder.encode_payload(msgid, wire.ConsumeBytes(wire.ConsumeIntInRange(0, 64))), now_ns))
             case 2:
-                chunks += [(frame, now_ns) for frame in vehicle.samples(wire.ConsumeIntInRange(1, 120))]
+                before, flown = flown, flown + wire.ConsumeIntInRange(1, 240)
+                chunks += [(frame, now_ns) for frame in FLIGHT[before:flown]]
             case _:
                 now_ns += wire.PickValueInList(STEPS_NS)
                 fleet.step(chunks, Instant(now_ns))

@@ -131,7 +131,7 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
             for effect in turn.effects:
                 events += isinstance(effect, EventOpened)
                 if isinstance(effect, SendText) and effect.severity <= Severity.WARNING:
-                    alerts.append(effect.text)
+                    alerts.append(f"{flown_s:.0f} s: {effect.text}")
         fed += len(hostile)
         if not warm_mb and fed >= WARM * count:
             warm_mb = resident_mb()

@@ -89,19 +89,23 @@ def _angle_terms() -> FloatArray:
 _ANGLE_TERMS = _angle_terms()
 
 
+SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
+
+
 def euler_angles(q: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4) of any length but zero; NaN for zero."""
+    """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10."""
     return _euler_angles(q)[0]
 
 
 def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
-    """The same, and whether no quaternion is zero."""
+    """The same, and whether every quaternion has a length that one may have."""
     terms = (q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
     terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
     angles: FloatArray = np.arctan2(terms[:, :3], terms[:, 3:6])
-    if terms[:, 6].all():
+    squared = terms[:, 6]
+    if squared.min(initial=1.0) > SQUARED[0] and squared.max(initial=1.0) < SQUARED[1]:
         return angles, True
-    angles[terms[:, 6] == 0.0] = np.nan
+    angles[~((squared > SQUARED[0]) & (squared < SQUARED[1]))] = np.nan
     return angles, False
 
 

@@ -21,6 +21,7 @@ Source: TypeAlias = Hashable | None
 """Where bytes came from: an address, or None on a link that has one end only."""
 
 WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
+NEAR = 32  # places: numbers that most frames are nearer to are one sender's; of random ones three in four are not
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 
@@ -113,8 +114,8 @@ class SequenceTracker:
 
     def _jump(self, seq: int) -> None:
         received = self.received
-        self._jumps += 1
         distance = (seq - self._next + 128) % 256 - 128  # signed, modulo 256
+        self._jumps += abs(distance) > NEAR
         if -WINDOW <= distance < 0:
             missed_at = self._missing.pop(seq, None)
             if missed_at is not None and received - missed_at <= WINDOW:

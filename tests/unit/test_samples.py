@@ -145,6 +145,16 @@ def test_unsound_numbers_are_dropped_and_counted() -> None:
     assert state.dropped == 3
 
 
+@pytest.mark.parametrize("q", [(1e-30, 2e27, 0.0, 2.0), (0.01, 0.0, 0.0, 0.01), (20.0, 0.0, 0.0, 0.0)])
+def test_a_quaternion_of_an_impossible_length_is_dropped(q: tuple[float, ...]) -> None:
+    """One damaged frame in 65,536 has a right checksum; a set-point of such a one raised an alert."""
+    vehicle = Vehicle()
+    frames = [vehicle.frame(MessageId.ATTITUDE_TARGET, 5000, 0, one, 0, 0, 0, 0.5) for one in (LEVEL, q)]
+    state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), frames)
+    assert len(telemetry.need(Signal.ATTITUDE_SETPOINT)) == 1
+    assert state.dropped >= 1
+
+
 def test_slow_signals() -> None:
     vehicle = Vehicle()
     frames = [
