@@ -10,7 +10,6 @@ the same datagrams.
 """
 
 import argparse
-import os
 import re
 import socket
 import struct
@@ -32,9 +31,16 @@ from mavdiag.logs.tlog import read_tlog
 
 SETTLE_S = 6.0  # until every vehicle has entered and is judged
 BURST_S = 0.005
-EVERY = {MessageId.SERVO_OUTPUT_RAW: 5, MessageId.ATTITUDE: 5}  # of 50 Hz
-PAIR = {MessageId.ATTITUDE_TARGET: 1, MessageId.RAW_IMU: 1, MessageId.HEARTBEAT: 1, MessageId.SYS_STATUS: 1}
-CLOCKS = {  # format of the time since boot at the start of the payload, and its ticks in a second
+EVERY: dict[int, int] = {MessageId.SERVO_OUTPUT_RAW: 5, MessageId.ATTITUDE: 5}  # of 50 Hz
+PAIR: dict[int, int] = {
+    MessageId.ATTITUDE_TARGET: 1,
+    MessageId.RAW_IMU: 1,
+    MessageId.HEARTBEAT: 1,
+    MessageId.SYS_STATUS: 1,
+}
+CLOCKS: dict[
+    int, tuple[str, float]
+] = {  # format of the time since boot at the start of the payload, and its ticks in a second
     MessageId.ATTITUDE_TARGET: ("<I", 1e3),
     MessageId.ATTITUDE: ("<I", 1e3),
     MessageId.RAW_IMU: ("<Q", 1e6),
@@ -196,7 +202,9 @@ def wait_for_port(log: Path) -> int:
 def report(lines: list[str], vehicles: int, faulty: int) -> None:
     """What the daemon said of itself."""
     summary = lines[-1]
-    figures = re.findall(r"vehicle (\d+) [^,]+, (\d+) frames, (\d+) lost on the way, ([\d.]+) s judged, (\d+) ev", summary)
+    figures = re.findall(
+        r"vehicle (\d+) [^,]+, (\d+) frames, (\d+) lost on the way, ([\d.]+) s judged, (\d+) ev", summary
+    )
     alerted = {int(one) for line in lines for one in re.findall(r"vehicle (\d+): \w+ -> alert", line)}
     wanted = set(range(vehicles - faulty + 1, vehicles + 1))
     print(f"{len(figures)} of {vehicles} vehicles, {sum(int(one[1]) for one in figures)} frames received")

@@ -67,7 +67,8 @@ def bare_plant(folder: str) -> Callable[[int], float] | None:
             end = bare.fly(1000, state, normals.ctypes.data_as(ctypes.c_void_p), ctypes.c_double(1e-3 * flown))
             flown += 1000
         spent = time.process_time() - start
-        assert math.isfinite(end) and abs(state[2]) < 3.0, "the bare plant does not fly"
+        assert math.isfinite(end), "the bare plant does not fly"
+        assert abs(state[2]) < 3.0, "the bare plant does not fly"
         return spent
 
     return fly

@@ -118,9 +118,7 @@ class Fleet:
         for sysid, waited_s in by_waiting(self._judged, now):
             if self._pacing.judges(waited_s, spent_s(), not turns):
                 one = self.link.received(sysid)
-                turns.append(
-                    Turn(sysid, self.vehicles[sysid].step(one, streams[sysid].reboots, now), one.commands)
-                )
+                turns.append(Turn(sysid, self.vehicles[sysid].step(one, streams[sysid].reboots, now), one.commands))
                 self._judged[sysid] = now
                 self.delay = self.delay.waited(waited_s)
         return turns

@@ -182,9 +182,7 @@ class Session:
             return needs, (self._settings.ask_hz or self.spec.profile.rate_hz, least_hz, float("inf")), least_hz
         exact_hz = 1.0 / baseline.link.dt_s
         slowest_hz, fastest_hz = exact_hz / (1.0 + RATE_TOLERANCE), exact_hz / (1.0 - RATE_TOLERANCE)
-        judge = self.state.judge
-        needs = judge.chain.needs() if judge is not None and judge.baseline is baseline else baseline.needs()
-        return needs, (exact_hz, slowest_hz, fastest_hz), min(least_hz, slowest_hz)
+        return baseline.needs(), (exact_hz, slowest_hz, fastest_hz), min(least_hz, slowest_hz)
 
     def _hindrance(self) -> Hindrance | None:
         """What the streams lack, None if they will do. A rate must be wrong twice before it counts as changed."""

@@ -192,9 +192,7 @@ class DecisionSpec:
         looks = list(range((first_ns // LOOK_NS + 1) * LOOK_NS, until_ns + 1, LOOK_NS))
         return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
 
-    def _read(
-        self, state: DecisionState, parts: Sequence[Looks], number: int
-    ) -> tuple[DecisionState, list[Event]]:
+    def _read(self, state: DecisionState, parts: Sequence[Looks], number: int) -> tuple[DecisionState, list[Event]]:
         """Take one look's values: the latest reading and the events of every slot."""
         # What was read last ages while nothing is valid.
         latest = tuple(one.readings[number] or old for one, old in zip(parts, state.latest, strict=True))

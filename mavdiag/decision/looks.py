@@ -45,7 +45,9 @@ class Waiting:
     def of(cls, values: Statistic, threshold: float) -> "Waiting":
         """A chunk of which nothing was looked at."""
         ratio = values.value / threshold
-        return cls(values, ratio if np.count_nonzero(values.valid) == len(ratio) else np.where(values.valid, ratio, -1.0))
+        return cls(
+            values, ratio if np.count_nonzero(values.valid) == len(ratio) else np.where(values.valid, ratio, -1.0)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

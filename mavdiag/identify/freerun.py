@@ -91,7 +91,7 @@ def _response(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray] | None:
     na = len(a) - 1
     driven = np.zeros((STRETCH, na))
     for t in range(min(na, STRETCH)):
-        driven[t, t:] = -np.array(a[: t : -1][: na - t])
+        driven[t, t:] = -np.array(a[:t:-1][: na - t])
     return response, response @ driven
 
 
