@@ -31,9 +31,16 @@ from mavdiag.logs.tlog import read_tlog
 
 SETTLE_S = 6.0  # until every vehicle has entered and is judged
 BURST_S = 0.005
-EVERY = {MessageId.SERVO_OUTPUT_RAW: 5, MessageId.ATTITUDE: 5}  # of 50 Hz
-PAIR = {MessageId.ATTITUDE_TARGET: 1, MessageId.RAW_IMU: 1, MessageId.HEARTBEAT: 1, MessageId.SYS_STATUS: 1}
-CLOCKS = {  # format of the time since boot at the start of the payload, and its ticks in a second
+EVERY: dict[int, int] = {MessageId.SERVO_OUTPUT_RAW: 5, MessageId.ATTITUDE: 5}  # of 50 Hz
+PAIR: dict[int, int] = {
+    MessageId.ATTITUDE_TARGET: 1,
+    MessageId.RAW_IMU: 1,
+    MessageId.HEARTBEAT: 1,
+    MessageId.SYS_STATUS: 1,
+}
+CLOCKS: dict[
+    int, tuple[str, float]
+] = {  # format of the time since boot at the start of the payload, and its ticks in a second
     MessageId.ATTITUDE_TARGET: ("<I", 1e3),
     MessageId.ATTITUDE: ("<I", 1e3),
     MessageId.RAW_IMU: ("<Q", 1e6),

@@ -1,6 +1,7 @@
 """The monitors: one file each, and their registry. A new one is its file and a name in `MONITORS`."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -50,6 +51,7 @@ def by_name(name: str) -> type[Monitor[Any, Any]]:
     return BY_NAME[name]
 
 
+@lru_cache(maxsize=256)
 def monitor_of(spec: Any) -> Monitor[Any, Any]:
-    """The monitor that works by a fit, ready to start."""
+    """The monitor that works by a fit, ready to start; the same one for the same fit, since it remembers nothing."""
     return BY_NAME[spec.kind](spec)

@@ -24,31 +24,25 @@ from mavdiag.errors import InputError
 from mavdiag.identify import freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
+from mavdiag.monitors.decimated import Decimator, DecimatorState
 from mavdiag.monitors.healthy import MEMORY_S, Three
 from mavdiag.rows.front import Rows
-from mavdiag.rows.savgol import coefficients
 from mavdiag.rows.windows import ema, forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = [
     "DRIFT_S",
-    "Decimated",
-    "Decimator",
-    "DecimatorState",
     "HealthyMotion",
     "ModelResidual",
     "ResidualState",
     "Residuals",
-    "stride_of",
 ]
 
-PERIOD_S = 0.01  # our choice: ten times what the 0.1 s window passes
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
 FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
 GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
 SPEED_S = 0.05  # time that h is in units of (our choice)
 CORRELATION_S = 0.1  # residuals this far apart are independent (METHOD section 4: 8 Hz pass)
-TOGETHER = 16  # windows that one matrix product smooths (our choice)
 JOLT = 4.0  # of the rms of the last 10 s: what is larger is a jolt, such as a payload that is taken up (our choice)
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 
@@ -91,100 +85,6 @@ class HealthyMotion:
     def uses_thrust(self) -> bool:
         """Whether the thrust explains part of the vertical acceleration."""
         return any(self.heave.b)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Decimated:
-    """Every so many rows.
-
-    t_ns: (k,) time of the newest row behind it.
-    u, y: (k, 2) roll and pitch rate, commanded and measured [rad/s].
-    heave: (k, 2) vertical acceleration [m/s^2] and thrust, filtered alike.
-    valid: (k,) rates and acceleration are known.
-    """
-
-    t_ns: IntArray
-    u: FloatArray
-    y: FloatArray
-    heave: FloatArray
-    valid: BoolArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DecimatorState:
-    """Rows that wait.
-
-    skip: rate rows until the next sample.
-    raw, raw_ns: (2, h) acceleration and thrust, and (h,) their times.
-    rates: (p, 5) u, y and valid of samples without their heave.
-    heave, heave_ns: (q, 2) and (q,) of samples without their rates.
-    """
-
-    skip: int
-    raw: FloatArray
-    raw_ns: IntArray
-    rates: FloatArray
-    heave: FloatArray
-    heave_ns: IntArray
-
-
-def stride_of(dt_s: float) -> int:
-    """Rows between two samples at a row period [s]."""
-    return max(1, round(PERIOD_S / dt_s))
-
-
-class Decimator:
-    """Takes every `stride`-th of the rates, with acceleration and thrust smoothed by the same `window` (odd)."""
-
-    def __init__(self, stride: int, window: int) -> None:
-        self._stride, self._window = stride, window
-        self._taps = coefficients(window, min(2, window - 1))[0]
-        self._shifted = np.zeros(((TOGETHER - 1) * stride + window, TOGETHER))
-        for i in range(TOGETHER):
-            self._shifted[i * stride : i * stride + window, i] = self._taps
-
-    def start(self) -> DecimatorState:
-        """Before the first row of a segment."""
-        never = np.empty(0, dtype=np.int64)
-        return DecimatorState(0, np.empty((2, 0)), never, np.empty((0, 5)), np.empty((0, 2)), never)
-
-    def step(self, state: DecimatorState, rows: Rows) -> tuple[DecimatorState, Decimated]:
-        """Take the next rows; return the samples that they complete."""
-        block, rates, stride = rows.block, rows.rates, self._stride
-        at = np.arange(state.skip, len(rates), stride)
-        fresh = np.empty((len(at), 5))
-        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], rates.commanded[at]
-        skip = state.skip + len(at) * stride - len(rates)
-
-        raw = np.concatenate((state.raw, [block.force[:, 2], block.thrust]), axis=1)
-        raw_ns = np.concatenate((state.raw_ns, block.t_ns))
-        smoothed = self._smooth(raw)
-        count = len(smoothed)
-        both, heave = np.concatenate((state.rates, fresh)), np.concatenate((state.heave, smoothed))
-        heave_ns = np.concatenate((state.heave_ns, raw_ns[self._window - 1 :: stride][:count]))
-        n, used = min(len(both), len(heave)), count * stride
-        valid = (both[:n, 4] > 0.5) & np.isfinite(heave[:n, 0])
-        if not math.isfinite(float(np.add.reduce(both[:n], axis=None))):
-            valid &= np.isfinite(both[:n]).all(axis=1)
-        out = Decimated(heave_ns[:n], both[:n, :2], both[:n, 2:4], heave[:n], valid)
-        return DecimatorState(skip, raw[:, used:], raw_ns[used:], both[n:], heave[n:], heave_ns[n:]), out
-
-    def _smooth(self, raw: FloatArray) -> FloatArray:
-        """(2, h) -> (count, 2): the full windows that begin at rows 0, stride, 2 stride .."""
-        window, stride = self._window, self._stride
-        count = max(0, (raw.shape[1] - window) // stride + 1)
-        out = np.empty((count, 2))
-        for first in range(0, count, TOGETHER):
-            n = min(TOGETHER, count - first)
-            reach = (n - 1) * stride + window
-            rows = raw[:, first * stride : first * stride + reach]
-            if math.isfinite(float(np.add.reduce(rows, axis=None))):
-                base = rows[:, :1]  # the taps add up to 1; without it a constant would get the rounding of its sums
-                out[first : first + n] = ((rows - base) @ self._shifted[:reach, :n] + base).T
-            else:  # what is unknown spoils the windows that hold it, and no other
-                for i in range(n):
-                    out[first + i] = rows[:, i * stride : i * stride + window] @ self._taps
-        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,17 +17,9 @@ from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.decimated import Decimated, Decimator, stride_of
 from mavdiag.monitors.healthy import cut_to_share, three, variance_law
-from mavdiag.monitors.model_residual import (
-    DRIFT_S,
-    Decimated,
-    Decimator,
-    HealthyMotion,
-    ModelResidual,
-    Residuals,
-    ResidualState,
-    stride_of,
-)
+from mavdiag.monitors.model_residual import DRIFT_S, HealthyMotion, ModelResidual, Residuals, ResidualState
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows

@@ -44,7 +44,10 @@ def low_pass_transition(corner_hz: float, dt_s: float) -> tuple[float, float, fl
 @jit
 def wrapped(angle: float) -> float:
     """The same angle in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    turned = angle + math.pi
+    if 0.0 <= turned < 2.0 * math.pi:  # as the remainder below has it, without its division
+        return turned - math.pi
+    return turned % (2.0 * math.pi) - math.pi
 
 
 @jit

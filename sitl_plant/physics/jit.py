@@ -4,9 +4,9 @@ numba keys its on-disk cache by the time stamp of the file that holds the cached
 another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
 also holds a digest of every file that defined a compiled function.
 
-numba counts references to every array that a function touches, also to those that live longer than the call. In the loop
-that took two thirds of the time, so it is left out (`_nrt`, an option of numba that is not documented) of all functions
-but those that make arrays (`allocating`, `cached`); numba refuses to compile one that does and says so.
+numba counts references to every array that a function touches. In the loop that took two thirds of the time, so it is
+left out (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,
+`cached`); numba says so if another one does.
 
 Without numba everything can be imported, and the first call of a compiled function says what to install.
 """
@@ -14,7 +14,7 @@ Without numba everything can be imported, and the first call of a compiled funct
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NoReturn, ParamSpec, TypeVar, cast
+from typing import Any, Literal, NoReturn, ParamSpec, TypeVar, cast
 
 from mavdiag.errors import UsageError
 
@@ -70,7 +70,8 @@ def _compiled(function: Callable[P, R], inline: Literal["never", "always"], coun
     _sources.add(Path(function.__code__.co_filename))
     if numba is None:
         return cast(Callable[P, R], _unavailable)
-    return cast(Callable[P, R], numba.njit(error_model="numpy", inline=inline, _nrt=counts)(function))
+    options: Any = {"error_model": "numpy", "inline": inline, "_nrt": counts}
+    return cast(Callable[P, R], numba.njit(**options)(function))
 
 
 def _unavailable(*_arguments: object) -> NoReturn:

@@ -129,15 +129,15 @@ def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
 @jit
 def _cofactor(M: FloatArray, row: int, column: int) -> float:
     """Signed 3 × 3 minor of a 4 × 4 matrix."""
-    i, j, k = (row + 1) % 4, (row + 2) % 4, (row + 3) % 4
-    a, b, c = (column + 1) % 4, (column + 2) % 4, (column + 3) % 4
+    i, j, k = (row + 1) & 3, (row + 2) & 3, (row + 3) & 3  # modulo 4
+    a, b, c = (column + 1) & 3, (column + 2) & 3, (column + 3) & 3
     # The cyclic order of three indices is an even permutation of the sorted one, so the minor keeps its sign.
     minor = (
         M[i, a] * (M[j, b] * M[k, c] - M[j, c] * M[k, b])
         - M[i, b] * (M[j, a] * M[k, c] - M[j, c] * M[k, a])
         + M[i, c] * (M[j, a] * M[k, b] - M[j, b] * M[k, a])
     )
-    return float(-minor if (row + column) % 2 else minor)
+    return float(-minor if (row + column) & 1 else minor)
 
 
 @jit

@@ -105,7 +105,11 @@ def advance_rotors(
             _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
-        state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta % (2.0 * math.pi), thrust
+        if 2.0 * math.pi <= theta < 4.0 * math.pi:
+            theta -= 2.0 * math.pi
+        elif not 0.0 <= theta < 2.0 * math.pi:
+            theta %= 2.0 * math.pi
+        state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta, thrust
 
 
 @jit

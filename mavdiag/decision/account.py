@@ -1,0 +1,65 @@
+"""How long a slot judged, and why it did not."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavdiag.rows.conditions import Condition
+from mavdiag.rows.statistic import Statistic
+from mavdiag.telemetry import Signal
+from mavdiag.thresholds.envelope import Outside
+
+__all__ = ["WAITING", "Account"]
+
+WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """How long a slot judged, and why it did not.
+
+    flight_s: flight time so far.
+    judged_s: time that its valid values stand for.
+    peak: highest valid statistic; None if there was none.
+    missing: flight time with a valid gyro in which what it takes of a signal was unknown, by signal [s].
+    outside: time that it did not judge because a condition was outside of the envelope, and how far that was.
+    """
+
+    flight_s: float = 0.0
+    judged_s: float = 0.0
+    peak: float | None = None
+    missing: Mapping[Signal, float] = field(default_factory=dict)
+    outside: Mapping[Condition, Outside] = field(default_factory=dict)
+
+    @property
+    def outside_s(self) -> float:
+        """Time outside of the envelope [s]."""
+        return sum(one.span_s for one in self.outside.values())
+
+    @property
+    def not_judged(self) -> Mapping[str, float]:
+        """Reasons with their seconds: a signal that is unknown, or waiting for unbroken flight."""
+        found: dict[str, float] = {}
+        idle_s = max(0.0, self.flight_s - self.judged_s - self.outside_s)
+        for signal, span_s in self.missing.items():
+            found[f"no {signal.replace('_', ' ')}"] = min(span_s, max(0.0, idle_s))
+            idle_s -= span_s
+        return {**found, WAITING: idle_s} if idle_s > 0 else found
+
+    def add(
+        self, found: Statistic, flight_s: float, missing: Mapping[Signal, float], outside: Mapping[Condition, Outside]
+    ) -> "Account":
+        """The account after the next rows."""
+        beside, lacking = self.outside, self.missing
+        if outside:
+            beside = dict(beside)
+            for condition, one in outside.items():
+                beside[condition] = beside[condition].plus(one) if condition in beside else one
+        if missing:
+            lacking = {**lacking, **{signal: lacking.get(signal, 0.0) + span_s for signal, span_s in missing.items()}}
+        count, peak = int(np.count_nonzero(found.valid)), self.peak
+        if count:
+            highest = float((found.value if count == len(found) else found.value[found.valid]).max())
+            peak = highest if peak is None else max(peak, highest)
+        return Account(self.flight_s + flight_s, self.judged_s + count * found.period_s, peak, lacking, beside)
