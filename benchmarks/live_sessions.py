@@ -27,6 +27,7 @@ from mavdiag.link.messages import MessageId
 from sitl_plant.plant import PlantConfig
 
 SETTLED_S = 15.0
+LANDED_S = 26.0  # of a take-off: 8 s to the path, 12 s of it, and down
 LOUD = ("CRITICAL", "WARNING")
 STREAMS = (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.SERVO_OUTPUT_RAW, MessageId.ATTITUDE)
 SHAPES, NOSES = ("square", "hover", "circle", "figure8"), ("fixed", "path")
@@ -60,7 +61,7 @@ def resets(seconds: float, every_s: float) -> None:
         )
 
 
-def takeoffs(flights: int, profile: str, rate_hz: float | None) -> None:
+def takeoffs(flights: int, first: int, profile: str, rate_hz: float | None) -> None:
     """Healthy flights from the ground to the ground."""
     began = time.monotonic()
     taught = [
@@ -71,14 +72,15 @@ def takeoffs(flights: int, profile: str, rate_hz: float | None) -> None:
     print(f"learnt from {len(taught)} flights, {len(baseline.monitors)} monitors, {time.monotonic() - began:.0f} s")
     suspicions = alarms = 0
     judged_s = 0.0
-    for number in range(flights):
+    for number in range(first, first + flights):
         shape, nose = SHAPES[number % 4], NOSES[number // 4 % 2]
-        config = PlantConfig(seed=1000 + number, start="ground", landed_s=35.0, trajectory=shape, nose=nose)
+        config = PlantConfig(seed=1000 + number, start="ground", landed_s=LANDED_S, trajectory=shape, nose=nose)
         bench = bench_for(baseline)
         flight = VirtualFlight(bench)
-        flight.fly(config, 36.0, profile, rate_hz)
+        flight.fly(config, LANDED_S + 1.0, profile, rate_hz)
         bench.close()
         judged_s += flight.judged_s[-1][1]
+        print(f"  {number + 1 - first} flown, {judged_s:.0f} s judged", file=sys.stderr, flush=True)
         texts = [line for line in bench.host.lines if any(word in line for word in LOUD)]
         alarms += sum("CRITICAL" in text for text in texts)
         suspicions += sum("WARNING" in text for text in texts)
@@ -97,13 +99,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--every", type=float, default=10.0)
     parser.add_argument("--flights", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0, help="number of the first flight, to share them out")
     parser.add_argument("--profile", default="ardupilot")
     parser.add_argument("--rate", type=float, default=None)
     options = parser.parse_args()
     if options.what == "resets":
         resets(options.seconds, options.every)
     else:
-        takeoffs(options.flights, options.profile, options.rate)
+        takeoffs(options.flights, options.first, options.profile, options.rate)
 
 
 if __name__ == "__main__":

@@ -57,7 +57,12 @@ def detect(
     ] = None,
     layout: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"),
+        typer.Option(
+            "--layout",
+            "--frame",
+            metavar="NAME",
+            help="Its rotor layout, as in `mavdiag identify`.  [default: what it shows]",
+        ),
     ] = None,
     name: Annotated[
         str | None, typer.Option(metavar="LABEL", help='Label of what is learned.  [default: "vehicle" and its id]')
@@ -128,14 +133,14 @@ def _health(config: Path | None, given: dict[str, object]) -> None:
     values, _ = collect_values(config, given, os.environ)
     metrics = values.get("metrics")
     healthy, words = ask_health(None if metrics is None else str(metrics))
-    typer.echo(words)
+    commandline.say(words)
     raise typer.Exit(0 if healthy else 1)
 
 
 def _check(settings: Settings) -> None:
     from detector.check import plan
 
-    typer.echo(plan(settings, *_baselines(settings), _airframe(settings)))
+    commandline.say(plan(settings, *_baselines(settings), _airframe(settings)))
 
 
 def _serve(settings: Settings) -> None:

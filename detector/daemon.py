@@ -51,6 +51,7 @@ __all__ = ["Daemon", "Host"]
 
 BEAT_S = 1.0
 DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
+UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
 _DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
@@ -111,6 +112,7 @@ class Daemon:
         self._beat_at = self._started
         self._late, self._latest_s = 0, 0.0
         self._unclear: dict[int, str] = {}
+        self._unclear_told = 0
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Look at the links until `stop` says so; then look once more and write the summary."""
@@ -215,18 +217,12 @@ class Daemon:
     def _watch(self, now: Instant) -> None:
         """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
-        found = self._guard.look(now)
-        if self._kept is not None:
-            failure = self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
-            found += [(None, Note(failure))] if failure else []
-        for sysid, effect in found:
-            if sysid is None:
-                text = effect.text if isinstance(effect, Note) else ""
-                self._reporter.mark("note", {"text": text})
-                self._host.say(text)
-            else:
-                self._act(sysid, effect)
-                self._reporter.record(sysid, effect)
+        turns, texts = self._guard.look(now)
+        failure = None if self._kept is None else self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
+        self._carry_out(turns)
+        for text in (*texts, *((failure,) if failure else ())):
+            self._reporter.mark("note", {"text": text})
+            self._host.say(text)
 
     def _sender(self, vehicle: int) -> MavlinkSender:
         return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
@@ -242,8 +238,9 @@ class Daemon:
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
         for sysid, reason in self.fleet.link.waiting.items():
-            if self._unclear.get(sysid) != reason:
+            if self._unclear.get(sysid) != reason and self._unclear_told < UNCLEAR_MOST:
                 self._host.say(f"vehicle {sysid}: not watched: {reason}")
+                self._unclear_told += 1
             self._unclear[sysid] = reason
         new = list(self.fleet.vehicles.items())[known:]
         for sysid, vehicle in new:

@@ -6,13 +6,15 @@ No clock, no socket: the link's counts and `now` in, effects out.
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from detector.fleet import Turn
 from detector.values import Effect, Note, SendText
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import SocketAddress
-from mavdiag.link.sequence import Source
+from mavdiag.link.sequence import PINNED_S, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Instant
+from mavdiag.units import NS_PER_S
 
 __all__ = ["Guard"]
 
@@ -23,8 +25,9 @@ SECONDS = 3  # seconds in a row, that two senders with one name show (our choice
 
 @dataclass(slots=True)
 class _Known:
-    """What is known of one vehicle: its new beginnings, for how many looks they went on, and what was told."""
+    """What is known of one vehicle: its source, new beginnings, for how many looks they went on, and what was told."""
 
+    source: Source = None
     restarts: int = 0
     looks: int = 0
     told: set[str] = field(default_factory=set)
@@ -41,20 +44,20 @@ class Guard:
 
     def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
         """Where the vehicles are heard from that were heard lately."""
-        found = (self._link.source(sysid, now.ns, within_s) for sysid in self._link.vehicles)
-        return [source for source in dict.fromkeys(found) if isinstance(source, tuple)]
+        heard = self._link.heard_since(now.ns - round(within_s * NS_PER_S))
+        return [source for source in dict.fromkeys(map(self._link.source, heard)) if isinstance(source, tuple)]
 
-    def look(self, now: Instant) -> list[tuple[int | None, Effect]]:
-        """What is new: the vehicle that it is about (None for the link) and what to tell."""
-        found: list[tuple[int | None, Effect]] = []
+    def look(self, now: Instant) -> tuple[list[Turn], list[str]]:
+        """What is new: what to tell about vehicles, and about the link."""
+        turns, texts = list[Turn](), list[str]()
         for sysid in self._link.vehicles:
-            known = self._known.setdefault(sysid, _Known())
-            found += [(sysid, effect) for effect in self._second(sysid, known)]
+            effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
+            turns += [Turn(sysid, effects)] if effects else []
         refused = 0 if self._signing is None else sum(self._signing.refused.values())
         if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
             self._told, self._told_at = refused, now
-            found.append((None, Note(self.summary())))
-        return found
+            texts.append(self.summary())
+        return turns, texts
 
     def summary(self) -> str:
         """What was refused so far, in one line; empty if nothing was."""
@@ -69,6 +72,11 @@ class Guard:
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         intruder, count = self._link.intruder(sysid), self._link.count(sysid)
+        source = self._link.source(sysid)
+        if known.source not in (None, source):
+            moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
+            yield Note(f"vehicle {sysid} is heard from {moved}")
+        known.source = source
         if intruder is not None and "source" not in known.told:
             known.told.add("source")
             where = _address(intruder.source)

@@ -202,7 +202,7 @@ def validated(raw: dict[str, Any]) -> Baseline:
     except MavdiagError as error:  # from a specification that checks itself
         raise BaselineError(f"{_place(raw)}: {error}; {REMEDY}") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"]) or "baseline"
         raise BaselineError(f"{where}: {first['msg']}; {REMEDY}") from error
 

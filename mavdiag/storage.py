@@ -14,7 +14,7 @@ from mavdiag.errors import InputError, UsageError
 __all__ = ["TOML_BYTES", "check_output", "open_regular", "parse_toml", "read_text", "read_toml", "write_atomically"]
 
 TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for a larger one's worst (our choice)
-TEXT_BYTES = 64 << 20  # baselines have some hundred kilobytes (our choice)
+TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def read_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
     """The text of a file. Raises InputError, naming it, if it cannot be read."""
     try:
         with open_regular(path, most_bytes) as file:
-            return file.read(most_bytes).decode()
+            return file.read(os.fstat(file.fileno()).st_size).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read (not UTF-8 text)") from error
     except OSError as error:

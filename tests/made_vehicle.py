@@ -1,5 +1,6 @@
 """A made vehicle on an in-memory link, and a daemon on a virtual clock that receives it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -16,6 +17,7 @@ from detector.notify import Notifier
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
+from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import Endpoint
 from mavdiag.units import NS_PER_S
@@ -125,21 +127,26 @@ class Bench:
         self.open: list[Endpoint] = [near, self.far, *(end for pair in pairs for end in pair)]
         self.recorder = None if self.record is None else Recorder(self.record, EPOCH_NS, self.host.say)
         self.file = None if self.journal is None else Journal(self.journal, self.host.say)
-        self.daemon = Daemon(
+        self.daemon = self.another([near, *(near for near, _ in pairs)])
+        self.daemon.begin()
+
+    def another(self, links: Sequence[Endpoint], signing: KeptSigning | None = None) -> Daemon:
+        """A daemon on these links, of which the first is the vehicle's."""
+        return Daemon(
             self.settings,
             self.host,
-            near,
-            [near for near, _ in pairs],
+            links[0],
+            links[1:],
             baseline=self.baseline,
             fitter=self.fitter,
             airframe=self.airframe,
             journal=self.file,
             recorder=self.recorder,
+            signing=signing,
             baselines=self.baselines,
             notifier=self.notifier,
             metrics=self.metrics,
         )
-        self.daemon.begin()
 
     def run(self, seconds: float) -> None:
         """Let time pass in ticks; every vehicle sends."""

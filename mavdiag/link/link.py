@@ -6,7 +6,7 @@ with open_link("udpin:127.0.0.1:14550", vehicle=1) as link:
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import Self
 
@@ -14,14 +14,18 @@ from mavdiag.errors import InputError
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.link.profiles import Profile, profile_named
 from mavdiag.link.samples import joined
+from mavdiag.link.sequence import LinkCount
 from mavdiag.link.signing import Signing, stamp_at
-from mavdiag.link.vehicles import LinkDecoder, VehicleStream
+from mavdiag.link.vehicles import Ack, LinkDecoder, VehicleStream
 from mavdiag.telemetry import Log, Telemetry
 
 __all__ = ["Link", "open_link"]
 
 POLL_S = 0.04
 SILENT_NOTE = "it sends no message with a measurement; let it send ATTITUDE_TARGET and an IMU message"
+SILENT_ADVICE = (
+    "is the vehicle sending to this address? It may send only after it was spoken to, as `mavdiag inspect --ask` does"
+)
 PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (our choice)
 
 
@@ -44,6 +48,7 @@ class Link:
 
     endpoint: an open port; it is closed with the link.
     vehicle, profile: as in `open_link`. signing: lets only genuine frames pass.
+    acks: what the autopilot answered to our commands so far.
     """
 
     def __init__(
@@ -53,7 +58,8 @@ class Link:
         profile: Profile | None = None,
         signing: Signing | None = None,
     ) -> None:
-        self._endpoint, self._vehicle, self._signing = endpoint, vehicle, signing
+        self._endpoint, self._vehicle, self.signing = endpoint, vehicle, signing
+        self.acks: tuple[Ack, ...] = ()
         self._decoder = LinkDecoder(profile, vehicle, endpoint.datagrams, signing=signing)
 
     @property
@@ -98,19 +104,37 @@ class Link:
                 raise InputError(f"{self.address}: there are the vehicles {names}; choose one with --vehicle")
             self._vehicle = known[0]
         found = None if self._vehicle is None else received.get(self._vehicle)
-        return Telemetry() if found is None else found.telemetry
+        if found is None:
+            return Telemetry()
+        self.acks += found.acks
+        return found.telemetry
 
-    def record(self, duration_s: float) -> Log:
-        """All that the vehicle sends in so much time. Raises InputError, saying why, if that is nothing."""
+    def send(self, frames: Iterable[bytes]) -> None:
+        """Send frames to the other end."""
+        for frame in frames:
+            self._endpoint.send(frame)
+
+    @property
+    def count(self) -> LinkCount | None:
+        """What came from the vehicle's autopilot so far, by message, and what was lost; None before it has entered."""
+        return None if self._vehicle is None else self._decoder.count(self._vehicle)
+
+    def record(self, duration_s: float, each: Callable[[], None] = lambda: None) -> Log:
+        """All that the vehicle sends in so much time. Raises InputError, saying why, if that is nothing.
+
+        each: is called every few hundredths of a second.
+        """
         pieces: list[Telemetry] = []
         until = time.monotonic() + duration_s
         while (left := until - time.monotonic()) > 0:
+            each()
             pieces.append(self.poll(min(left, POLL_S)))
         telemetry = joined([piece for piece in pieces if piece.series])
         if self.stream is None:
             raise InputError(self._absent())
         notes = () if telemetry.series else (SILENT_NOTE,)
-        return Log(f"{self.address} vehicle {self._vehicle}", "", self.stream.profile.name, telemetry, notes=notes)
+        name, stream = f"{self.address} vehicle {self._vehicle}", self.stream
+        return Log(name, "", stream.profile.name, telemetry, notes=notes, parameters=stream.parameters)
 
     def close(self) -> None:
         """Close the port."""
@@ -128,10 +152,10 @@ class Link:
         for sysid, reason in waiting.items():
             return f"{self.address}: vehicle {sysid}: {reason}"
         senders = sorted({sysid for sysid, _ in self._decoder.decoder.senders})
-        if self._signing is not None and self._signing.refused:
-            refused = ", ".join(f"{count} {cause}" for cause, count in self._signing.refused.items())
+        if self.signing is not None and self.signing.refused:
+            refused = ", ".join(f"{count} {cause}" for cause, count in self.signing.refused.items())
             return f"{self.address}: no frame with a valid signature; refused: {refused}; check the key"
         if not senders:
-            return f"{self.address}: nothing was received; is the vehicle sending to this address?"
+            return f"{self.address}: nothing was received; {SILENT_ADVICE}"
         names = ", ".join(map(str, senders))
         return f"{self.address}: system ids {names} send, but no autopilot's heartbeat came of the vehicle wanted"

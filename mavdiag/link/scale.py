@@ -19,8 +19,9 @@ ALIKE = 0.1  # counts this near to a known scale are of it (our choice: hovering
 LAGS_S = np.arange(-0.2, 0.2001, 0.002)  # delays that are tried
 LEAST_MOTION = 0.02  # rad/s, standard deviation of a rate below which it says nothing of the gyro (our choice)
 LEAST_STEPS = 50  # of the attitude
+MOST_STEPS = 2000  # of them that are compared: those that turn fastest
 SURE = 0.8  # correlation below which scale and delay are not believed (our choice)
-SCALE_OK = 0.15  # a scale this near to 1 is right: filters and slow attitude streams take their part (our choice)
+SCALE_OK = 0.2  # a scale this near to 1 is right: filters and slow attitude streams take their part (our choice)
 USUAL = 3.0  # steps of the attitude above this multiple of the median are gaps (our choice)
 
 # Counts of 1 g, and what they are. Two's complement of 16 bits over the full scale of the sensor.
@@ -38,8 +39,6 @@ _RATES = (
     (np.pi / 180.0, "rad/s taken for deg/s"),
     (1000.0, "mrad/s"),
     (1e-3, "rad/s taken for mrad/s"),
-    (16.4 * 0.18 / np.pi, "16 bits over 2000 deg/s taken for mrad/s"),
-    (np.pi / (16.4 * 0.18), "mrad/s taken for 16 bits over 2000 deg/s"),
 )
 
 
@@ -94,8 +93,10 @@ def gyro_checks(gyro: Series, attitude: Series) -> tuple[AxisCheck, ...]:
     used = (steps < USUAL * np.median(steps)) & (t[:-1] > turned[0][0]) & (t[1:] < turned[0][-1])
     if np.count_nonzero(used) < LEAST_STEPS:
         return ()
-    slopes = _body_rates(0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None])[used]
-    means = [_means(turned, t[:-1][used] + lag, t[1:][used] + lag) for lag in LAGS_S]
+    slopes = _body_rates(0.5 * (angles[1:] + angles[:-1]), np.diff(angles, axis=0) / steps[:, None])
+    fastest = np.argsort(np.where(used, np.abs(slopes).max(axis=1), -1.0))[-min(MOST_STEPS, int(used.sum())) :]
+    slopes, begin, end = slopes[fastest], t[:-1][fastest], t[1:][fastest]
+    means = [_means(turned, begin + lag, end + lag) for lag in LAGS_S]
     return tuple(
         _axis_check(name, slopes[:, k], np.array([mean[:, k] for mean in means]))
         for k, name in enumerate(("roll", "pitch", "yaw"))

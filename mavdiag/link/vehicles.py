@@ -23,35 +23,27 @@ from mavdiag.link.addressed import (
 )
 from mavdiag.link.codec import Decoder, Frame
 from mavdiag.link.messages import Component, MessageId
-from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
-    LAST_RESORT,
     PROFILES,
     Profile,
-    by_attitude,
     detect_profile,
-    is_autopilot_heartbeat,
-    with_imu,
 )
-from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
+from mavdiag.link.samples import SampleDecoder, by_vehicle
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.timeline import Timeline
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
+from mavdiag.link.waiting import Waiting
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["WATCH_S", "Ack", "Command", "LinkDecoder", "Received", "VehicleStream"]
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
-CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
-LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
-BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
-USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,102 +66,6 @@ class Received:
     commands: tuple[Command, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     parameter_requests: tuple[Frame, ...] = ()
-
-
-class VehicleStream:
-    """One vehicle's frames to telemetry, on one clock.
-
-    profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    signals: those of interest.
-    parameters: of its autopilot that passed by so far, by name.
-    """
-
-    def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
-        self._signals = signals
-        self._decoder = SampleDecoder(profile, signals)
-        self._state = SampleState()
-        self._own, self._since_ns = profile, 0
-        self._imu: list[Frame] = []
-        self._settled = False  # whether the IMU message is chosen for good
-        self.parameters: Mapping[str, float] = {}
-
-    @property
-    def profile(self) -> Profile:
-        """The profile, with the IMU message that is read."""
-        return self._decoder.profile
-
-    @property
-    def timeline(self) -> Timeline:
-        """Where the vehicle's time stands."""
-        return self._state.timeline
-
-    @property
-    def vehicle_ns(self) -> int | None:
-        """Latest time of the vehicle's clock [ns], None before its first stamp."""
-        return self._state.timeline.t_ns
-
-    @property
-    def reboots(self) -> int:
-        """How often it started anew."""
-        return self._state.timeline.reboots
-
-    @property
-    def dropped(self) -> int:
-        """Samples left out for NaN, infinity or a zero quaternion so far."""
-        return self._state.dropped
-
-    def step(self, frames: Sequence[Frame]) -> Telemetry:
-        """Take the vehicle's next frames, in order of arrival."""
-        if not self._settled:
-            self._choose_imu(frames)
-        self.parameters = with_parameters(self.parameters, frames, self.profile.autopilot)
-        self._state, telemetry = self._decoder.step(self._state, frames)
-        return telemetry
-
-    def _choose_imu(self, frames: Sequence[Frame]) -> None:
-        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
-        chosen = with_imu(self._own, self._imu, USEFUL_FRAMES)
-        self._since_ns = self._since_ns or next((frame.host_ns for frame in frames), 0)
-        waited_ns = frames[-1].host_ns - self._since_ns if frames else 0
-        if not self._imu and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
-            chosen = by_attitude(self._own)
-        if chosen.imu != self.profile.imu:
-            self._decoder = SampleDecoder(chosen, self._signals)
-        self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
-        if self._settled:
-            self._imu = []
-
-
-@dataclass(slots=True)
-class _Pending:
-    """A system id that has not entered.
-
-    since_ns: since when it is watched [ns].
-    frames: its autopilot's latest.
-    beat: its autopilot's latest heartbeat.
-    beats: how many like it came, each at its time after the one before.
-    checked_ns: when its profile was looked for last [ns].
-    reason: why it waits though its autopilot was received.
-    """
-
-    since_ns: int
-    frames: list[Frame] = field(default_factory=list)
-    beat: Frame | None = None
-    beats: int = 0
-    checked_ns: int | None = None
-    reason: str = ""
-
-    def note(self, frames: Iterable[Frame]) -> None:
-        """Take in heartbeats."""
-        least_s, most_s = BEATS_S
-        for frame in filter(is_autopilot_heartbeat, frames):
-            before = self.beat
-            like = before is not None and frame.payload[4:6] == before.payload[4:6]  # type and autopilot
-            span_s = 0.0 if before is None else (frame.host_ns - before.host_ns) / NS_PER_S
-            if before is None or not like or span_s > most_s:
-                self.beat, self.beats = frame, 1
-            elif span_s >= least_s:
-                self.beat, self.beats = frame, self.beats + 1
 
 
 class LinkDecoder:
@@ -207,7 +103,7 @@ class LinkDecoder:
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
         self._most = most
-        self._pending: dict[int, _Pending] = {}
+        self._pending: dict[int, Waiting] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -225,10 +121,15 @@ class LinkDecoder:
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
         return None if sender is None else sender.count()
 
-    def source(self, sysid: int, now_ns: int, within_s: float) -> Source:
-        """Where a vehicle's autopilot is heard from; None if it was not heard for so long."""
+    def heard_since(self, host_ns: int) -> list[int]:
+        """The vehicles whose autopilots were heard at this time or later [ns]."""
+        senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
+        return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
+
+    def source(self, sysid: int) -> Source:
+        """Where a vehicle's autopilot is heard from; None on a link with one other end."""
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-        return None if sender is None or now_ns - sender.heard_ns > within_s * NS_PER_S else sender.source
+        return None if sender is None else sender.source
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""
@@ -269,7 +170,7 @@ class LinkDecoder:
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
-        pending = self._pending.setdefault(sysid, _Pending(now_ns))
+        pending = self._pending.setdefault(sysid, Waiting(now_ns))
         kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
         frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
         pending.frames = [*pending.frames, *frames][-kept:]
@@ -291,14 +192,13 @@ class LinkDecoder:
         del self._pending[sysid]
         return pending.frames
 
-    def _may_enter(self, sysid: int, pending: _Pending) -> bool:
+    def _may_enter(self, sysid: int, pending: Waiting) -> bool:
         """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
         if self._careful:
             sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
             if pending.beats < 2 or sender is None or not sender.sound:
                 return False
         if len(self.vehicles) >= self._most:
-            pending.reason = f"there are {self._most} vehicles already (max_vehicles)"
-            pending.frames = []
+            pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False
         return True

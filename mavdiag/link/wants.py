@@ -12,13 +12,13 @@ from mavdiag.link.messages import Autopilot, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.telemetry import Signal
 
-__all__ = ["LABELS", "Want", "log_remedy", "remedy", "wants_of"]
+__all__ = ["LABELS", "Want", "log_remedy", "messages_of", "remedy", "wants_of"]
 
 # Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
 _SLOW: Mapping[Signal, tuple[float, float]] = {
     Signal.ACTUATOR: (25.0, 10.0),
-    Signal.VIBRATION: (5.0, 2.0),
     Signal.ROTOR_SPEED: (5.0, 1.0),
+    Signal.VIBRATION: (5.0, 2.0),
     Signal.ATTITUDE: (25.0, 10.0),
 }
 
@@ -72,16 +72,30 @@ def wants_of(
     setpoints: whether the set-points are mandatory, as the gyro is.
     """
     others = tuple(one for one in _GYROS if one != profile.imu)
+    messages = messages_of(profile)
     wants = [Want(Signal.BODY_RATE, profile.imu, *imu_hz, mandatory=True, others=others)]
     if Signal.ATTITUDE_SETPOINT in needs:
         target = Want(Signal.ATTITUDE_SETPOINT, profile.setpoint, imu_hz[0], setpoint_hz, mandatory=setpoints)
         wants.insert(0, target)
-    messages = {Signal.ACTUATOR: profile.actuator, Signal.ROTOR_SPEED: profile.rotor_speed}
+    slow = (signal for signal in _SLOW if signal in messages and signal in needs)
+    wants += [Want(signal, messages[signal], *_SLOW[signal]) for signal in slow]
+    return tuple(wants)
+
+
+def messages_of(profile: Profile) -> dict[Signal, MessageId]:
+    """The message that each signal comes by; a signal that the link does not carry is absent."""
+    messages = {
+        Signal.BODY_RATE: profile.imu,
+        Signal.ATTITUDE_SETPOINT: profile.setpoint,
+        Signal.THRUST_SETPOINT: profile.setpoint,
+        Signal.RATE_SETPOINT: profile.setpoint,
+        Signal.ACTUATOR: profile.actuator,
+        Signal.ROTOR_SPEED: profile.rotor_speed,
+        Signal.ATTITUDE: MessageId.ATTITUDE,
+    }
     if profile.vibration:
         messages[Signal.VIBRATION] = MessageId.VIBRATION
-    messages[Signal.ATTITUDE] = MessageId.ATTITUDE
-    wants += [Want(signal, messages[signal], *_SLOW[signal]) for signal in messages if signal in needs]
-    return tuple(wants)
+    return messages if profile.imu == LAST_RESORT else messages | {Signal.SPECIFIC_FORCE: profile.imu}
 
 
 _RAW_SENS, _RC_CHAN, _EXTRA1, _EXTRA3 = (f"SRn_{group}" for group in ("RAW_SENS", "RC_CHAN", "EXTRA1", "EXTRA3"))

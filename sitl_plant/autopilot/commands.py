@@ -38,7 +38,7 @@ STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
 NONE = float("nan")
 
 
-class Capability(IntFlag):
+class _Capability(IntFlag):
     """MAV_PROTOCOL_CAPABILITY: what the emulator does."""
 
     PARAM_FLOAT = 1 << 1
@@ -52,15 +52,17 @@ class Capability(IntFlag):
     PARAM_ENCODE_C_CAST = 1 << 17
 
 
-_ALWAYS = Capability.MAVLINK2 | Capability.PARAM_FLOAT | Capability.MISSION_INT | Capability.COMMAND_INT
+_ALWAYS = _Capability.MAVLINK2 | _Capability.PARAM_FLOAT | _Capability.MISSION_INT | _Capability.COMMAND_INT
 _IN_COMMAND = (
-    Capability.SET_POSITION_TARGET_LOCAL_NED | Capability.SET_POSITION_TARGET_GLOBAL_INT | Capability.FLIGHT_TERMINATION
+    _Capability.SET_POSITION_TARGET_LOCAL_NED
+    | _Capability.SET_POSITION_TARGET_GLOBAL_INT
+    | _Capability.FLIGHT_TERMINATION
 )
 
 PlantOrder: TypeAlias = Leg | Injection | Renewal
 """What the plant is to do: be led, take a cause, be made as new."""
 
-Answer: TypeAlias = tuple[MavResult, list[Action]]
+_Answer: TypeAlias = tuple[MavResult, list[Action]]
 
 
 class Autopilot:
@@ -91,7 +93,7 @@ class Autopilot:
             MessageId.REQUEST_DATA_STREAM: self._set_stream,
             **dict.fromkeys(self._mission.handled, self._mission.step),
         }
-        self._commands: Mapping[int, Callable[[int, Order], Answer]] = {
+        self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
             MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
             MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
             MavCmd.REQUEST_MESSAGE: self._request,
@@ -157,12 +159,12 @@ class Autopilot:
             result = MavResult.UNSUPPORTED
         return [_ack(link, frame, order.command, result), *replies]
 
-    def _set_interval(self, link: int, order: Order) -> Answer:
+    def _set_interval(self, link: int, order: Order) -> _Answer:
         return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
 
-    def _request(self, link: int, order: Order) -> Answer:
+    def _request(self, link: int, order: Order) -> _Answer:
         """REQUEST_MESSAGE: what is only told when asked, else a message of the schedule, once."""
-        told: Mapping[int, Callable[[], Answer]] = {
+        told: Mapping[int, Callable[[], _Answer]] = {
             MessageId.AUTOPILOT_VERSION: lambda: self._tell_version(link),
             MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
             MessageId.MESSAGE_INTERVAL: lambda: self._tell_interval(link, order.whole(2)),
@@ -176,21 +178,21 @@ class Autopilot:
             return told[order.whole(1)]()
         return self._schedules[link].ask_once(order.whole(1)), []
 
-    def _tell_version(self, link: int) -> Answer:
+    def _tell_version(self, link: int) -> _Answer:
         bytewise = self._firmware.encoding is Encoding.BYTES
-        encoding = Capability.PARAM_ENCODE_BYTEWISE if bytewise else Capability.PARAM_ENCODE_C_CAST
-        can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else Capability(0))
+        encoding = _Capability.PARAM_ENCODE_BYTEWISE if bytewise else _Capability.PARAM_ENCODE_C_CAST
+        can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else _Capability(0))
         fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
         return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
 
-    def _tell_protocol(self, link: int) -> Answer:
+    def _tell_protocol(self, link: int) -> _Answer:
         return MavResult.ACCEPTED, [Reply(link, MessageId.PROTOCOL_VERSION, (PROTOCOL, PROTOCOL, PROTOCOL))]
 
-    def _tell_interval(self, link: int, msgid: int) -> Answer:
+    def _tell_interval(self, link: int, msgid: int) -> _Answer:
         interval_us = self._schedules[link].interval_us(msgid)  # 0 means that the message is not carried
         return MavResult.ACCEPTED, [Reply(link, MessageId.MESSAGE_INTERVAL, (msgid, interval_us))]
 
-    def _tell_modes(self, link: int, wanted: int) -> Answer:
+    def _tell_modes(self, link: int, wanted: int) -> _Answer:
         """AVAILABLE_MODES: one by its number from 1, or all of them for 0."""
         modes = self._firmware.modes
         told: list[Action] = [
@@ -200,7 +202,7 @@ class Autopilot:
         ]
         return (MavResult.ACCEPTED if told else MavResult.DENIED), told
 
-    def _inject(self, link: int, order: Order) -> Answer:
+    def _inject(self, link: int, order: Order) -> _Answer:
         if not self._parameters.value("SYS_FAILURE_EN", 1):
             return MavResult.DENIED, []
         instance = None if order.param[2] is None else order.whole(3)

@@ -1,13 +1,17 @@
-"""`mavdiag inspect` of a live link whose vehicle is not known."""
+"""`mavdiag inspect` of a live link: a vehicle that is not known, one that must be asked, none at all."""
 
+import json
 import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
 from mavdiag.commands.inspect import inspect
-from mavdiag.errors import InputError
-from mavdiag.link.codec import Encoder
-from mavdiag.link.messages import Component, MavType, MessageId
+from mavdiag.errors import InputError, UsageError
+from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.ports import open_endpoint
 
 
@@ -56,3 +60,136 @@ def test_l10_a_vehicle_without_imu_is_never_called_a_qdrone2(
 def test_a_link_on_which_nothing_comes_is_a_line_that_says_so() -> None:
     with pytest.raises(InputError, match="nothing was received; is the vehicle sending"):
         inspect(free_address(), duration=0.1)
+
+
+class FreshArduPilot:
+    """Sends heartbeats until it is asked for more, and knows some parameters: ArduPilot after a start.
+
+    heard: every frame that came.
+    """
+
+    PARAMETERS: ClassVar = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 20.0}
+    COUNTS = 1000
+
+    def __init__(self) -> None:
+        self.heard: list[Frame] = []
+        self._encoder, self._rates = Encoder(1, Component.AUTOPILOT1), dict[int, float]()
+
+    def answer(self, frame: Frame) -> list[bytes]:
+        self.heard.append(frame)
+        encode = self._encoder.encode
+        if frame.msgid == MessageId.COMMAND_LONG:
+            names = ("command", "param1", "param2")
+            command, msgid, interval = (frame.fields[field_index(frame.msgid, name)] for name in names)
+            known = msgid in (MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.ATTITUDE)
+            self._rates |= {int(msgid): 1e6 / float(interval)} if known else {}
+            result = MavResult.ACCEPTED if known else MavResult.DENIED
+            return [encode(MessageId.COMMAND_ACK, command, result, 0, 0, frame.sysid, frame.compid)]
+        if frame.msgid == MessageId.PARAM_REQUEST_READ:
+            raw = frame.fields[field_index(frame.msgid, "param_id")]
+            name = raw.partition(b"\0")[0].decode() if isinstance(raw, bytes) else ""
+            found = self.PARAMETERS.get(name)
+            return [] if found is None else [encode(MessageId.PARAM_VALUE, name, found, 9, 3, 0)]
+        return []
+
+    def messages(self, k: int) -> list[bytes]:
+        """What it sends in the hundredth of a second number k."""
+        encode, t_ms = self._encoder.encode, 5000 + 10 * k
+        beat = (MavType.QUADROTOR, Autopilot.ARDUPILOTMEGA, ModeFlag.SAFETY_ARMED, 0, 4, 3)
+        frames = [encode(MessageId.HEARTBEAT, *beat)] if k % 100 == 0 else []
+        for msgid, rate_hz in self._rates.items():
+            if k % max(1, round(100 / rate_hz)):
+                continue
+            if msgid == MessageId.RAW_IMU:
+                frames.append(encode(msgid, 1000 * t_ms, 0, 0, -self.COUNTS, 1, 2, 3))
+            elif msgid == MessageId.ATTITUDE_TARGET:
+                frames.append(encode(msgid, t_ms, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5))
+            else:
+                frames.append(encode(msgid, t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return frames
+
+    def run(self, address: str, stop: threading.Event) -> None:
+        decoder = Decoder()
+        with open_endpoint(address.replace("udpin", "udpout")) as endpoint:
+            for k in range(3000):
+                chunks = endpoint.receive(0.0)
+                heard = [frame for data, host_ns in chunks for frame in decoder.feed_datagram(data, host_ns)]
+                answers = [answer for frame in heard for answer in self.answer(frame)]
+                for sent in (*answers, *self.messages(k)):
+                    endpoint.send(sent)
+                if stop.wait(0.01):
+                    return
+
+
+def beside(vehicle: FreshArduPilot, look: Callable[[str], None]) -> None:
+    address, stop = free_address(), threading.Event()
+    sender = threading.Thread(target=vehicle.run, args=(address, stop))
+    sender.start()
+    try:
+        look(address)
+    finally:
+        stop.set()
+        sender.join()
+
+
+@pytest.mark.realtime
+def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    vehicle = FreshArduPilot()
+    beside(vehicle, lambda address: inspect(address, duration=4.0))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "profile ardupilot" in shown
+    for words in ("no RAW_IMU: SRn_RAW_SENS", "no VIBRATION: SRn_EXTRA3", "no ATTITUDE: SRn_EXTRA1", "--ask"):
+        assert words in shown, words
+    assert "works" not in shown
+    assert vehicle.heard == []  # it listens only
+
+
+@pytest.mark.realtime
+def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_set(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    vehicle = FreshArduPilot()
+    beside(vehicle, lambda address: inspect(address, duration=2.0, ask=True, as_json=True))
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    works = {one["monitor"] for one in found["monitors"] if one["works"]}
+    assert {"fsd", "innovation", "rotor_signature", "sensor_drift", "control_loss", "thrust_loss"} == works
+    missing = {one["monitor"]: " ".join(one["missing"]) for one in found["monitors"]}
+    assert "no SERVO_OUTPUT_RAW: SRn_RC_CHAN" in missing["rotor_trim"]
+    assert "low-passed at 20 Hz" in missing["unbalance"]
+    assert "FRAME_CLASS 1, FRAME_TYPE 1" in found["rotors"]
+    assert found["units"]["gravity_g"] == pytest.approx(1.0, abs=0.03)
+    assert any("ACCEPTED, DENIED" in one or "DENIED, ACCEPTED" in one for one in found["asked"])
+    sent = {frame.msgid for frame in vehicle.heard}
+    assert sent == {MessageId.HEARTBEAT, MessageId.COMMAND_LONG, MessageId.PARAM_REQUEST_READ}
+    place = field_index(MessageId.COMMAND_LONG, "command")
+    commands = {frame.fields[place] for frame in vehicle.heard if frame.msgid == MessageId.COMMAND_LONG}
+    assert commands == {MavCmd.SET_MESSAGE_INTERVAL}
+
+
+class OtherCounts(FreshArduPilot):
+    """Its RAW_IMU is in counts of a sensor of 8 g."""
+
+    COUNTS = 4096
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rates = {MessageId.RAW_IMU: 100.0}
+
+
+@pytest.mark.realtime
+def test_a_raw_imu_of_unknown_scale_is_named_by_gravity(capsys: pytest.CaptureFixture[str]) -> None:
+    def look(address: str) -> None:
+        with pytest.raises(InputError, match="counts 4096 at rest, 16 bits over 8 g; only 1000 and 2048 are read"):
+            inspect(address, duration=2.0)
+        inspect(address, duration=2.0, profile="ardupilot")
+
+    beside(OtherCounts(), look)
+    assert "gravity: 4.10 g, wrong scale, or never at rest" in capsys.readouterr().out
+
+
+def test_ask_is_for_a_link(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--ask is for a link"):
+        inspect(str(tmp_path / "flight.tlog"), ask=True)

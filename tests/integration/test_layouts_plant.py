@@ -17,7 +17,14 @@ SHAKEN_G_MM = 10.0  # of every rotor; the worst damaged propeller of T Table 3.2
 
 @pytest.mark.parametrize("link", [LinkSpec("qdrone2"), LinkSpec("ardupilot", 100.0)], ids=["1 kHz", "100 Hz"])
 @pytest.mark.parametrize(
-    ("vehicle", "layout"), [("qdrone2", "qdrone2"), ("quad-plus", "plus"), ("hexa-x", "hexa-x"), ("octo-x", "octo-x")]
+    ("vehicle", "layout"),
+    [
+        ("qdrone2", "qdrone2"),
+        ("quad-plus", "plus"),
+        ("hexa-x", "hexa-x"),
+        ("hexa-plus", "hexa-plus"),
+        ("octo-x", "octo-x"),
+    ],
 )
 def test_the_layout_of_a_shaken_vehicle_is_found(vehicle: str, layout: str, link: LinkSpec) -> None:
     kind = vehicle_named(vehicle)

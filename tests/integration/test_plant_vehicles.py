@@ -50,7 +50,7 @@ def telemetry_of(frames: list[Frame], profile: str) -> Telemetry:
 
 
 @pytest.mark.parametrize(("profile", "rate_hz"), [("qdrone2", 200.0), ("ardupilot", 50.0), ("px4", 100.0)])
-@pytest.mark.parametrize("name", ["hexa-x", "octo-x", "made up"])
+@pytest.mark.parametrize("name", ["hexa-x", "hexa-plus", "octo-x", "made up"])
 def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, tmp_path: Path) -> None:
     vehicle = made_up(tmp_path) if name == "made up" else vehicle_from(name)
     n, config = len(vehicle.rotors), PlantConfig(vehicle=vehicle, seed=3)

@@ -1,7 +1,9 @@
 """What a session does, told as stories on a virtual clock."""
 
 import itertools
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from made_session import FML_S, Story, baseline_for, outcome_of
 from pydantic import TypeAdapter
@@ -14,6 +16,7 @@ from detector.values import (
     Effect,
     EventClosed,
     EventOpened,
+    Inbox,
     Learn,
     LearningFailed,
     Note,
@@ -30,7 +33,8 @@ from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.vehicles import Ack
 from mavdiag.monitors import NEED_LAYOUT
-from mavdiag.telemetry import Axis, Signal
+from mavdiag.telemetry import Axis, Series, Signal, Telemetry
+from mavdiag.units import G
 
 QDRONE2 = PROFILES["qdrone2"]
 
@@ -529,3 +533,38 @@ def test_a_learned_baseline_that_does_not_fit_after_all_is_refused() -> None:
     story.answer(baseline_for("ardupilot"))  # not what the link speaks
     story.fly(1.0)
     assert [change.new for _, change in story.log if isinstance(change, StateChanged)][-1] is State.FAULTED
+
+
+def weighing(felt_g: float, t_s: float) -> Inbox:
+    """A quarter of a second of both streams and of an accelerometer that feels so much."""
+    t_ns = np.round((1.0 + t_s + np.arange(25) / 100) * 1e9).astype(np.int64)
+    still, down = np.zeros((25, 3)), np.tile([0.0, 0.0, -felt_g * G], (25, 1))
+    signals = ((Signal.ATTITUDE_SETPOINT, still), (Signal.BODY_RATE, still), (Signal.SPECIFIC_FORCE, down))
+    return Inbox(Telemetry(tuple(Series(one, t_ns, t_ns, values) for one, values in signals)), alive=True)
+
+
+def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_nothing_is_judged() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for()))
+    for number in range(24):
+        story.passed += 25
+        story.give(weighing(2.04, 0.25 * number))
+    assert story.at(State.WAITING)
+    assert story.session.healthy
+    assert "PROP waiting: IMU scale (2.0 g): --profile spec" in story.texts
+    notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "1 g" in effect.text]
+    said = "the vehicle does not feel 1 g by the scale of the profile qdrone2 (2.0 g): --profile spec"
+    assert notes == [said]
+    for number in range(24, 48):
+        story.passed += 25
+        story.give(weighing(1.02, 0.25 * number))
+    assert story.at(State.MONITORING)
+
+
+def test_a_gyro_that_another_message_carries_is_told_once() -> None:
+    story = Story(SessionSpec(QDRONE2, baseline_for()))
+    for number in range(20):
+        story.passed += 25
+        story.give(replace(weighing(1.0, 0.25 * number), imu=MessageId.ATTITUDE))
+    notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "read from" in effect.text]
+    assert len(notes) == 1
+    assert notes[0].startswith("the gyro is read from ATTITUDE, for RAW_IMU does not come: the estimator's rates")

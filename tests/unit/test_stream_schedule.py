@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.link.messages import MavResult
+from mavdiag.link.messages import MavResult, MessageId
+from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.schedule import DEFAULT_INTERVAL, NEVER, Schedule
 
 FAST, SLOW, QUIET = 27, 0, 105
@@ -74,3 +75,35 @@ def test_a_message_can_be_asked_for_once() -> None:
     assert one.ask_once(999) is MavResult.DENIED
     assert dict(one.due(times(0, 4)))[QUIET].tolist() == [3]
     assert count(one, QUIET, 4, 100) == 0
+
+
+@pytest.mark.parametrize(
+    ("profile", "asked_us", "result", "attained_hz"),
+    [
+        ("qdrone2", 5_000, MavResult.ACCEPTED, 200.0),
+        ("px4", 5_000, MavResult.ACCEPTED, 165.0),  # 160 to 170 were measured
+        ("px4", 10_000, MavResult.ACCEPTED, 100.0),
+        ("ardupilot", 6_667, MavResult.ACCEPTED, 1000.0 / 6.0),  # whole milliseconds
+        ("ardupilot", 3_000, MavResult.ACCEPTED, 1000.0 / 3.0),
+        ("ardupilot", 2_900, MavResult.DENIED, 0.0),  # above 0.8 of its loop rate
+    ],
+)
+def test_a_profile_grants_rates_as_its_autopilot_does(
+    profile: str, asked_us: int, result: MavResult, attained_hz: float
+) -> None:
+    one = dialect_named(profile).schedule(None, fresh=profile != "qdrone2")
+    assert one.set_interval(MessageId.ATTITUDE_TARGET, asked_us) == result
+    seconds = 20
+    rows = [rows for msgid, rows in one.due(times(0, 1000 * seconds)) if msgid == MessageId.ATTITUDE_TARGET]
+    if result == MavResult.ACCEPTED:
+        assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)
+
+
+def test_a_fresh_link_carries_what_the_autopilot_sends_unasked() -> None:
+    def heard(profile: str) -> set[int]:
+        return {msgid for msgid, _ in dialect_named(profile).schedule(None, fresh=True).due(times(0, 3000))}
+
+    assert heard("ardupilot") == {MessageId.HEARTBEAT}
+    assert MessageId.ATTITUDE_TARGET in heard("px4")
+    assert not heard("px4") & {MessageId.RAW_IMU, MessageId.HIGHRES_IMU}
+    assert dialect_named("px4").schedule(None).set_interval(MessageId.RAW_IMU, 10_000) == MavResult.DENIED

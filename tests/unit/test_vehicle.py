@@ -149,7 +149,7 @@ def test_payload_moves_mass_centre_and_inertia_as_two_bodies_do() -> None:
 def test_shipped_vehicles_can_be_had_by_name_or_file(tmp_path: Path) -> None:
     assert shipped_vehicles()[0] == "qdrone2"
     assert {name: len(vehicle_from(name).rotors) for name in shipped_vehicles()} == {
-        "qdrone2": 4, "hexa-x": 6, "octo-x": 8, "qdrone2-recorded": 4, "quad-plus": 4,
+        "qdrone2": 4, "hexa-x": 6, "octo-x": 8, "qdrone2-recorded": 4, "quad-plus": 4, "hexa-plus": 6,
     }  # fmt: skip
     file = tmp_path / "heavy.toml"
     file.write_text('base = "hexa-x"\nname = "heavy"\n')

@@ -5,7 +5,7 @@ import pytest
 from memory_port import memory_pair
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.link.codec import Encoder
+from mavdiag.link.codec import Encoder, message_name
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
 from mavdiag.link.profiles import PROFILES
@@ -205,3 +205,32 @@ def test_a_link_of_an_unknown_profile_is_refused() -> None:
         open_link("udpin:127.0.0.1:0", profile="betaflight")
     with open_link("udpin:127.0.0.1:0") as link:
         assert link.address.startswith("udpin:127.0.0.1:")
+
+
+def attitudes(sender: Sender, n: int) -> list[tuple[bytes, int]]:
+    """A heartbeat a second and ATTITUDE at 10 Hz, with body rates, and no IMU message."""
+    found = []
+    for k in range(n):
+        data = sender.heartbeat() if k % 10 == 0 else b""
+        t_ms = 5000 + 100 * k
+        data += sender.encoder.encode(MessageId.ATTITUDE, t_ms, 0.1, 0.2, 0.3, 0.01, 0.02, 0.03)
+        found.append((data, (k + 1) * S // 10))
+    return found
+
+
+def test_the_rates_of_attitude_are_read_only_where_no_imu_message_comes_for_long_and_only_until_one_comes() -> None:
+    decoder, sender = LinkDecoder(), Sender()
+    assert run(decoder, attitudes(sender, 290)) == 0
+    assert decoder.vehicles[1].profile.imu == MessageId.RAW_IMU
+    sender = Sender()
+    decoder = LinkDecoder()
+    rows = attitudes(sender, 400)
+    assert run(decoder, rows[:-1]) == pytest.approx(100, abs=12)
+    stream = decoder.vehicles[1]
+    assert message_name(stream.profile.imu) == "ATTITUDE"
+    received = decoder.feed(rows[-1:], rows[-1][1])
+    assert received[1].telemetry[Signal.BODY_RATE].values.tolist() == [pytest.approx([0.01, 0.02, 0.03])]
+    sender.k = 4000
+    raw = [(data, at_ns) for data, at_ns in sender.chunks(50)]
+    assert run(decoder, raw) == 50
+    assert message_name(stream.profile.imu) == "RAW_IMU"

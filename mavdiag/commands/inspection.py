@@ -1,0 +1,279 @@
+"""What a log or a link offers the diagnosis, as values: signals, clock, units, rotors, and each monitor's needs."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.parameters import layout_from_parameters
+from mavdiag.airframe.trim import SIGNALS
+from mavdiag.baseline import Baseline, check_link
+from mavdiag.errors import BaselineError, InputError
+from mavdiag.learning.flights import airborne, front_for
+from mavdiag.learning.rotors import with_rotors
+from mavdiag.link.codec import message_name
+from mavdiag.link.profiles import PROFILES, scale_doubt
+from mavdiag.link.scale import CONTRARY, AxisCheck, gravity_of, gyro_checks
+from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
+from mavdiag.monitors import (
+    MONITORS,
+    control_loss,
+    innovation,
+    monitor_of,
+    rotor_signature,
+    sensor_drift,
+    sensor_noise,
+    thrust_loss,
+)
+from mavdiag.monitors.base import Monitor
+from mavdiag.monitors.unbalance import corner_of
+from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
+
+__all__ = [
+    "Clock",
+    "MonitorState",
+    "Summary",
+    "Units",
+    "baseline_statement",
+    "clock_of",
+    "monitor_states",
+    "rotors_of",
+    "summary",
+    "units_of",
+]
+
+USUAL = 3.0  # steps above this multiple of the median are gaps, and no jitter (our choice)
+WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
+LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
+DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
+SLACK = 0.98  # a rate that is this share of what is needed will do
+
+# The slowest gyro that a monitor can work with [Hz].
+_LEAST_HZ: Mapping[str, float] = {
+    "innovation": innovation.MIN_RATE_HZ,
+    "rotor_signature": rotor_signature.MIN_RATE_HZ,
+    "sensor_noise": sensor_noise.LEAST_RATE_HZ,
+    "sensor_drift": sensor_drift.MIN_RATE_HZ,
+    "control_loss": control_loss.MIN_RATE_HZ,
+    "thrust_loss": thrust_loss.MIN_RATE_HZ,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One signal as it arrives.
+
+    signal, unit: what it measures.
+    samples: how many there are.
+    rate_hz: their mean rate, gaps included; None with fewer than two times.
+    jitter_ms: standard deviation of the steps that are no gaps.
+    longest_gap_s: the longest step.
+    lowest, highest: of each column; None where a column holds no number.
+    """
+
+    signal: str
+    unit: str
+    samples: int
+    rate_hz: float | None
+    jitter_ms: float | None
+    longest_gap_s: float | None
+    lowest: tuple[float | None, ...]
+    highest: tuple[float | None, ...]
+
+
+def summary(series: Series) -> Summary:
+    """Figures of one signal, which has samples."""
+    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64) / NS_PER_S
+    rate = jitter = gap = None
+    if len(steps):
+        rate, gap = float(len(steps) / steps.sum()), float(steps.max())
+        jitter = 1e3 * float(steps[steps < USUAL * np.median(steps)].std())
+    known = [column[np.isfinite(column)] for column in series.values.T]
+    lowest, highest = (tuple(float(of(column)) if len(column) else None for column in known) for of in (np.min, np.max))
+    return Summary(series.signal, series.unit, len(series), rate, jitter, gap, lowest, highest)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The vehicle's clock beside the receiver's.
+
+    behind_s: receiver's time less the vehicle's, at the fastest transport.
+    drift_ppm: by how much that grows; None within less than `DRIFT_S`.
+    spread_ms: how much later than the fastest a sample may come (95 %).
+    signals_ms: by how much later than the gyro each signal comes, at the fastest; other clocks and stamps show here.
+    """
+
+    behind_s: float
+    drift_ppm: float | None
+    spread_ms: float
+    signals_ms: Mapping[str, float]
+
+
+def clock_of(telemetry: Telemetry) -> Clock | None:
+    """The clock by the gyro's samples; None where none came with a time of arrival of its own."""
+    gyro = telemetry.get(Signal.BODY_RATE)
+    if gyro is None or len(gyro) < 20 or np.array_equal(gyro.t_ns, gyro.host_ns):
+        return None
+    behind: FloatArray = (gyro.host_ns - gyro.t_ns) / NS_PER_S
+    second = (gyro.t_ns - gyro.t_ns[0]) // NS_PER_S
+    least = np.array([behind[second == one].min() for one in np.unique(second)])
+    known = len(least) >= DRIFT_S
+    slope, start = np.polyfit(np.arange(len(least)), least, 1) if known else (0.0, float(least.min()))
+    late = behind - (start + slope * second)
+    others = (one for one in telemetry.series if len(one) >= 20 and one.signal is not Signal.BODY_RATE)
+    signals = {
+        one.signal.value: 1e3 * (float(((one.host_ns - one.t_ns) / NS_PER_S).min()) - float(behind.min()))
+        for one in others
+    }
+    return Clock(
+        float(behind.min()),
+        1e6 * float(slope) if known else None,
+        1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
+        signals,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Whether the units are what they are taken for.
+
+    gravity_g: what the vehicle feels, by the accelerometer's scale; None without one.
+    gravity: one phrase.
+    gyro: each axis beside the slope of the attitude; empty without either.
+    """
+
+    gravity_g: float | None
+    gravity: str
+    gyro: tuple[AxisCheck, ...]
+
+
+def units_of(log: Log) -> Units:
+    """Gravity is 1 g, at rest and in the mean of a flight; the gyro is the slope of the attitude."""
+    get = log.telemetry.get
+    force, gyro, attitude = get(Signal.SPECIFIC_FORCE), get(Signal.BODY_RATE), get(Signal.ATTITUDE)
+    checks = () if gyro is None or attitude is None else gyro_checks(gyro, attitude)
+    if force is None or not len(force) or not np.isfinite(force.values).all():
+        return Units(None, "no accelerometer along three axes", checks)
+    second = (force.t_ns - force.t_ns[0]) // NS_PER_S
+    felt = float(np.median([gravity_of(force.values[second == one]) for one in np.unique(second)]))
+    return Units(felt, _gravity(log.profile, felt), checks)
+
+
+def _gravity(profile: str, felt_g: float) -> str:
+    if 1.0 / CONTRARY < felt_g < CONTRARY:
+        return "right"
+    named = scale_doubt(PROFILES[profile], felt_g) if profile in PROFILES else ""
+    remedy_of = f"; try {named.partition(': ')[2]}" if ": " in named else ""
+    return f"wrong scale, or never at rest{remedy_of}"
+
+
+def rotors_of(log: Log, told: Airframe) -> Airframe:
+    """The airframe with its rotors: as told, by the vehicle's parameters, or by what the outputs do in flight."""
+    try:
+        flight = airborne(front_for([log], WINDOW_S, told.gate), log)
+        return with_rotors(told, [flight])[0]
+    except InputError as error:
+        said = layout_from_parameters(log.parameters)
+        if told.layout is not None:
+            return replace(told, layout_basis="told")
+        if said.layout is not None:
+            return replace(told, layout=said.layout, layout_basis=said.reason)
+        return replace(told, layout_basis=said.reason or str(error).removeprefix(f"{log.name}: "))
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorState:
+    """One monitor on this log or link.
+
+    monitor, label: its name in a baseline, and how a text calls it.
+    works: whether what comes is enough for it.
+    missing: what is not, and what gives it, one phrase each.
+    """
+
+    monitor: str
+    label: str
+    works: bool
+    missing: tuple[str, ...] = ()
+
+
+def monitor_states(
+    log: Log, found: Iterable[Summary], airframe: Airframe, baseline: Baseline | None = None
+) -> tuple[MonitorState, ...]:
+    """Each monitor of the registry, or of a baseline: whether it can work, else what is missing."""
+    rates = {one.signal: one.rate_hz or 0.0 for one in found if any(v is not None for v in one.highest)}
+    if baseline is None:
+        rows: dict[str, tuple[type[Monitor[Any, Any]], frozenset[Signal]]] = {m.name: (m, m.needs) for m in MONITORS}
+    else:
+        fits = (monitor_of(entry.spec) for entry in baseline.monitors)
+        rows = {monitor.name: (type(monitor), monitor.signals) for monitor in fits}
+    states = []
+    for kind, needs in rows.values():
+        missing = (*_signals(log, _choice(needs, rates), rates), *_stream(log, kind, rates))
+        if kind.needs_layout and airframe.layout is None and baseline is None:
+            missing += ("rotor layout: give --layout, or let the vehicle tell FRAME_CLASS and FRAME_TYPE or CA_ROTORn",)
+        states.append(MonitorState(kind.name, kind.label, not missing, missing))
+    refused = () if baseline is None else baseline.not_judgeable
+    refusals = {one.monitor: one.reason for one in refused if one.monitor not in rows}
+    return (*states, *(MonitorState(name, name, works=False, missing=(why,)) for name, why in refusals.items()))
+
+
+def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[Signal]:
+    """What a monitor needs; of the sources of a trim the one that comes, else the outputs."""
+    sources = tuple(SIGNALS.values())
+    if not all(source <= needs for source in sources):
+        return needs
+    rest = needs - frozenset[Signal]().union(*sources)
+    return rest | next((one for one in sources if all(rates.get(signal) for signal in one)), sources[0])
+
+
+def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> tuple[str, ...]:
+    """The signals that do not come."""
+    profile = PROFILES.get(log.profile)
+    missing: dict[str, str] = {}
+    for signal in sorted(one for one in needs if not rates.get(one)):
+        label = LABELS.get(signal, signal.replace("_", " "))
+        if profile is None:
+            gives = log_remedy(log.profile, signal)
+            missing[label] = f"no {label}" + (f": set {gives}" if gives else " in the log")
+            continue
+        message = messages_of(profile).get(signal)
+        if message is None:
+            missing[label] = f"no {label} on a link of the profile {profile.name}"
+            continue
+        gives = remedy(profile.autopilot, message)
+        name = message_name(message)
+        missing[name] = f"no {name}" + (f": {gives}" if gives else f" ({label})")
+    return tuple(missing.values())
+
+
+def _stream(log: Log, kind: type[Monitor[Any, Any]], rates: Mapping[str, float]) -> tuple[str, ...]:
+    """Why the gyro's stream does not carry what a monitor looks for."""
+    rate_hz = rates.get(Signal.BODY_RATE, 0.0)
+    if not rate_hz or Signal.BODY_RATE not in kind.needs:
+        return ()
+    least_hz = _LEAST_HZ.get(kind.name, 0.0)
+    if rate_hz < SLACK * least_hz:
+        return (f"the gyro comes at {rate_hz:.0f} Hz, {least_hz:.0f} Hz are needed",)
+    profile = PROFILES.get(log.profile)
+    corner_hz = None if profile is None else profile.corner_hz(log.parameters)
+    if kind.name == "sensor_noise" and corner_hz is not None and corner_hz < sensor_noise.LOWPASS_SHARE * rate_hz:
+        return (f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it",)
+    if kind.name == "unbalance":
+        try:
+            corner_of(rate_hz, corner_hz)
+        except InputError as error:
+            return (str(error),)
+    return ()
+
+
+def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -> str:
+    """Whether the baseline is of this link, and if not, which field differs."""
+    rate_hz = next((one.rate_hz for one in found if one.signal == Signal.BODY_RATE), None)
+    try:
+        check_link(baseline, profile=log.profile, dt_s=1.0 / rate_hz if rate_hz else baseline.link.dt_s)
+    except BaselineError as error:
+        return str(error)
+    return "of this link" if rate_hz else "of this profile; no gyro came to compare the rate"

@@ -1,0 +1,317 @@
+"""What an attacker beside the genuine stream achieves: nothing, and it is told. And what the daemon ever sends."""
+
+import itertools
+import json
+import signal
+import socket
+import struct
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pymavlink.dialects.v20.ardupilotmega as dialect
+import pytest
+from detector_process import ended, port_of, ran, running
+from fastcrc.crc16 import mcrf4xx
+from made_session import baseline_for
+from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
+from memory_port import MemoryEndpoint
+
+from detector.config import Settings
+from detector.states import State
+from mavdiag.link.codec import Decoder, Encoder, field_index
+from mavdiag.link.keys import KeptSigning, read_key
+from mavdiag.link.messages import Component, MavCmd, MessageId, Severity
+from mavdiag.link.ports import SocketAddress, open_endpoint
+from mavdiag.link.ports.base import Chunk
+from mavdiag.link.signing import Refusal, Signing, stamp_at
+
+UDP_IN = "udpin:127.0.0.1:0"
+HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
+TICK_S = 0.04
+
+
+class Listening(MemoryEndpoint):
+    """The daemon's end of a memory link, on which strangers can send too."""
+
+    def mix(self, host: VirtualHost) -> None:
+        self.host = host
+        self.strange: list[tuple[bytes, SocketAddress]] = []
+
+    def _drain(self) -> list[Chunk]:
+        own = [(data, HERE) for data in self._inbox.take()]
+        found, self.strange = [*own, *self.strange], []
+        self.sources = [source for _, source in found]
+        return [(data, self.host.ns) for data, _ in found]
+
+
+class Attacked(Bench):
+    """A bench whose daemon hears strangers too; `attack` makes the datagrams of each tick."""
+
+    def fly(self, seconds: float, attack: Iterator[list[bytes]] = itertools.repeat([])) -> None:  # noqa: B008
+        near = self.open[0]
+        assert isinstance(near, MemoryEndpoint)
+        if not isinstance(near, Listening):
+            near.__class__ = Listening
+            assert isinstance(near, Listening)
+            near.mix(self.host)
+        for _ in range(round(seconds / TICK_S)):
+            near.strange = [(data, THERE) for data in next(attack)]
+            self.run(TICK_S)
+
+    @property
+    def judged_s(self) -> float:
+        return next(one.judged_s for one in self.daemon.fleet.figures() if one.vehicle == 1)
+
+
+def framed(message: type[dialect.MAVLink_message], payload: bytes, seq: int, sysid: int, compid: int) -> bytes:
+    head = struct.pack("<BBBBBBHB", len(payload), 0, 0, seq, sysid, compid, message.id & 0xFFFF, message.id >> 16)
+    return b"\xfd" + head + payload + mcrf4xx(bytes([message.crc_extra]), mcrf4xx(head + payload)).to_bytes(2, "little")
+
+
+def random_frames(seed: int, sender: tuple[int, int] | None) -> Iterator[list[bytes]]:
+    """Any message with any content, and a good checksum; of any sender, or of one."""
+    rng, messages = np.random.default_rng(seed), list(dialect.mavlink_map.values())
+    while True:
+        found = []
+        for _ in range(20):
+            message = messages[int(rng.integers(len(messages)))]
+            seq, sysid, compid = rng.integers(0, 256, 3).tolist()
+            found.append(framed(message, rng.bytes(message.unpacker.size), seq, *(sender or (sysid, compid))))
+        yield found
+
+
+def replay() -> Iterator[list[bytes]]:
+    """An old flight of the same vehicle, over and over."""
+    old = MadeVehicle(1)
+    old.turning = 3.0
+    return itertools.cycle([old.samples(4) for _ in range(250)])
+
+
+def made_up() -> Iterator[list[bytes]]:
+    """A heartbeat of every sender there is, 300 a tick."""
+    beat = (2, 3, 128, 0, 4, 3)
+    every = itertools.cycle(itertools.product(range(1, 256), range(1, 256)))
+    while True:
+        yield [Encoder(*sender).encode(MessageId.HEARTBEAT, *beat) for sender in itertools.islice(every, 300)]
+
+
+ATTACKS: Mapping[str, Callable[[], Iterator[list[bytes]]]] = {
+    "replayed flight": replay,
+    "random frames of any sender": lambda: random_frames(1, None),
+    "random frames as the vehicle": lambda: random_frames(2, (1, 1)),
+    "random frames as its camera": lambda: random_frames(3, (1, 100)),
+    "made-up senders": made_up,
+    "markers without frames": lambda: itertools.repeat([b"\xfd" * 9000] * 5),
+    "not MAVLink at all": lambda: itertools.repeat([b"GET / HTTP/1.1\r\n\r\n"] * 50),
+}
+
+
+IN_ITS_NAME = ("replayed flight", "random frames as the vehicle", "made-up senders")
+
+
+@pytest.fixture(scope="module")
+def calm_s() -> float:
+    bench = Attacked(Settings(connect=UDP_IN, learn=4.0), fitter=FakeFitter(baseline_for()), vehicles=[MadeVehicle(1)])
+    bench.fly(25.0)
+    judged_s = bench.judged_s
+    bench.close()
+    assert judged_s > 10.0
+    return judged_s
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_path: Path) -> None:
+    fitter, journal = FakeFitter(baseline_for()), tmp_path / "j.jsonl"
+    bench = Attacked(
+        Settings(connect=UDP_IN, learn=4.0), fitter=fitter, vehicles=[MadeVehicle(1)], journal=journal, links_behind=1
+    )
+    bench.fly(3.0)
+    bench.fly(22.0, ATTACKS[name]())
+    (figures,) = bench.daemon.fleet.figures()
+    assert bench.judged_s == calm_s
+    assert (figures.vehicle, figures.state, figures.lost, figures.events) == (1, State.MONITORING, 0, 0)
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    behind = Decoder()
+    for data, _ in bench.behind[0].receive(0.0):
+        behind.feed_datagram(data, 0)
+    assert behind.senders[1, 1].lost == 0
+    bench.close()
+    notes = [one["text"] for one in map(json.loads, journal.read_text().splitlines()) if one["kind"] == "note"]
+    told = [text for text in notes if "sends in the name of vehicle 1" in text]
+    assert len(told) == (name in IN_ITS_NAME)
+
+
+def test_another_address_may_take_over_after_silence_and_this_is_told() -> None:
+    bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[MadeVehicle(1)])
+    bench.fly(3.0)
+    (vehicle,), bench.vehicles = bench.vehicles, []
+    bench.fly(2.0)
+    bench.fly(0.5, itertools.repeat([vehicle.heartbeat()]))
+    assert bench.daemon.fleet.link.source(1) == HERE
+    bench.fly(4.0, itertools.repeat([vehicle.heartbeat()]))
+    assert bench.daemon.fleet.link.source(1) == THERE
+    told = [text for text in bench.host.lines if "is heard from 10.0.0.66:4444 instead of 10.0.0.1:14550" in text]
+    assert len(told) == 1
+    bench.close()
+
+
+def test_two_senders_on_one_wire_are_told_once() -> None:
+    """A serial line has no addresses: an old flight beside the genuine stream shows in the running numbers."""
+    bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[MadeVehicle(1)])
+    bench.fly(3.0)
+    old = replay()
+    for _ in range(250):
+        for frame in next(old):
+            bench.far.send(frame)
+        bench.run(TICK_S)
+    texts = [text for text in bench.host.lines if "running numbers keep jumping back" in text]
+    assert len(texts) == 1
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    bench.close()
+
+
+def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed(tmp_path: Path) -> None:
+    key = b"k" * 32
+    host = VirtualHost()
+    unix_ns = round(host.utc().timestamp() * 1e9)
+    genuine, plain = MadeVehicle(1), MadeVehicle(2)
+    genuine.encoder = Encoder(1, Component.AUTOPILOT1, Signing(key, stamp=stamp_at(unix_ns)))
+    bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[genuine, plain], host=host)
+    bench.daemon = bench.another(bench.open[:1], KeptSigning(key, tmp_path / "stamp", unix_ns))
+    bench.fly(3.0)
+    old = genuine.samples(100)
+    bench.fly(3.0, itertools.cycle([[frame] for frame in old]))
+    assert list(bench.daemon.fleet.vehicles) == [1]
+    signing = bench.daemon._signing
+    assert signing is not None
+    assert signing.refused.keys() == {Refusal.UNSIGNED, Refusal.REPLAYED}
+    verifier = Decoder(signing=Signing(key, stamp=stamp_at(unix_ns)))
+    frames = [frame for data, _ in bench.far.receive(0.0) for frame in verifier.feed(data, 0)]
+    assert MessageId.HEARTBEAT in {frame.msgid for frame in frames}
+    assert any("refused" in text and Refusal.UNSIGNED in text for text in bench.host.lines)
+    bench.close()
+
+
+# All that the detector may send to a vehicle, and to those behind. No arming, no mode; parameters are read only.
+SENT = {
+    MessageId.PARAM_REQUEST_READ,
+    MessageId.HEARTBEAT,
+    MessageId.STATUSTEXT,
+    MessageId.NAMED_VALUE_FLOAT,
+    MessageId.COMMAND_LONG,
+    MessageId.COMMAND_ACK,
+}
+COMMANDS = {MavCmd.SET_MESSAGE_INTERVAL}
+
+
+def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
+    """Two vehicles, learning, judging, a fault, landings, reboots, lost links, random frames and commands of others."""
+    vehicles = [MadeVehicle(1), MadeVehicle(2)]
+    bench = Attacked(Settings(connect=UDP_IN, learn=4.0), fitter=FakeFitter(baseline_for()), vehicles=vehicles)
+    sent: Counter[int] = Counter()
+    commands: Counter[int] = Counter()
+    station = Encoder(255, 190)
+    rng = np.random.default_rng(11)
+    wild = random_frames(12, None)
+    for number in range(30):
+        vehicles[0].turning = float(rng.choice([0.0, 0.0, 2.0]))
+        vehicles[1].armed = bool(rng.random() < 0.7)
+        if rng.random() < 0.1:
+            vehicles[0].sent = 0  # rebooted
+        bench.vehicles = [one for one in vehicles if rng.random() < 0.9]
+        asked = [station.encode(MessageId.COMMAND_LONG, 1, compid, int(rng.integers(0, 600))) for compid in (1, 191)]
+        bench.fly(5.0, itertools.chain([asked], wild if number % 3 == 0 else itertools.repeat([])))
+        for frame in received(bench.far):
+            sent[frame.msgid] += 1
+            assert frame.compid == Component.ONBOARD_COMPUTER
+            if frame.msgid in (MessageId.COMMAND_LONG, MessageId.COMMAND_INT):
+                commands[int(frame.fields[field_index(frame.msgid, "command")])] += 1
+    assert sent.keys() == SENT
+    assert commands.keys() == COMMANDS
+    told = "\n".join(bench.host.lines)
+    assert all(words in told for words in ("PROP FAULT", "PROP clear", "link lost", "link back", "rebooted"))
+    bench.close()
+
+
+@pytest.mark.realtime
+def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
+    with (
+        open_endpoint(UDP_IN) as near,
+        open_endpoint(near.address.replace("udpin", "udpout")) as peer,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        peer.send(b"0")
+        near.receive(5.0)
+        (source,) = near.sources
+        place = ("127.0.0.1", int(near.address.rpartition(":")[2]))
+        got: list[int] = []
+        for k in range(1, 500):  # promoted amid its stream, which keeps its order
+            peer.send(b"%d" % k)
+            if k == 250:
+                near.trust([source], alone=True)
+        while chunks := near.receive(0.05):
+            got += [int(data) for data, _ in chunks]
+        assert got == list(range(1, 500))
+        for _ in range(60_000):
+            stranger.sendto(b"x" * 40, place)
+        for k in range(2000):
+            peer.send(b"%d" % k)
+        own, before = 0, time.monotonic()
+        for _ in range(20):
+            near.receive(0.0)
+            own += near.sources.count(source)
+        assert own == 2000
+        assert near.traffic.received < 20_000 + 30_000 * (time.monotonic() - before)
+        near.send(b"answer")
+        assert [data for data, _ in peer.receive(5.0)] == [b"answer"]
+        stranger.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+            thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            with pytest.raises(OSError, match="in use"):
+                thief.bind(place)
+
+
+@pytest.mark.realtime
+def test_sigterm_ends_the_daemon_within_two_seconds_of_a_flood() -> None:
+    with (
+        running("--connect", UDP_IN, "--learn", "5") as (child, line),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
+    ):
+        link.connect(("127.0.0.1", port_of(line)))
+        senders = itertools.product(range(1, 256), range(1, 256))
+        frames = [Encoder(*sender).encode(MessageId.HEARTBEAT, 2, 3, 128, 0, 4, 3) for sender in senders]
+        until = time.monotonic() + 3.0
+        for frame in itertools.cycle(frames):
+            link.send(frame)
+            if time.monotonic() > until:
+                break
+        began = time.monotonic()
+        code, _ = ended(child, signal.SIGTERM)
+        assert code == 0
+        assert time.monotonic() - began < 10.0  # the figure itself is measured by benchmarks/attacks.py
+
+
+def test_a_key_that_others_may_read_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_text("correct horse\n")
+    path.chmod(0o644)
+    run = ran("--connect", UDP_IN, "--learn", "5", "--signing-key", str(path))
+    assert run.returncode == 2
+    assert run.stderr == f"mavdiag-detector: {path}: others may read the signing key; run `chmod 600 {path}`\n"
+    path.chmod(0o600)
+    assert len(read_key(path)) == 32
+
+
+def test_severities_of_what_is_told() -> None:
+    bench = Attacked(Settings(connect=UDP_IN, learn=500.0), vehicles=[MadeVehicle(1)])
+    bench.fly(3.0)
+    bench.fly(2.0, replay())
+    found = [frame.fields for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    texts = [(severity, text) for severity, text, *_ in found if isinstance(text, bytes) and b"second" in text]
+    assert [severity for severity, _ in texts] == [Severity.WARNING]
+    bench.close()

@@ -1,0 +1,190 @@
+"""Files made to harm whoever opens them get one line each, soon and without taking the machine's memory."""
+
+import json
+import os
+import struct
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from made_session import baseline_for
+from typer.testing import CliRunner
+
+from detector.config import load_settings
+from mavdiag.airframe.load import load_airframe
+from mavdiag.baseline import Baseline, dump, sealed
+from mavdiag.cli import app
+from mavdiag.errors import MavdiagError
+from mavdiag.logs import read_log
+from sitl_plant.vehicle import load_vehicle
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "baseline": Baseline.load,
+    "log": read_log,
+    "config": lambda path: load_settings(path, {}),
+    "airframe": load_airframe,
+    "vehicle": load_vehicle,
+}
+MOST_BYTES = 64e6
+
+
+def refused(reader: str, path: Path) -> str:
+    """The one line that a reader has for a file."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(MavdiagError) as caught:
+            READERS[reader](path)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < MOST_BYTES
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_regular_file_is_refused_at_once(reader: str, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "tty").symlink_to("/dev/tty")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    assert "is not a regular file" in refused(reader, tmp_path / "fifo")
+    assert "is not a regular file" in refused(reader, tmp_path / "zero")
+    assert "tty" in refused(reader, tmp_path / "tty")
+    assert "symbolic links" in refused(reader, tmp_path / "loop")
+    assert "is a folder" in refused(reader, tmp_path)
+    assert "no such file" in refused(reader, tmp_path / "absent")
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_file_without_end_is_refused_by_its_size(reader: str, tmp_path: Path) -> None:
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 42)
+    assert "is too large" in refused(reader, tmp_path / "sparse")
+
+
+SCHEMA = '{"schema": "mavdiag.baseline/3", '
+TEXTS = {
+    "deep list": "[" * 2_000_000,
+    "deep table": SCHEMA + '"monitors": ' + '{"a":' * 200_000,
+    "deep and whole": SCHEMA + '"monitors": ' + "[" * 900 + "]" * 900 + "}",
+    "long number": SCHEMA + '"x": ' + "9" * 100_000 + "}",
+    "not a number": SCHEMA + '"link": NaN}',
+    "infinite": SCHEMA + '"link": {"dt_s": 1e999}}',
+    "many keys": SCHEMA + ", ".join(f'"k{k}": 1' for k in range(50_000)) + "}",
+    "many monitors": SCHEMA + '"monitors": [' + ", ".join(["{}"] * 50_000) + "]}",
+    "zeros": "\0" * 10_000,
+    "one string": '"' + "x" * 1_000_000 + '"',
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_hostile_baseline(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "b.json"
+    path.write_text(TEXTS[name])
+    assert len(refused("baseline", path)) < 500
+    run = CliRunner().invoke(app, ["baseline", "upgrade", str(path), "-o", str(tmp_path / "out.json")])
+    assert isinstance(run.exception, MavdiagError)
+    assert "\n" not in str(run.exception)
+
+
+def places(value: object, at: tuple[object, ...] = ()) -> list[tuple[object, ...]]:
+    """Where the numbers of a JSON value are."""
+    if isinstance(value, dict):
+        return [one for key, inner in value.items() for one in places(inner, (*at, key))]
+    if isinstance(value, list):
+        return [one for key, inner in enumerate(value) for one in places(inner, (*at, key))]
+    return [at] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+@pytest.mark.parametrize("number", [float("nan"), 1e308, -1e308, 5e-324, 10**400, -(10**18)])
+def test_every_number_of_a_baseline_replaced(number: float, tmp_path: Path) -> None:
+    """A file that was changed has another digest; one whose digest was made anew is refused or can be shown."""
+    sound = json.loads(dump(baseline_for()))
+    for place in places(sound):
+        raw = json.loads(json.dumps(sound))
+        inner = raw
+        for step in place[:-1]:
+            inner = inner[step]
+        inner[place[-1]] = number
+        path = tmp_path / "b.json"
+        path.write_text(json.dumps(raw))
+        with pytest.raises(MavdiagError) as caught:
+            Baseline.load(path)
+        assert "\n" not in str(caught.value), place
+        try:
+            one = sealed(Baseline.model_validate(raw))
+        except (MavdiagError, ValueError):
+            continue
+        assert str(one)
+
+
+TABLES = {
+    "deep": "a = " + "[" * 10_000,
+    "deep and whole": "a = " + "[" * 900 + "]" * 900,
+    "many parts": "a." * 3000 + "b = 1",
+    "long number": "learn = " + "9" * 10_000,
+    "infinite": "learn = inf",
+    "not a number": "name = nan",
+    "steering": '"\\u001b[31mx" = 1',
+    "not UTF-8": None,
+}
+
+
+@pytest.mark.parametrize("reader", ["config", "airframe", "vehicle"])
+@pytest.mark.parametrize("name", TABLES)
+def test_a_hostile_table(reader: str, name: str, tmp_path: Path) -> None:
+    path, text = tmp_path / "t.toml", TABLES[name]
+    path.write_bytes(b"\xff\xfe\x00" if text is None else text.encode())
+    refused(reader, path)
+
+
+def mat_file(content: bytes, claimed: int) -> bytes:
+    """A MATLAB file with one compressed matrix QDrone_data that says it is so long."""
+    flags = struct.pack("<II", 6, 8) + struct.pack("<II", 6, 0)
+    shape = struct.pack("<II", 5, 8) + struct.pack("<ii", 17, claimed)
+    name = struct.pack("<II", 1, 11) + b"QDrone_data".ljust(16, b"\0")
+    inner = flags + shape + name + struct.pack("<II", 9, 136 * claimed & 0xFFFFFFFF) + content
+    body = zlib.compress(struct.pack("<II", 14, len(inner) & 0xFFFFFFFF) + inner, 9)
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    return head + struct.pack("<II", 15, len(body)) + body
+
+
+def test_a_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a megabyte of the file would become is never made whole; the bound itself is lowered to keep this quick."""
+    monkeypatch.setattr("mavdiag.logs.mat5.MAX_MATRIX_BYTES", 1 << 22)
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(mat_file(bytes(48 << 20), 1 << 27))
+    assert path.stat().st_size < 100_000
+    tracemalloc.start()
+    with pytest.raises(MavdiagError) as caught:
+        read_log(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 16 << 20
+    assert "\n" not in str(caught.value)
+
+
+def ulog(*messages: tuple[str, bytes]) -> bytes:
+    head = b"\x55\x4c\x6f\x67\x01\x12\x35\x01" + bytes(8)
+    return head + b"".join(struct.pack("<HB", len(body), ord(kind)) + body for kind, body in messages)
+
+
+ULOGS = {
+    "a message within itself": [b"foo:uint64_t timestamp;foo a;"],
+    "two within each other": [b"foo:uint64_t timestamp;bar a;", b"bar:foo a;"],
+    "two thousand million fields": [b"foo:uint64_t timestamp;float[2000000000] a;"],
+    "arrays of arrays": [b"foo:uint64_t timestamp;bar[60000] a;", b"bar:baz[60000] a;", b"baz:float[60000] a;"],
+    "fewer than none": [b"foo:uint64_t timestamp;float[-5] a;"],
+}
+
+
+@pytest.mark.parametrize("name", ULOGS)
+def test_a_hostile_ulog(name: str, tmp_path: Path) -> None:
+    formats = [("F", text) for text in ULOGS[name]]
+    data = [("D", bytes(18))] * 10
+    path = tmp_path / "f.ulg"
+    path.write_bytes(ulog(("B", bytes(40)), *formats, ("A", b"\0\0\0foo"), *data))
+    refused("log", path)

@@ -1,0 +1,159 @@
+"""What is asked for, how often, and what is said of it; parameters by name."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import pytest
+
+from detector.negotiate import HELD_S, Negotiation, Seen, negotiate
+from detector.values import AskInterval, Note
+from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
+from mavdiag.link.parameters import Reading, telling
+from mavdiag.link.profiles import LAST_RESORT, PROFILES
+from mavdiag.link.vehicles import Ack
+from mavdiag.link.wants import Want, log_remedy, messages_of, remedy, wants_of
+from mavdiag.monitors import MONITORS
+from mavdiag.telemetry import Instant, Signal
+
+TICK_S = 0.04
+NEEDS = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
+GYRO = Want(
+    Signal.BODY_RATE, MessageId.RAW_IMU, 100.0, 98.0, 102.0, mandatory=True, others=(MessageId.HIGHRES_IMU, LAST_RESORT)
+)
+OUTPUTS = Want(Signal.ACTUATOR, MessageId.SERVO_OUTPUT_RAW, 25.0, 10.0)
+
+
+@dataclass
+class Talk:
+    """A negotiation, and all that came of it with its time [s]."""
+
+    autopilot: int = Autopilot.ARDUPILOTMEGA
+    state: Negotiation = field(default_factory=Negotiation)
+    ticks: int = 0
+    asked: list[tuple[float, int]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def wait(self, seconds: float, *seen: Seen, acks: tuple[Ack, ...] = ()) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            self.ticks += 1
+            now = Instant(round(self.ticks * TICK_S * 1e9))
+            self.state, effects, _ = negotiate(self.state, seen, acks, now, self.autopilot)
+            acks = ()
+            self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
+            self.notes += [one.text for one in effects if isinstance(one, Note)]
+
+
+def test_a_drop_is_answered_at_once_each_time_the_rate_had_held() -> None:
+    talk = Talk()
+    for _ in range(20):
+        talk.wait(9.0, Seen(GYRO, 100.0))
+        talk.wait(0.2, Seen(GYRO, 4.0))
+    times = [at for at, _ in talk.asked]
+    assert len(times) == 20
+    for number, at in enumerate(times):
+        assert at == pytest.approx(9.0 + 9.2 * number, abs=0.3)
+
+
+@pytest.mark.parametrize("right_s", [0.2, 1.0, 2.5, 4.5])
+def test_two_that_set_the_same_rate_do_not_fight(right_s: float) -> None:
+    """Another one changes it before it holds: asked for ever more seldom, and never twice in 2 s."""
+    talk = Talk()
+    for _ in range(round(120.0 / (right_s + 0.5))):
+        talk.wait(0.5, Seen(GYRO, 4.0))
+        talk.wait(right_s, Seen(GYRO, 100.0))
+    times = [at for at, _ in talk.asked]
+    assert min(b - a for a, b in pairwise(times)) >= 2.0
+    assert len(times) <= 10
+    assert len([one for one in times if one > 60.0]) <= 2
+    assert right_s < HELD_S
+
+
+def test_the_lack_of_a_stream_is_told_once_with_the_parameter_that_gives_it() -> None:
+    talk = Talk()
+    talk.wait(120.0, Seen(OUTPUTS, 0.0), Seen(GYRO, 100.0))
+    said = [one for one in talk.notes if "SERVO_OUTPUT_RAW" in one]
+    monitors = "monitors that need the actuator outputs do not judge"
+    assert said == [f"SERVO_OUTPUT_RAW does not come: {monitors}; what gives it: SRn_RC_CHAN"]
+
+
+def test_what_came_of_a_request_is_told_with_the_answer_and_the_steady_rate() -> None:
+    talk = Talk()
+    talk.wait(0.04, Seen(GYRO, 0.0))
+    talk.wait(6.0, Seen(GYRO, 100.0, 99.6), acks=(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED),))
+    assert talk.notes[-1] == "RAW_IMU: asked for 100 Hz, the autopilot answered ACCEPTED, 99.6 Hz come"
+
+
+@pytest.mark.parametrize("result", [MavResult.DENIED, None])
+def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_had(result: MavResult | None) -> None:
+    talk = Talk()
+    for _ in range(60):
+        acks = () if result is None else (Ack(MavCmd.SET_MESSAGE_INTERVAL, result),)
+        talk.wait(1.0, Seen(GYRO, 0.0), acks=acks)
+    order = list(dict.fromkeys(msgid for _, msgid in talk.asked))
+    assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
+
+
+def test_a_gyro_of_another_message_is_asked_for_in_the_order_of_preference() -> None:
+    for profile, own in (("ardupilot", MessageId.RAW_IMU), ("px4", MessageId.HIGHRES_IMU)):
+        [gyro] = wants_of(PROFILES[profile], (), (100.0, 45.0, 200.0), 45.0)
+        order = (MessageId.HIGHRES_IMU, MessageId.SCALED_IMU, MessageId.ATTITUDE)
+        assert (gyro.msgid, gyro.others) == (own, tuple(one for one in order if one != own))
+
+
+def test_only_gyro_and_needed_set_points_are_mandatory() -> None:
+    imu_hz = (100.0, 45.0, 200.0)
+    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0)
+    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT}
+    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0, setpoints=False)
+    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE}
+
+
+@pytest.mark.parametrize("name", ["ardupilot", "px4"])
+def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
+    """Of the signals of all monitors but torque commands, which no MAVLink message carries."""
+    profile = PROFILES[name]
+    carried = messages_of(profile)
+    for signal in NEEDS & carried.keys():
+        assert remedy(profile.autopilot, carried[signal]), signal
+    assert NEEDS - carried.keys() <= {Signal.TORQUE_COMMAND, Signal.VIBRATION}
+
+
+def test_every_signal_of_a_log_has_a_remedy() -> None:
+    for signal in NEEDS - {Signal.TORQUE_COMMAND}:
+        assert log_remedy("ardupilot-log", signal), signal
+    assert remedy(Autopilot.GENERIC, MessageId.RAW_IMU) == log_remedy("crazyflie", Signal.ACTUATOR) == ""
+
+
+def read_all(autopilot: int, vehicle: dict[str, float], seconds: float = 60.0) -> tuple[dict[str, float], list[str]]:
+    """What a vehicle with these parameters comes to tell, and every name that was asked for."""
+    reading, known, asked = Reading(), dict[str, float](), list[str]()
+    for tick in range(round(seconds / TICK_S)):
+        reading, names = reading.step(autopilot, known, Instant(round(tick * TICK_S * 1e9)))
+        assert len(names) <= 4
+        asked += names
+        known |= {name: vehicle[name] for name in names if name in vehicle}
+    return known, asked
+
+
+def test_parameters_are_read_by_name_and_those_that_do_not_come_three_times() -> None:
+    vehicle = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 20.0}
+    known, asked = read_all(Autopilot.ARDUPILOTMEGA, vehicle)
+    assert known == vehicle
+    assert all(asked.count(name) == 1 for name in vehicle)
+    assert {asked.count(name) for name in telling(Autopilot.ARDUPILOTMEGA, {}) if name not in vehicle} == {3}
+
+
+def test_the_places_of_a_px4s_rotors_are_read_once_their_number_is_known() -> None:
+    vehicle = {"CA_ROTOR_COUNT": 4.0} | {f"CA_ROTOR{n}_{part}": 0.1 for n in range(4) for part in ("PX", "PY", "KM")}
+    known, asked = read_all(Autopilot.PX4, vehicle)
+    assert known == vehicle
+    assert "CA_ROTOR4_PX" not in asked
+    assert "CA_ROTOR11_PX" in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
+    assert "CA_ROTOR12_PX" not in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
+
+
+def test_the_filter_of_the_gyro_is_the_vehicles_own_where_it_tells_it() -> None:
+    profile = PROFILES["ardupilot"]
+    told = [profile.corner_hz({"INS_GYRO_FILTER": hz}) for hz in (40.0, 0.0)]
+    assert (profile.corner_hz({}), *told) == (20.0, 40.0, None)
+    assert PROFILES["px4"].corner_hz({"INS_GYRO_FILTER": 40.0}) is None
