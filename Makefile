@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint types layers doctest examples check bench clean help
+.PHONY: demo test lint types layers doctest examples check bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -41,6 +41,15 @@ examples: $(STAMP)  ## run the examples as they stand
 
 bench: $(STAMP)  ## the short benchmarks: ratios against a peer in the same run
 	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done
+
+fuzz: $(STAMP)  ## hostile input: 10^7 datagrams, and 10 minutes guided by coverage (hours on a slow machine)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --group fuzz
+	PYTHONPATH=tests $(BIN)/python fuzz/datagrams.py
+	PYTHONPATH=tests $(BIN)/python fuzz/atheris_link.py fuzz/corpus -max_total_time=600 -max_len=1024
+
+soak: $(STAMP)  ## the daemon for hours: memory, latency, missed alerts
+	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py virtual
+	PYTHONPATH=tests:fuzz $(BIN)/python benchmarks/soak.py real
 
 check: lint types layers doctest test examples  ## everything that CI runs
 

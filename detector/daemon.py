@@ -17,6 +17,7 @@ from detector.guard import Guard
 from detector.host import Host
 from detector.journal import Journal, Recorder, When
 from detector.notify import Notifier
+from detector.pacing import Pacing
 from detector.relay import Relay
 from detector.reporting import Reporter
 from detector.requests import Requests
@@ -41,6 +42,7 @@ from mavdiag.link.keys import KeptSigning
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -99,6 +101,7 @@ class Daemon:
             adapt=self._adapted,
             most=settings.max_vehicles,
             measured=metrics is not None,
+            pacing=Pacing.of(settings.tick_s),
             signing=self._signing,
             passed=self._passed if self._relay.wants else None,
         )
@@ -154,7 +157,7 @@ class Daemon:
         known = len(self.fleet.vehicles)
         for sysid, outcome in self._fitter.poll():
             self.fleet.vehicles[sysid].outcome = outcome
-        turns = self.fleet.step(chunks, now, sources)
+        turns = self.fleet.step(chunks, now, sources, spent_s=lambda: self._now() - now)
         self._relay.pass_on(self._passed)
         self._passed.clear()
         self._report_new(known)
@@ -258,6 +261,9 @@ class Daemon:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+        self.fleet.delay, text = self.fleet.delay.news(self._now())
+        if text:
+            self._host.say(text)
         figures = self.figures()
         if self._metrics is not None:
             self._metrics.show(figures, self._host.now_ns())
@@ -288,6 +294,8 @@ class Daemon:
                 self._relay.send_to_all(sender.text(effect))
             case SendFloat():
                 self._relay.send_to_all(sender.value(effect))
+            case TimesyncMessage():
+                self._relay.send_to_vehicle(sender.timesync(effect))
             case AskInterval(msgid, interval_us):
                 self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import numpy as np
 
 from detector.latency import Awaiting
+from detector.pacing import Delay, Pacing, by_waiting
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
@@ -16,13 +17,17 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
+from mavdiag.link.timesync import Timesync, exchanged
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 
 __all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
 
+ALL_IN_EVERY_STEP = Pacing()
+
 SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
 Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
+NOT_ASKED = Timesync()
 
 
 def _no_times() -> IntArray:
@@ -61,6 +66,8 @@ class VehicleFigures:
     flight_s: flight time so far.
     rates: measured rate of each stream that is metered [Hz].
     ratios: statistic over threshold of each monitor and axis that is valid now.
+    timesync: round trip and offset of the vehicle's clock, as asked last.
+    drift_ppm: of the first clock of its messages against another one; None if they have one clock.
     """
 
     vehicle: int
@@ -73,6 +80,8 @@ class VehicleFigures:
     flight_s: float = 0.0
     rates: tuple[tuple[str, float], ...] = ()
     ratios: tuple[tuple[str, str, float], ...] = ()
+    timesync: Timesync = NOT_ASKED
+    drift_ppm: float | None = None
 
     @property
     def healthy(self) -> bool:
@@ -88,12 +97,14 @@ class Vehicle:
     outcome: what came of its last `Learn`, until the session gets it.
     events: that were opened, so far.
     awaiting: samples whose verdict is waited for; None if that is not measured.
+    timesync: what is known of its clock by asking; asked and answered where we may negotiate.
     """
 
     session: Session
     outcome: Baseline | LearningFailed | None = None
     events: int = 0
     awaiting: Awaiting | None = None
+    timesync: Timesync = field(default_factory=Timesync)
 
     def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
         """Hand the session what came. stream: the vehicle's."""
@@ -109,7 +120,10 @@ class Vehicle:
         self.outcome = None
         effects = self.session.step(inbox, now)
         self.events += sum(isinstance(effect, EventOpened) for effect in effects)
-        return effects
+        if not self.session.spec.settings.negotiate:
+            return effects
+        self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
+        return (*effects, *messages)
 
     def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
         """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
@@ -138,8 +152,10 @@ class Fleet:
     adapt: what is different for the vehicle of a system id; None for one that is left alone.
     most: how many vehicles may enter.
     measured: whether the time from a sample to its verdict is measured.
+    pacing: how long one step may take.
     signing, passed: as in `LinkDecoder`.
     vehicles: those that are watched, by system id.
+    delay: by how much the pacing puts verdicts off.
     """
 
     def __init__(
@@ -152,20 +168,32 @@ class Fleet:
         adapt: Adapt = lambda sysid, spec: spec,
         most: int = VEHICLES_MAX,
         measured: bool = False,
+        pacing: Pacing = ALL_IN_EVERY_STEP,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
         self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
-        self._spec_of, self._adapt, self._measured = spec_of, adapt, measured
+        self._spec_of, self._adapt, self._measured, self._pacing = spec_of, adapt, measured, pacing
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
+        self._judged: dict[int, Instant] = {}
+        self.delay = Delay()
 
-    def step(self, chunks: Iterable[tuple[bytes, int]], now: Instant, sources: Sequence[Source] = ()) -> list[Turn]:
+    def step(
+        self,
+        chunks: Iterable[tuple[bytes, int]],
+        now: Instant,
+        sources: Sequence[Source] = (),
+        *,
+        spent_s: Callable[[], float] = lambda: 0.0,
+    ) -> list[Turn]:
         """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
 
         sources: where each chunk comes from; empty for a link with one other end.
+        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step.
         """
-        received, streams = self.link.feed(chunks, now.ns, sources), self.link.vehicles
+        self.link.take(chunks, now.ns, sources)
+        streams = self.link.vehicles
         for sysid in streams.keys() - self.vehicles.keys() - self._left:
             spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
             if spec is None:
@@ -173,11 +201,17 @@ class Fleet:
             else:
                 awaiting = Awaiting() if self._measured else None
                 self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
+                self._judged[sysid] = now
+        for sysid in self._left:
+            self.link.leave(sysid)
         turns: list[Turn] = []
-        for sysid, vehicle in self.vehicles.items():
-            one = received.get(sysid, Received())
-            effects = vehicle.step(one, streams[sysid], now)
-            turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
+        for sysid, waited_s in by_waiting(self._judged, now):
+            if self._pacing.judges(waited_s, spent_s(), not turns):
+                vehicle, one = self.vehicles[sysid], self.link.received(sysid)
+                effects = vehicle.step(one, streams[sysid], now)
+                turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
+                self._judged[sysid] = now
+                self.delay = self.delay.waited(waited_s)
         return turns
 
     def finish(self) -> list[Turn]:
@@ -204,4 +238,6 @@ class Fleet:
             flight_s=0.0 if judge is None else judge.flight_s,
             rates=tuple((one.value, state.streams.meter(one).rate_hz) for one in METERED),
             ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
+            timesync=vehicle.timesync,
+            drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
         )

@@ -49,7 +49,9 @@ def imu_notes(read: Profile, own: Profile, before: Streams, after: Streams) -> l
         poor = ": the estimator's rates, filtered, at a low rate and without accelerometer" * (read.imu == LAST_RESORT)
         notes.append(Note(f"the gyro is read from {name}, for {message_name(own.imu)} does not come{poor}"))
     if after.scale_doubt and not before.scale_doubt:
-        notes.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name} {after.scale_doubt}"))
+        notes.append(
+            Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, but {after.scale_doubt}")
+        )
     return notes
 
 

@@ -126,8 +126,14 @@ def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
     judged = family("judged_seconds", "Flight time judged.")
     share = family("judged_share", "Flight time judged, of all flight time of this session.")
     ratio = family("statistic_ratio", "Statistic over threshold; absent while it is not valid.", "monitor", "axis")
+    round_trip = family("timesync_round_trip_seconds", "Round trip of the latest TIMESYNC, to within a look.")
+    drift = family("clock_drift_ppm", "Drift between the clocks of the vehicle's messages, where there are two.")
     for one in figures.vehicles:
         label = str(one.vehicle)
+        if one.timesync.round_trip_s is not None:
+            round_trip.add_metric([label], one.timesync.round_trip_s)
+        if one.drift_ppm is not None:
+            drift.add_metric([label], one.drift_ppm)
         for other in State:
             state.add_metric([label, other.value], other is one.state)
         received.add_metric([label], one.received)
@@ -139,4 +145,4 @@ def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
             share.add_metric([label], min(1.0, one.judged_s / one.flight_s))
         for monitor, axis, value in one.ratios:
             ratio.add_metric([label, monitor, axis], value)
-    yield from (state, received, lost, rate, judged, share, ratio)
+    yield from (state, received, lost, rate, judged, share, ratio, round_trip, drift)

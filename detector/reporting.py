@@ -18,6 +18,7 @@ from detector.values import (
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
+from mavdiag.link.timesync import TimesyncMessage
 
 __all__ = ["Reporter"]
 
@@ -42,7 +43,7 @@ class Reporter:
 
     def record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
-        if isinstance(effect, AskInterval | AskParameters | Learn | SendFloat):
+        if isinstance(effect, AskInterval | AskParameters | Learn | SendFloat | TimesyncMessage):
             return
         if self._journal is not None:
             self._journal.write(line(effect, self._when(sysid)), urgent=is_urgent(effect))

@@ -8,6 +8,7 @@ from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.units import NS_PER_MS
 
 __all__ = ["HEALTH", "MavlinkSender"]
@@ -65,6 +66,10 @@ class MavlinkSender:
         target = (self._vehicle, Component.AUTOPILOT1)
         by_name = (MessageId.PARAM_REQUEST_READ, *target)
         return [self._encoder.encode(*by_name, name, -1) for name in effect.names]
+
+    def timesync(self, message: TimesyncMessage) -> bytes:
+        """TIMESYNC to the vehicle's autopilot."""
+        return self._encoder.encode(MessageId.TIMESYNC, message.tc1_ns, message.ts1_ns)
 
     def decline(self, command: int, sysid: int, compid: int) -> bytes:
         """COMMAND_ACK: it takes no commands."""

@@ -10,6 +10,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import Profile
+from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 
@@ -162,4 +163,4 @@ class Note:
 
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
 """What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
-Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn
+Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn | TimesyncMessage

@@ -3,6 +3,9 @@
     telemetry ─ front ─▶ rows ─ monitors ─▶ statistics ─ envelope ─▶ statistics ─ decision ─▶ events, changes
 
 One pass: each step is entered once for a chunk. All memory is in the state.
+
+Chunks wait until they bring the rows of the decision's next look, every 0.1 s, for until then nothing can be decided.
+So a chain that is fed more often costs what one does that is fed ten times a second, and decides as early.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,10 +17,11 @@ import numpy as np
 from mavdiag.airframe.fingerprint import FIRST_S, Fingerprint, Likeness, compare
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import DecisionSpec, DecisionState, Event, SlotSpec
+from mavdiag.decision.alarm import LOOK_NS, DecisionSpec, DecisionState, Event, SlotSpec
 from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
+from mavdiag.link.samples import joined
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
 from mavdiag.rows.align import AlignSpec
@@ -27,12 +31,13 @@ from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, Signal, Telemetry
+from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
 from mavdiag.thresholds.rule import Threshold
 
 __all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Slot", "chain_of", "front_of"]
 
+MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
 
 
@@ -94,15 +99,18 @@ class Account:
         self, found: Statistic, flight_s: float, missing: Mapping[Signal, float], outside: Mapping[Condition, Outside]
     ) -> "Account":
         """The account after the next rows."""
-        beside = dict(self.outside)
-        for condition, one in outside.items():
-            beside[condition] = beside[condition].plus(one) if condition in beside else one
-        lacking = dict(self.missing)
-        for signal, span_s in missing.items():
-            lacking[signal] = lacking.get(signal, 0.0) + span_s
-        highest = float(found.value[found.valid].max()) if found.valid.any() else None
-        peak = highest if self.peak is None else self.peak if highest is None else max(self.peak, highest)
-        return Account(self.flight_s + flight_s, self.judged_s + found.judged_s, peak, lacking, beside)
+        beside, lacking = self.outside, self.missing
+        if outside:
+            beside = dict(beside)
+            for condition, one in outside.items():
+                beside[condition] = beside[condition].plus(one) if condition in beside else one
+        if missing:
+            lacking = {**lacking, **{signal: lacking.get(signal, 0.0) + span_s for signal, span_s in missing.items()}}
+        count, peak = int(np.count_nonzero(found.valid)), self.peak
+        if count:
+            highest = float((found.value if count == len(found) else found.value[found.valid]).max())
+            peak = highest if peak is None else max(peak, highest)
+        return Account(self.flight_s + flight_s, self.judged_s + count * found.period_s, peak, lacking, beside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +157,8 @@ class ChainState:
     judged_s: judged time of the slot that decides about propellers and judged for longest, since the start.
     now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards.
+    begun_s: valid time in them.
+    waiting: telemetry that does not reach the next look yet.
     """
 
     front: FrontState
@@ -159,6 +169,8 @@ class ChainState:
     judged_s: float = 0.0
     now_ns: int | None = None
     beginning: tuple[Rows, ...] | None = ()
+    begun_s: float = 0.0
+    waiting: tuple[Telemetry, ...] = ()
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -187,23 +199,45 @@ class Chain:
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
-        front, parts = self.front.step(state.front, telemetry)
-        return self.judge(replace(state, front=front), parts)
+        if telemetry.series:
+            state = replace(state, waiting=(*state.waiting, telemetry))
+        if not state.waiting or not self._due(state):
+            return state, ChainOutput()
+        return self.judge(*self._taken(state))
 
     def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The link was lost or the watch ends: close what is open. Rows may go on later."""
-        return self.judge(state, () if state.now_ns is None else (Border(state.now_ns),))
+        state, parts = self._taken(state)
+        ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
+        end_ns = ends[-1] if ends else state.now_ns
+        return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns)))
 
     def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
-        front, parts = self.front.finish(state.front)
-        state, output = self.judge(replace(state, front=front), parts)
+        state, parts = self._taken(state)
+        front, rest = self.front.finish(state.front)
+        state, output = self.judge(replace(state, front=front), (*parts, *rest))
         if state.now_ns is None:
             return state, output
         decision, events, changes = self.decision.step(state.decision, (), state.now_ns, final=True)
         events = (*output.events, *events, *self.decision.open_events(decision))
         state = replace(state, decision=decision)
         return state, replace(output, events=events, changes=(*output.changes, *changes))
+
+    def _due(self, state: ChainState) -> bool:
+        """Whether what waits may bring rows up to the next look, or more of it must not wait."""
+        row_ns = state.front.align.last_ns
+        if row_ns is None or len(state.waiting) >= MOST_WAITING:
+            return True
+        newest_ns = self.front.align.reached_ns(state.waiting)
+        return newest_ns is not None and newest_ns // LOOK_NS > row_ns // LOOK_NS
+
+    def _taken(self, state: ChainState) -> tuple[ChainState, tuple[Rows | Border, ...]]:
+        """The rows that all that waits makes."""
+        if not state.waiting:
+            return state, ()
+        front, parts = self.front.step(state.front, joined(state.waiting))
+        return replace(state, front=front, waiting=()), parts
 
     def _fresh(self) -> tuple[Any, ...]:
         return tuple(slot.monitor.start() for slot in self.slots)
@@ -246,21 +280,31 @@ class Chain:
             judged_s=output.judged_s + judged_s - state.judged_s,
             now_ns=now_ns,
         )
-        beginning, likeness = self._compared(state.beginning, rows)
-        output = replace(output, likeness=likeness or output.likeness)
-        state = ChainState(state.front, envelope, tuple(monitors), decision, accounts, judged_s, now_ns, beginning)
+        if state.beginning is not None:
+            state, likeness = self._compared(state, rows)
+            output = replace(output, likeness=likeness or output.likeness)
+        state = replace(
+            state,
+            envelope=envelope,
+            monitors=tuple(monitors),
+            decision=decision,
+            accounts=accounts,
+            judged_s=judged_s,
+            now_ns=now_ns,
+        )
         return state, events, changes, output
 
-    def _compared(
-        self, beginning: tuple[Rows, ...] | None, rows: Rows
-    ) -> tuple[tuple[Rows, ...] | None, Likeness | None]:
+    def _compared(self, state: ChainState, rows: Rows) -> tuple[ChainState, Likeness | None]:
         """The rows to compare the vehicle by, and the answer as soon as there are enough."""
-        if beginning is None or self.fingerprint is None:
-            return None, None
-        beginning = (*beginning, rows)
-        if sum(int(np.count_nonzero(one.block.valid)) for one in beginning) * rows.block.dt_s < FIRST_S:
-            return beginning, None
-        return None, compare(self.fingerprint, beginning, self.layout)
+        if state.beginning is None or self.fingerprint is None:
+            return replace(state, beginning=None), None
+        count = int(np.count_nonzero(rows.block.valid))
+        if count == 0 and not (state.beginning and state.beginning[-1].block.valid.any()):
+            return state, None  # nothing is measured in such rows; one block of them parts the others
+        beginning, begun_s = (*state.beginning, rows), state.begun_s + count * rows.block.dt_s
+        if begun_s < FIRST_S:
+            return replace(state, beginning=beginning, begun_s=begun_s), None
+        return replace(state, beginning=None), compare(self.fingerprint, beginning, self.layout)
 
     def _accounts(
         self,
@@ -270,11 +314,16 @@ class Chain:
         block: Block,
         flight_s: float,
     ) -> tuple[Account, ...]:
+        counts: dict[int, tuple[BoolArray, int]] = {}  # valid rows without a signal, of each array of flags
         out = []
         for slot, account, one, denied in zip(self.slots, accounts, found, outside, strict=True):
-            known = {signal: slot.monitor.known(block, signal) for signal in sorted(slot.monitor.signals)}
-            rows = {signal: int(np.count_nonzero(block.valid & ~there)) for signal, there in known.items()}
-            missing = {s: count * block.dt_s for s, count in rows.items() if count}
+            missing = {}
+            for signal in slot.monitor.signals:
+                there = slot.monitor.known(block, signal)
+                if id(there) not in counts:
+                    counts[id(there)] = there, 0 if there.all() else int(np.count_nonzero(block.valid & ~there))
+                if count := counts[id(there)][1]:
+                    missing[signal] = count * block.dt_s
             out.append(account.add(one, flight_s, missing, denied))
         return tuple(out)
 

@@ -103,7 +103,7 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     full, which tells rotors of one sense of rotation apart.
     """
     variance = np.empty(shift.shape)
-    variance[:, :2] = np.square(spread[:2]) + np.square(TILT_TRIM * np.linalg.norm(tilt, axis=1, keepdims=True))
+    variance[:, :2] = np.square(spread[:2]) + TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
     variance[:, 2] = spread[2] ** 2
     C, W = layout.unmixing, 1.0 / variance
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value

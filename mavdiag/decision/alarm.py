@@ -20,11 +20,13 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeAlias
 
+import numpy as np
+
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.decision.events import Event, EventSpec, EventState
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
 from mavdiag.decision.kinds import KindReading, grown, named
-from mavdiag.decision.looks import Looks, Reading, cut, known_from
+from mavdiag.decision.looks import Looks, Reading, Waiting, cut, known_from
 from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
 from mavdiag.units import NS_PER_S
@@ -106,7 +108,7 @@ class DecisionState:
 
     latest: tuple[Reading | None, ...]
     events: tuple[EventState, ...]
-    waiting: tuple[tuple[Statistic, ...], ...]
+    waiting: tuple[tuple[Waiting, ...], ...]
     diagnosis: Diagnosis = NOTHING_SEEN
     looked_ns: int | None = None
     calm_ns: int | None = None
@@ -117,6 +119,7 @@ class DecisionState:
     graded: int = 0
 
 
+Fresh: TypeAlias = tuple[Reading, SlotSpec]
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
 
 
@@ -139,15 +142,19 @@ class DecisionSpec:
         """
         waiting = state.waiting
         if found:
-            waiting = tuple((*old, new) if len(new) else old for old, new in zip(state.waiting, found, strict=True))
+            waiting = tuple(
+                (*old, Waiting.of(new, slot.threshold)) if len(new) else old
+                for slot, old, new in zip(self.slots, state.waiting, found, strict=True)
+            )
         looks = self._times(state.looked_ns, waiting, until_ns, final)
         if not looks:
             return replace(state, waiting=waiting), (), ()
-        parts = [cut(some, slot.delay_s, slot.threshold, looks) for slot, some in zip(self.slots, waiting, strict=True)]
+        times = np.array(looks)
+        parts = [cut(some, slot.delay_s, times) for slot, some in zip(self.slots, waiting, strict=True)]
         events: list[Event] = []
         changes: list[Change] = []
         for number, t_ns in enumerate(looks):
-            state, fresh = self._read(state, parts, number, t_ns)
+            state, fresh = self._read(state, parts, number)
             state, change = self._decide(state, t_ns)
             if state.diagnosis.stage is Stage.FAULT:
                 state, graded = self._grade(state, parts, number, t_ns)
@@ -174,7 +181,7 @@ class DecisionSpec:
         return tuple(self._named(state, [one.open for one in state.events if one.open is not None]))
 
     def _times(
-        self, looked_ns: int | None, waiting: Sequence[Sequence[Statistic]], until_ns: int, final: bool
+        self, looked_ns: int | None, waiting: Sequence[Sequence[Waiting]], until_ns: int, final: bool
     ) -> list[int]:
         """The times to look at: every 0.1 s since the last look, or since the first value."""
         known = (known_from(some, slot.delay_s) for slot, some in zip(self.slots, waiting, strict=True))
@@ -185,21 +192,20 @@ class DecisionSpec:
         looks = list(range((first_ns // LOOK_NS + 1) * LOOK_NS, until_ns + 1, LOOK_NS))
         return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
 
-    def _read(
-        self, state: DecisionState, parts: Sequence[Looks], number: int, t_ns: int
-    ) -> tuple[DecisionState, list[Event]]:
+    def _read(self, state: DecisionState, parts: Sequence[Looks], number: int) -> tuple[DecisionState, list[Event]]:
         """Take one look's values: the latest reading and the events of every slot."""
-        latest, events, fresh = list(state.latest), list(state.events), list[Event]()
+        # What was read last ages while nothing is valid.
+        latest = tuple(one.readings[number] or old for one, old in zip(parts, state.latest, strict=True))
+        events, fresh = state.events, list[Event]()
         for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
-            ratio = one.highest(number)
-            if ratio is None:
+            ratio = one.highest[number]
+            if ratio is None or (ratio <= 1.0 and events[i].open is None):
                 continue
-            latest[i] = one.reading(number, t_ns) or latest[i]  # it ages while nothing is valid
-            part = one.part(number) if ratio > 1.0 or events[i].open is not None else None
-            if part is not None:
-                events[i], seen = slot.events.step(events[i], part)
+            if (part := one.part(number)) is not None:
+                after, seen = slot.events.step(events[i], part)
+                events = (*events[:i], after, *events[i + 1 :])
                 fresh += seen
-        return replace(state, latest=tuple(latest), events=tuple(events)), fresh
+        return replace(state, latest=latest, events=events), fresh
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
@@ -208,21 +214,20 @@ class DecisionSpec:
             for reading, slot in zip(state.latest, self.slots, strict=True)
             if reading is not None and t_ns - reading.t_ns <= STALE_NS
         ]
-        readings = [
-            KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
-            for reading, slot in fresh
-        ]
-        state, height = _height_now(state, readings, t_ns)
+        state, height = _height_now(state, fresh, t_ns)
         now = _leading(state.diagnosis, fresh)
         stage, reason = NEXT.get((now.stage, height), (now.stage, now.reason))
         changed = stage is not now.stage
         if changed:
             now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
+        if stage is not Stage.FAULT and not changed:
+            return replace(state, diagnosis=now), False
         if stage is not Stage.FAULT:
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, kind=None)
-            return replace(state, diagnosis=now, gathered=None, graded=0), changed
+            return replace(state, diagnosis=now, gathered=None, graded=0), True
         if changed:
             state = replace(state, gathered=Gathered(t_ns), graded=0)
+        readings = _readings(fresh)
         kind = grown(now.kind, readings, t_ns - now.since_ns)
         if kind is not now.kind:
             now = replace(now, kind=kind, reason=now.reason if changed else f"it is a {kind}")
@@ -280,25 +285,34 @@ class DecisionSpec:
         ]
 
 
-def _height_now(state: DecisionState, readings: Sequence[KindReading], t_ns: int) -> tuple[DecisionState, Height]:
+def _readings(fresh: Sequence[Fresh]) -> list[KindReading]:
+    return [
+        KindReading(slot.kind, slot.decides, reading.ratio, slot.threshold, slot.evidence, reading.rotors)
+        for reading, slot in fresh
+    ]
+
+
+def _height_now(state: DecisionState, fresh: Sequence[Fresh], t_ns: int) -> tuple[DecisionState, Height]:
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
-    height = max((_height(one.ratio, one.decides) for one in readings), default=Height.UNKNOWN)
-    if not any(one.decides for one in readings):
-        height = Height.UNKNOWN
+    height = Height.UNKNOWN
+    if any(slot.decides for _, slot in fresh):
+        height = max(_height(reading.ratio, slot.decides) for reading, slot in fresh)
     calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
     over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
-    state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
+    if calm_ns != state.calm_ns or over_ns != state.over_ns:
+        state = replace(state, calm_ns=calm_ns, over_ns=over_ns)
     if calm_ns is not None and t_ns - calm_ns >= CLEAR_NS:
         return state, Height.SETTLED
     if over_ns is None or t_ns - over_ns >= DOUBT_NS or state.diagnosis.stage is Stage.FAULT:
         return state, height
+    readings = _readings(fresh)
     kind = grown(None, readings, 0)
     checked = any(one.kind is FaultKind.SENSOR for one in readings)  # without such monitors nothing is waited for
     doubtful = checked and kind is FaultKind.PROPELLER and named(kind, readings, False).rotor is None
     return state, Height.RAISED if doubtful else height
 
 
-def _leading(diagnosis: Diagnosis, fresh: Sequence[tuple[Reading, SlotSpec]]) -> Diagnosis:
+def _leading(diagnosis: Diagnosis, fresh: Sequence[Fresh]) -> Diagnosis:
     """The diagnosis with the present evidence of the highest ratio, first of those that are over and of its kind."""
     if not fresh:
         return replace(diagnosis, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)

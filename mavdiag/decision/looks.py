@@ -1,15 +1,15 @@
 """One slot's values cut at the times at which the decision looks at them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Looks", "Reading", "cut", "known_from"]
+__all__ = ["Looks", "Reading", "Waiting", "cut", "known_from"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,57 +29,104 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Looks:
-    """All values up to the last look, None if there are none, and those that wait for a later one.
+class Waiting:
+    """Values of one chunk that were not all looked at yet.
 
-    at: (looks + 1,) where each look begins and ends.
+    values: all of the chunk.
     ratio: (n,) statistic over threshold, -1 where it is not valid.
+    first: the first that was not looked at.
     """
 
-    values: Statistic | None
-    rest: tuple[Statistic, ...]
-    at: list[int]
+    values: Statistic
     ratio: FloatArray
+    first: int = 0
+
+    @classmethod
+    def of(cls, values: Statistic, threshold: float) -> "Waiting":
+        """A chunk of which nothing was looked at."""
+        ratio = values.value / threshold
+        return cls(
+            values, ratio if np.count_nonzero(values.valid) == len(ratio) else np.where(values.valid, ratio, -1.0)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """The values of each look, and what waits for a later one.
+
+    chunks: where they lie; at: of each chunk the (looks + 1,) rows where the looks begin and end.
+    highest: of each look the highest ratio, -1 if no value is valid, None if there is none.
+    readings: of each look what it gave, None if no value is valid.
+    """
+
+    chunks: tuple[Waiting, ...]
+    rest: tuple[Waiting, ...]
+    at: list[list[int]]
+    highest: list[float | None]
+    readings: list[Reading | None]
 
     def part(self, number: int) -> Statistic | None:
         """The values of a look, None if it has none."""
-        first, stop = self.at[number], self.at[number + 1]
-        return None if self.values is None or first == stop else self.values.part(first, stop)
-
-    def highest(self, number: int) -> float | None:
-        """The highest ratio of a look: -1 if no value is valid, None if there is none."""
-        first, stop = self.at[number], self.at[number + 1]
-        return None if first == stop else float(self.ratio[first:stop].max())
-
-    def reading(self, number: int, t_ns: int) -> Reading | None:
-        """What a look gave; None if no value is valid."""
-        ratio, values = self.highest(number), self.values
-        if values is None or ratio is None or ratio < 0:
-            return None
-        first, stop = self.at[number], self.at[number + 1]
-        last = first + int(np.flatnonzero(values.valid[first:stop])[-1])
-        rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-        return Reading(t_ns, ratio, float(values.value[last]), rotors)
+        cuts = [(one.values, at[number], at[number + 1]) for one, at in zip(self.chunks, self.at, strict=True)]
+        parts = [values.part(first, stop) for values, first, stop in cuts if first < stop]
+        return None if not parts else parts[0] if len(parts) == 1 else _joined(parts)
 
 
-def known_from(waiting: Sequence[Statistic], delay_s: float) -> int | None:
+def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
     """When the first of these values was known [ns]; None if there are none."""
-    return None if not waiting else int(waiting[0].t_ns[0]) + round(delay_s * NS_PER_S)
-
-
-def cut(waiting: Sequence[Statistic], delay_s: float, threshold: float, looks: Sequence[int]) -> Looks:
-    """Cut values at these times. delay_s: how much later than its time stamp a value is known."""
     if not waiting:
-        return Looks(None, (), [0] * (len(looks) + 1), np.empty(0))
-    values = waiting[0] if len(waiting) == 1 else _joined(waiting)
-    known_ns = values.t_ns + round(delay_s * NS_PER_S)
-    at = [0, *np.searchsorted(known_ns, looks, side="right").tolist()]
-    rest = (values.part(at[-1], len(values)),) if at[-1] < len(values) else ()
-    values = values.part(0, at[-1]) if rest else values
-    return Looks(values, rest, at, np.where(values.valid, values.value / threshold, -1.0))
+        return None
+    return int(waiting[0].values.t_ns[waiting[0].first]) + round(delay_s * NS_PER_S)
 
 
-def _joined(waiting: Sequence[Statistic]) -> Statistic:
+def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
+    """Cut values at these times [ns]. delay_s: how much later than its time stamp a value is known."""
+    t_ns = looks - round(delay_s * NS_PER_S)
+    at = [[one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()] for one in waiting]
+    rest = tuple(
+        one if stops[-1] == one.first else Waiting(one.values, one.ratio, stops[-1])
+        for one, stops in zip(waiting, at, strict=True)
+        if stops[-1] < len(one.ratio)
+    )
+    highest: list[float | None] = [None] * len(looks)
+    readings: list[Reading | None] = [None] * len(looks)
+    times = looks.tolist()
+    for one, edges in zip(waiting, at, strict=True):
+        filled = [k for k in range(len(times)) if edges[k] < edges[k + 1]]
+        if filled:
+            _look(one, filled, edges, times, highest, readings)
+    return Looks(tuple(waiting), rest, at, highest, readings)
+
+
+def _look(
+    one: Waiting,
+    filled: Sequence[int],
+    edges: Sequence[int],
+    times: Sequence[int],
+    highest: list[float | None],
+    readings: list[Reading | None],
+) -> None:
+    """Add one chunk's values to the looks that hold some of them."""
+    values, valid = one.values, one.values.valid
+    ratios = np.maximum.reduceat(one.ratio[: edges[-1]], [edges[k] for k in filled]).tolist()
+    for k, ratio in zip(filled, ratios, strict=True):
+        before = highest[k]
+        highest[k] = top = ratio if before is None else max(before, ratio)
+        last = edges[k + 1] - 1
+        if top < 0:
+            continue
+        if not valid[last]:
+            good = np.flatnonzero(valid[edges[k] : last])
+            if len(good) == 0:
+                held = readings[k]
+                readings[k] = None if held is None else replace(held, ratio=top)
+                continue
+            last = edges[k] + int(good[-1])
+        rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
+        readings[k] = Reading(times[k], top, float(values.value[last]), rotors)
+
+
+def _joined(parts: Sequence[Statistic]) -> Statistic:
     names = ("t_ns", "value", "valid", "level", "signal", "rotors")
-    columns = {name: np.concatenate([getattr(one, name) for one in waiting]) for name in names}
-    return Statistic(period_s=waiting[0].period_s, **columns)
+    columns = {name: np.concatenate([getattr(one, name) for one in parts]) for name in names}
+    return Statistic(period_s=parts[0].period_s, **columns)

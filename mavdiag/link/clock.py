@@ -9,6 +9,7 @@ Everything is a value: state in, state out; cutting the samples into other piece
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = [
     "MS_32",
     "US_32",
     "US_64",
+    "Clock",
     "ClockReading",
     "Counter",
     "Run",
@@ -37,6 +39,15 @@ EPOCH_NS = 1_000_000_000 * NS_PER_S  # stamps from here on (year 2001) are unix 
 HIGHEST_NS = (1 << 62) - 1  # year 2116: garbage beyond is held here, so that a stamp and an offset fit 64 bits
 
 
+class Clock(IntEnum):
+    """The clocks that a vehicle's messages may be stamped on."""
+
+    BOOT_MS = 0  # milliseconds since boot, 32 bits
+    BOOT_US = 1  # microseconds since boot, 64 bits
+    BOOT_US_32 = 2  # microseconds since boot, 32 bits
+    UNIX = 3  # microseconds since 1970
+
+
 @dataclass(frozen=True, slots=True)
 class Counter:
     """How a message counts time.
@@ -52,6 +63,14 @@ class Counter:
     def ambiguous(self) -> bool:
         """Whether it wraps within a day, so that its first reading alone does not give the time since boot."""
         return 0 < self.turn * self.tick_ns < 86_400 * NS_PER_S
+
+    def clock(self, on_epoch: bool) -> Clock:
+        """The clock that it counts. on_epoch: it shows unix time."""
+        if on_epoch:
+            return Clock.UNIX
+        if self.ambiguous:
+            return Clock.BOOT_US_32
+        return Clock.BOOT_MS if self.tick_ns == NS_PER_MS else Clock.BOOT_US
 
 
 MS_32 = Counter(NS_PER_MS, 1 << 32)  # time_boot_ms: wraps after 49.7 days
@@ -78,21 +97,29 @@ class Run(NamedTuple):
     clock_ns: (n,) the message's own clock [ns], wraps undone.
     host_ns: (n,) when received [ns].
     latest_ns: the highest of clock_ns.
-    on_epoch: they are unix time, rather than time since boot.
+    clock: which clock it is.
     reading: where the counter stands now.
     used: samples that were looked at, up to where the counter broke off.
     kept: (used,) which of them are in line and make the rows of clock_ns; None for all.
-    ambiguous: its counter wraps often, so that going on is no proof that the vehicle did not start anew.
     """
 
     clock_ns: IntArray
     host_ns: IntArray
     latest_ns: int
-    on_epoch: bool
+    clock: Clock
     reading: ClockReading
     used: int
     kept: BoolArray | None = None
-    ambiguous: bool = False
+
+    @property
+    def on_epoch(self) -> bool:
+        """They are unix time, rather than time since boot."""
+        return self.clock is Clock.UNIX
+
+    @property
+    def ambiguous(self) -> bool:
+        """Its counter wraps often, so that going on is no proof that the vehicle did not start anew."""
+        return self.clock is Clock.BOOT_US_32
 
 
 def unwrap(
@@ -115,16 +142,8 @@ def unwrap(
     if steady and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS) and _ascends(raw):
         clock_ns = raw * counter.tick_ns
         reading = ClockReading(final, before.turns, int(host_ns[-1]))
-        return Run(
-            clock_ns + ahead_ns if ahead_ns else clock_ns,
-            host_ns,
-            end,
-            on_epoch,
-            reading,
-            len(raw),
-            None,
-            counter.ambiguous,
-        )
+        clock_ns = clock_ns + ahead_ns if ahead_ns else clock_ns
+        return Run(clock_ns, host_ns, end, counter.clock(on_epoch), reading, len(raw))
     raw = np.clip(raw, 0, HIGHEST_NS // counter.tick_ns)
     if last is None:
         before = before._replace(raw=int(raw[0]))
@@ -178,4 +197,4 @@ def _unwrap_step_by_step(counter: Counter, before: ClockReading, raw: IntArray, 
     latest_ns = int(clock_ns.max()) if len(clock_ns) else 0
     reading = ClockReading(high, turns, seen_ns)
     kept_rows = None if inline.all() else inline
-    return Run(clock_ns, host_ns[:used][inline], latest_ns, on_epoch, reading, used, kept_rows, counter.ambiguous)
+    return Run(clock_ns, host_ns[:used][inline], latest_ns, counter.clock(on_epoch), reading, used, kept_rows)

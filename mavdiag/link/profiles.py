@@ -293,14 +293,14 @@ def scale_doubt(profile: Profile, gravity_g: float) -> str:
     is named; nothing is rescaled.
 
     >>> scale_doubt(PROFILES["qdrone2"], 2.05), scale_doubt(PROFILES["qdrone2"], 1.1)
-    ('(2.0 g): --profile spec', '')
+    ('2.0 g: --profile spec', '')
     """
     if 1.0 / CONTRARY < gravity_g < CONTRARY:
         return ""
     counts = gravity_g * G / profile.accel_unit
     raw = (one for one in _ROWS if one.imu == profile.imu == MessageId.RAW_IMU)
     fits = next((one.name for one in raw if 1.0 / CONTRARY < counts * one.accel_unit / G < CONTRARY), "")
-    return f"({gravity_g:.1f} g)" + (f": --profile {fits}" if fits else "")
+    return f"{gravity_g:.1f} g" + (f": --profile {fits}" if fits else "")
 
 
 def by_attitude(profile: Profile) -> Profile:

@@ -20,7 +20,7 @@ __all__ = ["PINNED_S", "DecoderCount", "Intruder", "LinkCount", "Senders", "Sequ
 Source: TypeAlias = Hashable | None
 """Where bytes came from: an address, or None on a link that has one end only."""
 
-WINDOW = 16  # frames: how late a frame may come and still be recognised as late (a choice: links swap neighbours)
+WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 

@@ -1,7 +1,7 @@
-"""One vehicle timeline from many counters: reboots bridged, two clocks laid over each other.
+"""One vehicle timeline from many counters: reboots bridged, different clocks laid over each other.
 
-The timeline is the clock of the first stamped message; the other clock, since boot or unix time, is laid over it by the
-least transport delay seen of each. The receiver's clock never adds its jitter to a stamp.
+The timeline is the clock of the first stamped message; the others are laid over it by the least transport delay of each
+and followed as they drift (`offsets`). The receiver's clock never adds its jitter to a stamp.
 
 A stamp that is out of line (over a second old, or hours ahead) is no reboot while others go on: a second path may be
 slower, and somebody may send old frames again. Such frames are left out. The vehicle starts anew when its old clock
@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import NamedTuple
 
-import numpy as np
-
-from mavdiag.link.clock import EPOCH_NS, HIGHEST_NS, LATE_NS, SILENT_NS, Counter, Run
+from mavdiag.link.clock import EPOCH_NS, LATE_NS, SILENT_NS, Clock, Counter, Run
+from mavdiag.link.offsets import NO_CLOCKS, Clocks, followed, lead_ns, placed
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = ["Delay", "OutOfLine", "Rival", "Timeline", "out_of_line", "place", "rebooted"]
+__all__ = ["OutOfLine", "Rival", "Timeline", "out_of_line", "place", "rebooted"]
 
 # Choices, not measurements; SILENT_NS is one, too.
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
@@ -31,7 +30,6 @@ UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle ma
 AGREEING = 3  # frames in a row that must agree on the new clock to within LATE_NS, each later than the one before
 STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
 REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
-SETTLE_NS = 2 * NS_PER_S  # how long the delay of a clock is watched before a second clock is laid over the first
 
 
 class Rival(NamedTuple):
@@ -56,29 +54,11 @@ class OutOfLine(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Delay:
-    """How far the receiver's clock is ahead of one of the vehicle's.
-
-    first_host_ns: since when it is watched [ns].
-    least_ns: least lead so far [ns].
-    """
-
-    first_host_ns: int
-    least_ns: int
-
-    @property
-    def settled_ns(self) -> int:
-        """Receiver's time from which on the delay is known and stays as it is."""
-        return self.first_host_ns + SETTLE_NS
-
-
-@dataclass(frozen=True, slots=True)
 class Timeline:
     """Where one vehicle's time stands.
 
-    on_epoch: whether the reference clock is unix time; None before the first stamp.
-    base_ns: what to add to it [ns].
-    delays: of the clock since boot and of unix time.
+    clocks: its clocks and how they are laid over the reference.
+    base_ns: what to add to the reference [ns].
     t_ns: latest time known [ns], None before the first stamp.
     host_ns: when the last stamp was received [ns].
     seen_ns: when the last stamp in line was, of the clock since boot and of unix time [ns].
@@ -87,9 +67,8 @@ class Timeline:
     reboots: how often the vehicle started anew.
     """
 
-    on_epoch: bool | None = None
+    clocks: Clocks = NO_CLOCKS
     base_ns: int = 0
-    delays: tuple[Delay | None, Delay | None] = (None, None)
     t_ns: int | None = None
     host_ns: int = 0
     seen_ns: tuple[int, int] = (0, 0)
@@ -97,10 +76,16 @@ class Timeline:
     rival: Rival | None = None
     reboots: int = 0
 
+    @property
+    def drift_ppm(self) -> float | None:
+        """How fast another clock of the vehicle drifts against the reference [ppm]; None if its messages have one."""
+        apart = (offset for offset in self.clocks.offsets if offset is not None and not offset.shared)
+        return next((-offset.drift_ppm for offset in apart), None)
+
     def since_boot_ns(self, host_ns: int) -> int | None:
         """The vehicle's time since boot at the receiver's time, to a few milliseconds; None if it is not known."""
-        boot = self.delays[0]
-        return None if boot is None else host_ns - boot.least_ns
+        leads = (lead_ns(self.clocks, clock) for clock in (Clock.BOOT_MS, Clock.BOOT_US))
+        return next((host_ns - one for one in leads if one is not None), None)
 
 
 def rebooted(timeline: Timeline) -> Timeline:
@@ -132,34 +117,31 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     """Give the samples of several messages their vehicle time.
 
     runs: none empty, and of a fresh timeline the first one to arrive first. Returns the vehicle times of each run [ns];
-    where the other clock is not laid over the first yet (two seconds), the leading samples have none and are left out.
+    where a clock is not laid over the first yet (one to two seconds), the leading samples have none and are left out.
     """
-    if timeline.on_epoch is None:
+    before = timeline.clocks
+    if before.reference is None:
         timeline = _begun(timeline, runs[0])
-    boot, epoch = timeline.delays
+    clocks, paths = followed(before, runs)
     received_ns, known_ns = timeline.host_ns, timeline.t_ns
     seen_ns, high_ns = list(timeline.seen_ns), list(timeline.high_ns)
-    boot = _watched(boot, runs, received_ns, on_epoch=False)
-    epoch = _watched(epoch, runs, received_ns, on_epoch=True)
-    lag_ns = epoch.least_ns - boot.least_ns if boot and epoch else 0
     times = []
     for run in runs:
-        t_ns, offset_ns = run.clock_ns, timeline.base_ns
-        if run.on_epoch != timeline.on_epoch:
-            offset_ns += lag_ns if run.on_epoch else -lag_ns
-            t_ns = t_ns[_unsettled(boot, epoch, run) :]
-        if offset_ns:
-            offset_ns = min(max(offset_ns, -HIGHEST_NS), HIGHEST_NS)
-            t_ns = t_ns + offset_ns
-        if len(t_ns) and (known_ns is None or run.latest_ns + offset_ns > known_ns):
-            known_ns = run.latest_ns + offset_ns
+        t_ns = run.clock_ns
+        if run.clock is not clocks.reference:
+            t_ns = placed(t_ns, run.host_ns, paths.get(run.clock, ()), before.offsets[run.clock] is not None)
+        if timeline.base_ns:
+            t_ns = t_ns + timeline.base_ns
+        if len(t_ns):
+            latest_ns = int(t_ns.max())
+            known_ns = latest_ns if known_ns is None else max(known_ns, latest_ns)
         received_ns = max(received_ns, run.reading.host_ns)
         if not run.ambiguous and run.latest_ns >= high_ns[run.on_epoch] - GONE_NS:  # else a clock of its own
             seen_ns[run.on_epoch] = max(seen_ns[run.on_epoch], run.reading.host_ns)
             high_ns[run.on_epoch] = max(high_ns[run.on_epoch], run.latest_ns)
         times.append(t_ns)
     seen, high = (seen_ns[0], seen_ns[1]), (high_ns[0], high_ns[1])
-    known = replace(timeline, delays=(boot, epoch), t_ns=known_ns, host_ns=received_ns, seen_ns=seen, high_ns=high)
+    known = replace(timeline, clocks=clocks, t_ns=known_ns, host_ns=received_ns, seen_ns=seen, high_ns=high)
     rival = timeline.rival
     if rival is not None and seen[rival.clock_ns >= EPOCH_NS] != timeline.seen_ns[rival.clock_ns >= EPOCH_NS]:
         known = replace(known, rival=None)
@@ -168,29 +150,6 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
 
 def _begun(timeline: Timeline, first: Run) -> Timeline:
     if timeline.t_ns is None:
-        return replace(timeline, on_epoch=first.on_epoch)
+        return timeline
     resume_ns = timeline.t_ns + max(int(first.host_ns[0]) - timeline.host_ns, REBOOT_GAP_NS)
-    return replace(timeline, on_epoch=first.on_epoch, base_ns=resume_ns - int(first.clock_ns[0]))
-
-
-def _watched(delay: Delay | None, runs: Sequence[Run], received_ns: int, *, on_epoch: bool) -> Delay | None:
-    """The least delay of one clock, with these runs; once settled it stays."""
-    if delay is not None and received_ns >= delay.settled_ns:
-        return delay
-    own = [run for run in runs if run.on_epoch == on_epoch]
-    if not own:
-        return delay
-    first_ns = min(int(run.host_ns[0]) for run in own) if delay is None else delay.first_host_ns
-    least_ns = HIGHEST_NS if delay is None else delay.least_ns
-    for run in own:
-        early = run.host_ns < first_ns + SETTLE_NS
-        if early[0]:
-            least_ns = min(least_ns, int((run.host_ns - run.clock_ns)[early].min()))
-    return Delay(first_ns, least_ns)
-
-
-def _unsettled(boot: Delay | None, epoch: Delay | None, run: Run) -> int:
-    """How many of the run's samples came before both clocks were known."""
-    if boot is None or epoch is None:
-        return len(run.clock_ns)
-    return int(np.searchsorted(run.host_ns, max(boot.settled_ns, epoch.settled_ns)))
+    return replace(timeline, base_ns=resume_ns - int(first.clock_ns[0]))

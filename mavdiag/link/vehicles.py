@@ -11,6 +11,7 @@ seconds apart, and running numbers that are one sender's; and at most so many as
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
+from typing import TypeVar
 
 from mavdiag.link.addressed import (
     COMMANDS,
@@ -44,6 +45,8 @@ WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our ch
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,13 +100,17 @@ class LinkDecoder:
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
-        wanted |= IMU_MESSAGES.keys() | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE} | COMMANDS | PARAMETER_REQUESTS
+        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+        wanted |= IMU_MESSAGES.keys() | others | COMMANDS | PARAMETER_REQUESTS
         self._decoder = Decoder(wanted, signing=signing, passed=passed)
         self._decoder.heard.kept = self._kept = set[int]()
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
         self._most = most
         self._pending: dict[int, Waiting] = {}
+        self._frames: dict[int, list[Frame]] = {}
+        self._commanded: dict[int, list[Command]] = {}
+        self._asked: dict[int, list[Frame]] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -144,6 +151,12 @@ class LinkDecoder:
         Only vehicles that have entered are in the result; one that enters now brings its latest frames along.
         sources: where each of the chunks comes from; empty for a link with one other end.
         """
+        self.take(chunks, now_ns, sources)
+        return {sysid: self.received(sysid) for sysid in sorted(self._waiting())}
+
+    def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
+        """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`, which need
+        not be called after each `take`."""
         frames: list[Frame] = []
         decoder, decode = self._decoder, self._decode
         pairs = zip(chunks, sources, strict=True) if sources else zip(chunks, repeat(None), strict=False)
@@ -153,20 +166,34 @@ class LinkDecoder:
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        commands, requests = commands_in(frames), parameters_asked_in(frames)
-        found: dict[int, Received] = {}
-        for sysid in sorted((own.keys() | commands.keys() | requests.keys()) & self.vehicles.keys()):
-            some = own.get(sysid, [])
-            found[sysid] = Received(
-                tuple(some),
-                self.vehicles[sysid].step(some),
-                any(frame.compid == Component.AUTOPILOT1 for frame in some),
-                acks_in(some),
-                tuple(commands.get(sysid, ())),
-                self.vehicles[sysid].parameters,
-                tuple(requests.get(sysid, ())),
-            )
-        return found
+        self._wait(self._frames, own)
+        self._wait(self._commanded, commands_in(frames))
+        self._wait(self._asked, parameters_asked_in(frames))
+
+    def received(self, sysid: int) -> Received:
+        """What waits of a vehicle that has entered."""
+        some = self._frames.pop(sysid, [])
+        return Received(
+            tuple(some),
+            self.vehicles[sysid].step(some),
+            any(frame.compid == Component.AUTOPILOT1 for frame in some),
+            acks_in(some),
+            tuple(self._commanded.pop(sysid, ())),
+            self.vehicles[sysid].parameters,
+            tuple(self._asked.pop(sysid, ())),
+        )
+
+    def leave(self, sysid: int) -> None:
+        """Drop what waits of a vehicle that nobody asks for."""
+        for waiting in (self._frames, self._commanded, self._asked):
+            waiting.pop(sysid, None)
+
+    def _wait(self, waiting: dict[int, list[_T]], found: Mapping[int, list[_T]]) -> None:
+        for sysid in found.keys() & self.vehicles.keys():
+            waiting.setdefault(sysid, []).extend(found[sysid])
+
+    def _waiting(self) -> set[int]:
+        return self._frames.keys() | self._commanded.keys() | self._asked.keys()
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""

@@ -87,9 +87,9 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
     def step(self, state: None, rows: Rows) -> tuple[None, Statistic]:
         """The rate without a command at each row whose rates became known."""
         rates = rows.rates
-        fast = np.linalg.norm(rates.y, axis=1)
-        apart = np.linalg.norm(rates.y - rates.u, axis=1)
-        value = np.minimum(fast, apart)
+        left = rates.y - rates.u
+        fast = np.sqrt(np.einsum("nk,nk->n", rates.y, rates.y))
+        value = np.minimum(fast, np.sqrt(np.einsum("nk,nk->n", left, left)))
         valid = rates.commanded & np.isfinite(value)
         value = np.where(valid, value, 0.0)
         return None, Statistic(rates.t_ns, rates.dt_s, value, valid, value, np.where(valid, fast, 0.0))

@@ -19,7 +19,7 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -215,10 +215,13 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         return kept, _Pairs(state.past[:, :3], state.past[:, 3:], np.empty(0, dtype=np.bool_), nothing)
     at = np.minimum(np.searchsorted(waiting_ns, rates.t_ns), len(waiting_ns) - 1)
     fresh = np.concatenate((rates.u, waiting[at]), axis=1)
-    good = rates.commanded & (waiting_ns[at] == rates.t_ns) & np.isfinite(fresh).all(axis=1)
-    both = np.concatenate((state.past, np.where(np.isfinite(fresh), fresh, 0.0)))
+    good = rates.commanded & (waiting_ns[at] == rates.t_ns)
+    if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
+        finite = np.isfinite(fresh)
+        good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
+    both = np.concatenate((state.past, fresh))
     valid = np.concatenate((state.past_valid, good))
-    whole = np.logical_and.reduce([valid[i : len(valid) - LAG + i] for i in range(LAG + 1)])
+    whole = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
     used = int(at[-1]) + 1
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)

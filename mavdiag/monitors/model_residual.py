@@ -48,6 +48,7 @@ FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
 GAIN_RMS = 0.3  # gain and speed errors that are expected before anything was seen (our choice)
 SPEED_S = 0.05  # time that h is in units of (our choice)
 CORRELATION_S = 0.1  # residuals this far apart are independent (METHOD section 4: 8 Hz pass)
+TOGETHER = 16  # windows that one matrix product smooths (our choice)
 JOLT = 4.0  # of the rms of the last 10 s: what is larger is a jolt, such as a payload that is taken up (our choice)
 SETTLE_S = 1.5  # our choice: the slowest pole that T's models have without their integrator dies out in it
 
@@ -138,6 +139,9 @@ class Decimator:
     def __init__(self, stride: int, window: int) -> None:
         self._stride, self._window = stride, window
         self._taps = coefficients(window, min(2, window - 1))[0]
+        self._shifted = np.zeros(((TOGETHER - 1) * stride + window, TOGETHER))
+        for i in range(TOGETHER):
+            self._shifted[i * stride : i * stride + window, i] = self._taps
 
     def start(self) -> DecimatorState:
         """Before the first row of a segment."""
@@ -159,17 +163,27 @@ class Decimator:
         both, heave = np.concatenate((state.rates, fresh)), np.concatenate((state.heave, smoothed))
         heave_ns = np.concatenate((state.heave_ns, raw_ns[self._window - 1 :: stride][:count]))
         n, used = min(len(both), len(heave)), count * stride
-        valid = np.isfinite(both[:n]).all(axis=1) & np.isfinite(heave[:n, 0]) & (both[:n, 4] > 0.5)
+        valid = (both[:n, 4] > 0.5) & np.isfinite(heave[:n, 0])
+        if not math.isfinite(float(np.add.reduce(both[:n], axis=None))):
+            valid &= np.isfinite(both[:n]).all(axis=1)
         out = Decimated(heave_ns[:n], both[:n, :2], both[:n, 2:4], heave[:n], valid)
         return DecimatorState(skip, raw[:, used:], raw_ns[used:], both[n:], heave[n:], heave_ns[n:]), out
 
     def _smooth(self, raw: FloatArray) -> FloatArray:
         """(2, h) -> (count, 2): the full windows that begin at rows 0, stride, 2 stride .."""
-        count = max(0, (raw.shape[1] - self._window) // self._stride + 1)
+        window, stride = self._window, self._stride
+        count = max(0, (raw.shape[1] - window) // stride + 1)
         out = np.empty((count, 2))
-        for i in range(count):
-            first = i * self._stride
-            out[i] = raw[:, first : first + self._window] @ self._taps
+        for first in range(0, count, TOGETHER):
+            n = min(TOGETHER, count - first)
+            reach = (n - 1) * stride + window
+            rows = raw[:, first * stride : first * stride + reach]
+            if math.isfinite(float(np.add.reduce(rows, axis=None))):
+                base = rows[:, :1]  # the taps add up to 1; without it a constant would get the rounding of its sums
+                out[first : first + n] = ((rows - base) @ self._shifted[:reach, :n] + base).T
+            else:  # what is unknown spoils the windows that hold it, and no other
+                for i in range(n):
+                    out[first + i] = rows[:, i * stride : i * stride + window] @ self._taps
         return out
 
 
@@ -268,17 +282,18 @@ class ModelResidual:
         if not state.runs:
             state = self._begin(state, u, y, heave)
         level, mean = ema(state.level, heave, self._drift)
-        slope = np.diff(heave[:, 1], prepend=state.thrust) / self.motion.period_s
+        slope = _steps(heave[:, 1:], np.array([state.thrust])) / self.motion.period_s
         runs, r, simulated = self._simulate(state, u, y, heave - mean)
-        settled = state.seen + np.arange(k) >= SETTLE_S / self.motion.period_s
-        r[~settled] = 0.0
+        settled = np.arange(state.seen, state.seen + k) >= SETTLE_S / self.motion.period_s
+        if not settled[0]:
+            r[~settled] = 0.0
         drift, slow = ema(state.drift, r, self._drift)
         r -= slow
         errors = state.errors
         if self._follows:
             errors, explained = self._explained(errors, simulated, r)
             r -= explained
-        busy, trace = ema(state.busy, np.concatenate((u, slope[:, None]), axis=1) ** 2, self._memory)
+        busy, trace = ema(state.busy, np.square(np.concatenate((u, slope), axis=1)), self._memory)
         unrest, n = _without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
         state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors, unrest)
         known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
@@ -307,15 +322,17 @@ class ModelResidual:
 
     def _explained(self, errors: _Errors, simulated: FloatArray, r: FloatArray) -> tuple[_Errors, FloatArray]:
         """What the errors of gain and speed, as known before each sample, explain of it: (k, 3)."""
-        df = np.diff(simulated, axis=0, prepend=errors.simulated[None]) * (SPEED_S / self.motion.period_s)
+        df = _steps(simulated, errors.simulated) * (SPEED_S / self.motion.period_s)
         both = np.concatenate((simulated, df), axis=1)
         slow, trace = ema(errors.slow, both, self._drift)
-        f, df = np.hsplit(both - trace, 2)
+        both -= trace
+        f, df = both[:, :3], both[:, 3:]
         # [ mean f f + prior   mean f df          ] [ g ]   [ mean f r  ]
         # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
         products = np.concatenate((f * f, f * df, df * df, f * r, df * r), axis=1)
         sums, means = ema(errors.sums, products, self._follow)
-        ff, fd, dd, fr, dr = np.hsplit(np.concatenate((errors.sums[None], means[:-1])), 5)
+        before = np.concatenate((errors.sums[None], means[:-1]))
+        ff, fd, dd, fr, dr = (before[:, i : i + 3] for i in range(0, 15, 3))
         ff, dd = ff + self._prior, dd + self._prior
         determinant = ff * dd - fd * fd
         g, h = (dd * fr - fd * dr) / determinant, (ff * dr - fd * fr) / determinant
@@ -328,6 +345,8 @@ def _no_errors() -> _Errors:
 
 def _without_jolts(unrest: FloatArray, n: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
     """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`."""
+    if np.maximum.reduce(np.abs(n), axis=None) <= JOLT:  # nothing to clip, whatever came before
+        return ema(unrest, np.square(n), alpha)[0], n
     out = np.empty(n.shape)
     last = unrest.tolist()
     for column, values in enumerate(n.T.tolist()):
@@ -341,7 +360,14 @@ def _without_jolts(unrest: FloatArray, n: FloatArray, alpha: float) -> tuple[Flo
     return np.array(last), out
 
 
+def _steps(x: FloatArray, before: FloatArray) -> FloatArray:
+    """Differences of rows, (n, k) after (k,) -> (n, k)."""
+    out = np.empty(x.shape)
+    out[0] = x[0] - before
+    np.subtract(x[1:], x[:-1], out=out[1:])
+    return out
+
+
 def _finite(x: FloatArray) -> FloatArray:
     """x with zeros for what is no number; such samples are marked invalid."""
-    good = np.isfinite(x)
-    return x if good.all() else np.where(good, x, 0.0)
+    return x if math.isfinite(float(np.add.reduce(x, axis=None))) else np.where(np.isfinite(x), x, 0.0)

@@ -28,7 +28,7 @@ from mavdiag.monitors.model_residual import (
     ResidualState,
     stride_of,
 )
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -174,8 +174,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
-        force = np.isfinite(block.force[:, 2:]).all(axis=1)
-        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, slice(2, 3) if signal is Signal.SPECIFIC_FORCE else ALL)
 
     @property
     def memory_s(self) -> float:
@@ -192,7 +191,9 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         """The statistic about every 10 ms, at the time of the newest row that it rests on."""
         window = self.spec.samples
         inner, d = self._residual.step(state.inner, rows)
-        fresh = np.where(d.valid[:, None], _products(d), HEALTHY_PRODUCTS)
+        fresh = _products(d)
+        if np.count_nonzero(d.valid) < len(d.valid):
+            fresh = np.where(d.valid[:, None], fresh, HEALTHY_PRODUCTS)
         products = np.concatenate((state.products, fresh))
         valid = np.concatenate((state.valid, d.valid))
         mean, full = window_mean(products, window), window_all(valid[window - self.spec.least :], self.spec.least)
@@ -263,11 +264,8 @@ def _signs(effects: FloatArray) -> FloatArray:
 
 def _correlations(mean: FloatArray) -> FloatArray:
     """Roll-pitch, roll-heave and pitch-heave, (n, 3)."""
-    roll, pitch, heave = np.sqrt(np.maximum(mean[:, [0, 1, 3]], LEAST_POWER)).T
-    out = mean[:, [2, 4, 5]]
-    out[:, 0] /= roll * pitch
-    out[:, 1] /= roll * heave
-    out[:, 2] /= pitch * heave
+    rms = np.sqrt(np.maximum(mean[:, [0, 1, 0, 3, 1, 3]], LEAST_POWER))
+    out: FloatArray = mean[:, [2, 4, 5]] / (rms[:, 0::2] * rms[:, 1::2])
     return out
 
 

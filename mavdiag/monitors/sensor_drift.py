@@ -187,8 +187,12 @@ def _joined(state: SensorDriftState, block: Block) -> tuple[FloatArray, IntArray
     """The rows that wait and the next ones: values, times, and whether they may be used."""
     fresh = np.concatenate((block.rate, block.force, block.attitude), axis=1)
     known = block.valid & block.known(Signal.SPECIFIC_FORCE) & block.known(Signal.ATTITUDE)
-    known &= (np.abs(block.attitude[:, :2]) < STEEP_RAD).all(axis=1) & (np.abs(block.rate) < FAST_RAD_S).all(axis=1)
-    rows = np.concatenate((state.rows, np.where(known[:, None], fresh, 0.0)))
+    lean, turn = np.abs(block.attitude[:, :2]), np.abs(block.rate)
+    if not (np.maximum.reduce(lean, axis=None) < STEEP_RAD and np.maximum.reduce(turn, axis=None) < FAST_RAD_S):
+        known = known & (lean < STEEP_RAD).all(axis=1) & (turn < FAST_RAD_S).all(axis=1)
+    if np.count_nonzero(known) < len(known):
+        fresh = np.where(known[:, None], fresh, 0.0)
+    rows = np.concatenate((state.rows, fresh))
     return rows, np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, known))
 
 
@@ -212,8 +216,8 @@ def _advance(
         fresh = np.column_stack((seen[first:stop, :3] - sums[1:, :3], seen[first:stop, 3], sums[1:, 3]))
         angle, past = sums[-1], len(history)
         history = np.concatenate((history, fresh))
-        found = _disagreements(spec, history)
-        parts[first:stop], excused[first:stop] = found[past:, :3], found[past:, 3]
+        found = _disagreements(spec, history, past)
+        parts[first:stop], excused[first:stop] = found[:, :3], found[:, 3]
         full[first:stop] = np.arange(past, len(history)) >= 2 * spec.ticks(MEAN_S) - 1
         history = history[-(spec.ticks(LAG_S) + 2 * spec.ticks(MEAN_S)) :]
     state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
@@ -234,30 +238,37 @@ def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray,
     phi, theta, psi = rows[:, 6:].T
     x, y, z = rows[:, 3:6].T
     c, s, cos_theta = np.cos(psi), np.sin(psi), np.cos(theta)
-    turn = (q * np.sin(phi) + r * np.cos(phi)) / cos_theta
-    down = cos_theta * (np.sin(phi) * y + np.cos(phi) * z) - np.sin(theta) * x
-    turning = np.stack((p * c - q * s, p * s + q * c, turn, np.abs(turn)), axis=1) * (spec.tick * spec.dt_s)
-    seen = np.stack((phi * c - theta * s, phi * s + theta * c, psi, down + GRAVITY - spec.vertical), axis=1)
-    return turning.reshape(n, spec.tick, 4).mean(axis=1), seen.reshape(n, spec.tick, 4).mean(axis=1)
+    sin_phi, cos_phi = np.sin(phi), np.cos(phi)
+    turn = (q * sin_phi + r * cos_phi) / cos_theta
+    down = cos_theta * (sin_phi * y + cos_phi * z) - np.sin(theta) * x
+    each = np.empty((8, len(rows)))
+    each[0], each[1], each[2] = p * c - q * s, p * s + q * c, turn
+    each[3], each[4], each[5], each[6] = np.abs(turn), phi * c - theta * s, phi * s + theta * c, psi
+    each[7] = down + (GRAVITY - spec.vertical)
+    means = np.add.reduce(each.reshape(8, n, spec.tick), axis=2).T / spec.tick
+    return means[:, :4] * (spec.tick * spec.dt_s), means[:, 4:]
 
 
-def _disagreements(spec: SensorDriftSpec, history: FloatArray) -> FloatArray:
-    """|dE|, |dY|, |V| and e at each tick of an unbroken history, (h, 4); zero where it is too short."""
+def _disagreements(spec: SensorDriftSpec, history: FloatArray, past: int) -> FloatArray:
+    """|dE|, |dY|, |V| and e at the ticks from `past` on of an unbroken history, (h, 4); zero where it is too short."""
     h, mean, lag, lift = len(history), spec.ticks(MEAN_S), spec.ticks(LAG_S), spec.ticks(VERTICAL_S)
-    out = np.zeros((h, 4))
-    if h >= 2 * mean:
-        means = window_mean(history[:, [0, 1, 2, 4]], mean)  # means[i] ends at tick i + mean - 1
-        now = np.arange(mean, len(means))
+    out = np.zeros((h - past, 4))
+    first = max(past - mean + 1, mean)  # windows are counted by their first tick
+    if first <= h - mean:
+        now = np.arange(first, h - mean + 1)
         then = np.maximum(now - lag, 0)
-        change = means[now] - means[then]
-        out[now + mean - 1, 0] = np.hypot(change[:, 0], change[:, 1])
-        out[now + mean - 1, 1] = np.abs(change[:, 2])
-        span_s = (now - then) * (spec.tick * spec.dt_s)
-        out[now + mean - 1, 3] = TURN_SHARE * change[:, 3] + USUAL_BIAS * span_s
-    if h >= 2 * lift:
-        means = window_mean(history[:, 3:4], lift)[:, 0]
-        late, early = means[lift:], means[:-lift]
-        out[2 * lift - 1 :, 2] = np.where(late * early > 0, np.minimum(np.abs(late), np.abs(early)), 0.0)
+        change = window_mean(history[first:], mean)
+        change -= window_mean(history[then[0] : then[-1] + mean], mean)[then - then[0]]
+        late = out[first + mean - 1 - past :]
+        late[:, 0] = np.hypot(change[:, 0], change[:, 1])
+        late[:, 1] = np.abs(change[:, 2])
+        late[:, 3] = TURN_SHARE * change[:, 4] + (now - then) * (USUAL_BIAS * spec.tick * spec.dt_s)
+    first = max(past - lift + 1, lift)
+    if first <= h - lift:
+        means = window_mean(history[first - lift :, 3:4], lift)[:, 0]
+        late, early = means[lift:], means[: len(means) - lift]
+        least = np.minimum(np.abs(late), np.abs(early))
+        out[first + lift - 1 - past :, 2] = np.where(late * early > 0, least, 0.0)
     return out
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
@@ -33,6 +33,7 @@ TUMBLING_RAD_S = (
 )
 CUT = 10.0  # times the healthy specific force per command; more is no flight (our choice)
 COLUMNS = 5  # specific force, command, gyro x and y, rate
+ONLY_Z = slice(2, 3)  # of the accelerometer
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 
@@ -113,7 +114,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
-        return block.known(signal, 2) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
 
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
@@ -128,7 +129,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         given = np.clip(up / (spec.per_command * thrust), 0.0, CUT)
         usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
         rate = np.where(known[:, None], block.rate, 0.0)
-        columns = np.column_stack((up, thrust, rate[:, :2], np.linalg.norm(rate, axis=1)))
+        columns = np.column_stack((up, thrust, rate[:, :2], np.sqrt(np.einsum("nk,nk->n", rate, rate))))
         mean_state, mean, full = sliding_mean(state.mean, columns, known, window_rows(WINDOW_S, block.dt_s))
         expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
         loss = 1.0 - mean[:, 0] / expected
@@ -141,13 +142,13 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
 def _known(block: Block) -> BoolArray:
     sound = block.valid & np.isfinite(block.rate).all(axis=1)
-    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, 2) & (block.thrust > MIN_THRUST), dtype=np.bool_)
+    return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, ONLY_Z) & (block.thrust > MIN_THRUST), dtype=np.bool_)
 
 
 def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
     """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
     lost = -layout.mixing[:, :2]
-    sizes = np.linalg.norm(turning, axis=1)[:, None] * np.linalg.norm(lost, axis=1)
+    sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * np.linalg.norm(lost, axis=1)
     cosine: FloatArray = np.divide(
         turning @ lost.T, sizes, out=np.zeros((len(turning), layout.rotors)), where=sizes > 0
     )

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 from typing import TypeVar
 
-import numpy as np
-
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import SIGNALS, Source
 from mavdiag.errors import InputError
 from mavdiag.monitors.base import Monitor, RotorEvidence
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.telemetry import BoolArray, Signal
 
@@ -58,10 +56,7 @@ class TrimMonitor(Monitor[Spec, State]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
-        outputs = block.actuator[:, : self.spec.layout.rotors]
-        if signal is not Signal.ACTUATOR or outputs.shape[1] < self.spec.layout.rotors:
-            return block.known(signal)
-        return np.asarray(np.isfinite(outputs).all(axis=1), dtype=np.bool_)
+        return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
 
     @property
     def memory_s(self) -> float:

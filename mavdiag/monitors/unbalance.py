@@ -14,7 +14,7 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -218,8 +218,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its x and y."""
-        force = np.isfinite(block.force[:, :2]).all(axis=1)
-        return np.asarray(force, dtype=np.bool_) if signal is Signal.SPECIFIC_FORCE else block.known(signal)
+        return block.known(signal, slice(0, 2) if signal is Signal.SPECIFIC_FORCE else ALL)
 
     @property
     def memory_s(self) -> float:

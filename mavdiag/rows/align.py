@@ -19,6 +19,7 @@ result does not depend on how the telemetry was cut into chunks, as long as no s
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TypeAlias
@@ -119,6 +120,15 @@ class AlignSpec:
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
         return _emit(self, state, NEVER_NS)
+
+    def reached_ns(self, chunks: Sequence[Telemetry]) -> int | None:
+        """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
+        newest = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
+        if not newest:
+            return None
+        return max(newest.get(Signal.BODY_RATE, -NEVER_NS), max(newest.values()) - _ns(self.break_s)) - _ns(
+            self.reorder_s
+        )
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:

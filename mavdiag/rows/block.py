@@ -1,16 +1,26 @@
 """The uniform rows that everything after the alignment works on."""
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
-__all__ = ["Block"]
+__all__ = ["ALL", "Block"]
+
+ALL = slice(None)  # columns
+
+
+class _Answers:
+    """What `known` found so far, so that each monitor need not look again; no part of the value."""
+
+    __slots__ = ("_answers",)
+    _answers: dict[tuple[Signal, int | None, int | None], BoolArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class Block(_Answers):
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
     A signal is nan in a row where it is unknown: never sent, or its last sample is too old (see `rows.align`). Only the
@@ -62,24 +72,36 @@ class Block:
         columns = (getattr(self, name)[cut] for name in _COLUMNS)
         return Block(self.segment if segment is None else segment, self.dt_s, *columns)
 
-    def known(self, signal: Signal, column: int | None = None) -> BoolArray:
+    def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.
 
-        BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`. Others: where all their columns are finite, or the one
-        asked for: some vehicles log the z axis of the accelerometer only.
+        BODY_RATE: `valid`. ATTITUDE_SETPOINT: `setpoint_valid`. Others: where these of their columns are finite: some
+        vehicles log the z axis of the accelerometer only. The same array for the same question; do not write to it.
         """
         if signal is Signal.BODY_RATE:
             return self.valid
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
+        key = (signal, columns.start, columns.stop)
+        try:
+            answers = self._answers
+        except AttributeError:
+            answers = {}
+            object.__setattr__(self, "_answers", answers)
+        if key not in answers:
+            answers[key] = self._finite(signal, columns)
+        return answers[key]
+
+    def _finite(self, signal: Signal, columns: slice) -> BoolArray:
         name = _SIGNALS.get(signal)
         values: FloatArray = np.empty((len(self), 0)) if name is None else getattr(self, name)
         if values.ndim == 1:
             return np.isfinite(values)
+        values = values[:, columns]
         if values.shape[1] == 0:
             return np.zeros(len(self), dtype=np.bool_)
-        if column is not None:
-            return np.isfinite(values[:, column])
+        if math.isfinite(float(values.sum())):
+            return np.ones(len(self), dtype=np.bool_)
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 

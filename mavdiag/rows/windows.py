@@ -7,7 +7,9 @@ takes 0.8 s.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,6 +29,7 @@ __all__ = [
     "window_rows",
 ]
 
+STRETCH = 128  # samples of an exponential mean that one matrix product takes (our choice)
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
@@ -55,23 +58,28 @@ def highpass(corner: float, taps: int) -> FloatArray:
 def window_mean(x: FloatArray, window: int) -> FloatArray:
     """Mean over each full window of rows, (n, k) -> (n - window + 1, k), none if there are fewer rows than that.
 
+    The rows that windows share are added up once.
+
     >>> window_mean(np.array([[1.0], [3.0], [5.0]]), 2)[:, 0].tolist()
     [2.0, 4.0]
     """
     known = max(0, len(x) - window + 1)
     out = np.empty((known, x.shape[1]))
-    if known:
-        ones = np.ones(window)
-        for column in range(x.shape[1]):
-            out[:, column] = np.correlate(np.ascontiguousarray(x[:, column]), ones)  # mode "valid"
-        out /= window
+    for first in range(0, known, window):
+        part = out[first : first + window]
+        last = len(part) - 1  # windows first .. first + last share the rows between the first and the last `last`
+        part[:] = np.ones(window - last) @ x[first + last : first + window]
+        if last:
+            part[:last] += np.add.accumulate(x[first : first + last][::-1], axis=0)[::-1]
+            part[1:] += np.add.accumulate(x[first + window : first + window + last], axis=0)
+    out /= window
     return out
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
     """Whether each full window of flags is True throughout, (n,) -> (n - window + 1,)."""
     known = max(0, len(flags) - window + 1)
-    if known == 0 or flags.all():
+    if known == 0 or np.count_nonzero(flags) == len(flags):
         return np.ones(known, dtype=np.bool_)
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
@@ -84,21 +92,31 @@ def spans(flags: BoolArray) -> list[tuple[int, int]]:
     >>> spans(np.array([True, False, True, True]))
     [(0, 1), (2, 4)]
     """
+    if not np.count_nonzero(flags):
+        return []
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeanState:
-    """sums: (h, k) running sums up to the last rows, oldest first, h <= window. run: valid rows since the last bad."""
+    """What a sliding mean remembers.
 
-    sums: FloatArray
+    sums: running sums up to each of the last rows, in the pieces (h, k) in which they came, oldest first.
+    skip: rows of the first piece that no window needs any more.
+    rows: how many others there are, at most the window.
+    run: valid rows since the last bad one.
+    """
+
+    sums: tuple[FloatArray, ...]
+    skip: int
+    rows: int
     run: int
 
 
 def start_mean(columns: int) -> MeanState:
     """Before the first row."""
-    return MeanState(np.zeros((1, columns)), 0)
+    return MeanState((np.zeros((1, columns)),), 0, 1, 0)
 
 
 def window_rows(window_s: float, dt_s: float) -> int:
@@ -127,13 +145,34 @@ def sliding_mean(
     n = len(x)
     if n == 0:
         return state, np.empty(x.shape), np.empty(0, dtype=np.bool_)
+    good = np.count_nonzero(valid) == n
     # sums[h + i] = x[0] + .. + x[i], in that order whatever the chunks; mean[i] = (sums[h + i] - sums[h + i - w]) / w
-    fresh = np.cumsum(np.concatenate((state.sums[-1:], np.where(valid[:, None], x, 0.0))), axis=0)[1:]
-    sums = np.concatenate((state.sums, fresh))
-    before = np.maximum(np.arange(len(sums) - n, len(sums)) - window, 0)
-    mean = (fresh - sums[before]) / window
-    run = _run_lengths(state.run, valid)
-    return MeanState(sums[-window:].copy(), int(run[-1])), mean, run >= window
+    used = x if good else np.where(valid[:, None], x, 0.0)
+    fresh = np.add.accumulate(np.concatenate((state.sums[-1][-1:], used)), axis=0)[1:]
+    pieces = (*state.sums, fresh)
+    mean = fresh - _before(pieces, state.skip, state.rows - window, n)
+    mean /= window
+    skip, rows = state.skip + max(0, state.rows + n - window), min(state.rows + n, window)
+    done = 0
+    while skip >= len(pieces[done]):
+        skip -= len(pieces[done])
+        done += 1
+    run = np.arange(state.run + 1, state.run + 1 + n) if good else _run_lengths(state.run, valid)
+    return MeanState(pieces[done:], skip, rows, int(run[-1])), mean, run >= window
+
+
+def _before(pieces: Sequence[FloatArray], skip: int, first: int, n: int) -> FloatArray:
+    """The n rows of the pieces from `first` on, which is counted from row `skip`; that row for those before it."""
+    early = min(max(-first, 0), n)
+    if early == n:
+        return pieces[0][skip : skip + 1]
+    at, parts, missing = skip + max(first, 0), [pieces[0][skip : skip + 1]] * early, n - early
+    for piece in pieces:
+        if at < len(piece) and missing:
+            parts.append(piece[at : at + missing])
+            missing -= len(parts[-1])
+        at = max(0, at - len(piece))
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _run_lengths(carried: int, valid: BoolArray) -> IntArray:
@@ -151,14 +190,23 @@ def forgetting(memory_s: float, dt_s: float) -> float:
 def ema(state: FloatArray, x: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
     """Exponential mean s(t) = s(t-1) + alpha (x(t) - s(t-1)): state (k,), x (n, k) -> state (k,), s (n, k).
 
-    Begin with zeros. About 0.1 us a value.
+    Begin with zeros; x must be finite. Chunks agree to rounding.
     """
+    # [ s(1) ]   [ s(0) ]   [ alpha                      ] [ x(1) - s(0) ]
+    # [ s(2) ] = [ s(0) ] + [ alpha (1 - alpha)   alpha  ] [ x(2) - s(0) ]    so a constant stays exactly what it is
+    # [ ..   ]   [ ..   ]   [ ..                         ] [ ..          ]
+    weights = _exponential(alpha)
     out = np.empty(x.shape)
-    last = state.tolist()
-    for column, values in enumerate(x.T.tolist()):
-        s, trace = last[column], []
-        for value in values:
-            s += alpha * (value - s)
-            trace.append(s)
-        out[:, column], last[column] = trace, s
-    return np.array(last), out
+    for first in range(0, len(x), STRETCH):
+        part = x[first : first + STRETCH]
+        n = len(part)
+        np.add(weights[:n, :n] @ (part - state), state, out=out[first : first + n])
+        state = out[first + n - 1].copy()
+    return state, out
+
+
+@lru_cache(maxsize=64)
+def _exponential(alpha: float) -> FloatArray:
+    """Weights of `STRETCH` samples, (STRETCH, STRETCH)."""
+    ages = np.subtract.outer(np.arange(STRETCH), np.arange(STRETCH))
+    return np.where(ages >= 0, alpha * (1.0 - alpha) ** np.maximum(ages, 0), 0.0)

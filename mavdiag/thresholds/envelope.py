@@ -222,8 +222,10 @@ class Envelope:
         slot = self.slots[number] if self.covered else None
         if slot is None or len(found) == 0:
             return found, {}
+        if not np.count_nonzero(state.excess):
+            return found, {}
         columns = [i for i, one in enumerate(self.covered) if one.condition in slot.conditions]
-        if not columns or not state.excess[:, columns].any():
+        if not columns or not np.count_nonzero(state.excess[:, columns]):
             return found, {}
         rooms = np.array([RULES[one.condition].room for one in self.covered])
         excess, worst = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)

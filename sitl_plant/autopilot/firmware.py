@@ -10,7 +10,7 @@ from enum import StrEnum
 from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.parameters import Encoding, Kind, Parameter
 
-__all__ = ["COPTER", "GENERIC", "PX4", "Firmware", "Mode", "ModeCode"]
+__all__ = ["COPTER", "GENERIC", "PX4", "SPEED_MOST", "Firmware", "Mode", "ModeCode"]
 
 
 class Mode(StrEnum):

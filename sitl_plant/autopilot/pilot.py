@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.firmware import Firmware, Mode
+from sitl_plant.autopilot.firmware import SPEED_MOST, Firmware, Mode
 from sitl_plant.autopilot.parameters import Parameters
 from sitl_plant.physics.attitude import wrapped
 from sitl_plant.physics.trajectory import (
@@ -315,8 +315,9 @@ class Pilot:
         turn = 0.0 if yaw is None else float(wrapped(yaw - led[6]))
         if up:  # neither climbs nor descends faster than take-off
             speed = min(speed, CLIMB_M_S * math.hypot(ahead, up) / up)
+        speed = min(max(speed, 0.01), SPEED_MOST)
         if motors != FLYING:
             start = end
         then = motors if then is None else then
-        self._leg = Leg(self._now_s, start, end, max(speed, 0.01), led[6], turn, TURN_RAD_S, float(motors), float(then))
+        self._leg = Leg(self._now_s, start, end, speed, led[6], turn, TURN_RAD_S, float(motors), float(then))
         self._turned = True

@@ -4,6 +4,10 @@ numba keys its on-disk cache by the time stamp of the file that holds the cached
 another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
 also holds a digest of every file that defined a compiled function.
 
+numba counts references to every array that a function touches, also to those that live longer than the call. In the loop
+that took two thirds of the time, so it is left out (`_nrt`, an option of numba that is not documented) of all functions
+but those that make arrays (`allocating`, `cached`); numba refuses to compile one that does and says so.
+
 Without numba everything can be imported, and the first call of a compiled function says what to install.
 """
 
@@ -19,7 +23,7 @@ try:
 except ImportError:
     numba = None  # type: ignore[assignment]  # a module or None: every use below asks
 
-__all__ = ["cached", "inline", "jit", "source_digest"]
+__all__ = ["allocating", "cached", "inline", "jit", "source_digest"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,6 +34,11 @@ _sources: set[Path] = set()
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` when a compiled function first calls it. No fast-math: results are reproducible."""
     return _compiled(function, inline="never")
+
+
+def allocating(function: Callable[P, R]) -> Callable[P, R]:
+    """As `jit`, for a function that makes arrays."""
+    return _compiled(function, inline="never", counts=True)
 
 
 def inline(function: Callable[P, R]) -> Callable[P, R]:
@@ -57,11 +66,11 @@ def source_digest() -> int:
     return int.from_bytes(digest.digest()[:8], "little") >> 1
 
 
-def _compiled(function: Callable[P, R], inline: Literal["never", "always"]) -> Callable[P, R]:
+def _compiled(function: Callable[P, R], inline: Literal["never", "always"], counts: bool = False) -> Callable[P, R]:
     _sources.add(Path(function.__code__.co_filename))
     if numba is None:
         return cast(Callable[P, R], _unavailable)
-    return cast(Callable[P, R], numba.njit(error_model="numpy", inline=inline)(function))
+    return cast(Callable[P, R], numba.njit(error_model="numpy", inline=inline, _nrt=counts)(function))
 
 
 def _unavailable(*_arguments: object) -> NoReturn:

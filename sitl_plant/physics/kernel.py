@@ -180,6 +180,32 @@ def move(state: State, model: Model, condition: Condition, noise: Noise, row: in
     advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
+@jit
+def _steps(
+    first: int,
+    count: int,
+    model: Model,
+    condition: Condition,
+    sensors: SensorCondition,
+    state: State,
+    noise: Noise,
+    commands: FloatArray,
+    rows: Rows,
+    scratch: Scratch,
+) -> None:
+    frame = 0
+    for row in range(count):
+        step = first + row
+        if step % model.mocap.period == 0:
+            observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
+            frame += 1
+        _sense(state, model, sensors, noise, row, step, scratch)
+        _decide(state, model, commands, row, step, scratch)
+        record(state, row, rows)
+        _command(state, model, condition, scratch)
+        move(state, model, condition, noise, row, scratch)
+
+
 Fly: TypeAlias = Callable[[int, int, Model, Condition, SensorCondition, State, Noise, FloatArray, Rows], int]
 
 
@@ -201,17 +227,7 @@ def _compiled_for(digest: int) -> Fly:
         scratch = Scratch(
             np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(REFERENCE), np.empty(len(state.rotors.speed))
         )
-        frame = 0
-        for row in range(count):
-            step = first + row
-            if step % model.mocap.period == 0:
-                observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
-                frame += 1
-            _sense(state, model, sensors, noise, row, step, scratch)
-            _decide(state, model, commands, row, step, scratch)
-            record(state, row, rows)
-            _command(state, model, condition, scratch)
-            move(state, model, condition, noise, row, scratch)
+        _steps(first, count, model, condition, sensors, state, noise, commands, rows, scratch)
         return digest
 
     return fly

@@ -12,7 +12,7 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import rotate_to_world
-from sitl_plant.physics.jit import jit
+from sitl_plant.physics.jit import allocating, jit
 
 __all__ = ["Mocap", "MocapState", "deliver_pose", "fit_pose", "hold_if_lost", "observe", "yaw_of"]
 
@@ -55,7 +55,7 @@ class MocapState(NamedTuple):
     fit: FloatArray
 
 
-@jit
+@allocating
 def fit_pose(model: FloatArray, seen: FloatArray, visible: IntArray, fit: FloatArray) -> bool:
     """Fit position and attitude to the visible markers (T Eq 2.21). False, and nothing written, below three.
 

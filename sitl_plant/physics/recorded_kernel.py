@@ -175,6 +175,36 @@ FlyRecorded: TypeAlias = Callable[
 ]
 
 
+Chunk: TypeAlias = tuple[int, int, Noise, FloatArray, FloatArray, Rows, FloatArray]
+
+
+@jit
+def _steps(
+    chunk: Chunk,
+    model: Model,
+    set_: OwnModel,
+    condition: Condition,
+    sensors: SensorCondition,
+    state: State,
+    own: OwnState,
+    scratch: Scratch,
+    truth: FloatArray,
+) -> None:
+    first, count, noise, normals, commands, rows, log = chunk
+    frame = 0
+    for row in range(count):
+        step = first + row
+        if step % model.mocap.period == 0:
+            observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
+            frame += 1
+        _sense(state, own, model, set_, sensors, normals, row, step, scratch, truth)
+        _steer(state, own, model, set_, commands, row, step * model.dt, scratch)
+        record(state, row, rows)
+        _log(state, own, log, row)
+        _turn(state, own, set_, condition, step, scratch)
+        move(state, model, condition, noise, row, scratch)
+
+
 def _compiled_for(digest: int) -> FlyRecorded:
     """The loop for these sources, as in `kernel`."""
 
@@ -198,18 +228,8 @@ def _compiled_for(digest: int) -> FlyRecorded:
             np.empty((5, RIGID)), np.empty(CHANNELS), np.empty(REFERENCE), np.empty(len(state.rotors.speed))
         )
         truth = np.empty((IMUS, CHANNELS))
-        frame = 0
-        for row in range(count):
-            step = first + row
-            if step % model.mocap.period == 0:
-                observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
-                frame += 1
-            _sense(state, own, model, set_, sensors, normals, row, step, scratch, truth)
-            _steer(state, own, model, set_, commands, row, step * model.dt, scratch)
-            record(state, row, rows)
-            _log(state, own, log, row)
-            _turn(state, own, set_, condition, step, scratch)
-            move(state, model, condition, noise, row, scratch)
+        chunk = (first, count, noise, normals, commands, rows, log)
+        _steps(chunk, model, set_, condition, sensors, state, own, scratch, truth)
         return digest
 
     return fly_recorded

@@ -277,7 +277,7 @@ def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
 
 
 @pytest.mark.realtime
-def test_sigterm_ends_the_daemon_within_two_seconds_of_a_flood() -> None:
+def test_sigterm_ends_the_daemon_amid_a_flood() -> None:
     with (
         running("--connect", UDP_IN, "--learn", "5") as (child, line),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
@@ -293,7 +293,7 @@ def test_sigterm_ends_the_daemon_within_two_seconds_of_a_flood() -> None:
         began = time.monotonic()
         code, _ = ended(child, signal.SIGTERM)
         assert code == 0
-        assert time.monotonic() - began < 10.0  # the figure itself is measured by benchmarks/attacks.py
+        assert time.monotonic() - began < 10.0  # took over 60 s before; the figure is measured by benchmarks/attacks.py
 
 
 def test_a_key_that_others_may_read_is_one_line(tmp_path: Path) -> None:

@@ -101,5 +101,6 @@ def test_mavproxy_flies_a_copter_by_hand(tmp_path: Path) -> None:
                     time.sleep(4.0 if typed.startswith("takeoff") else 1.0)
                 assert waits_for(answer), (typed, printed)
         finally:
+            station.stdin.close()  # the end of what is typed ends it
             station.terminate()
             reader.join(PATIENCE_S)

@@ -286,3 +286,22 @@ def test_l11_looks_that_come_late_are_counted_and_told(benches: Benches) -> None
     bench.daemon.run(lambda: host.looks >= 5)
     assert "5 looks came late, by 0.06 s at most" in host.lines[-1]
     assert bench.daemon.figures().late == 5
+
+
+def test_timesync_is_asked_rarely_and_answered(benches: Benches) -> None:
+    vehicle = MadeVehicle(1)
+    bench = benches(Settings(connect=UDP_IN, learn=500.0), vehicle)
+    bench.run(25.0)
+    asked = of(received(bench.far), MessageId.TIMESYNC)
+    assert [frame.fields[field_index(MessageId.TIMESYNC, "tc1")] for frame in asked] == [0, 0, 0]
+    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 0, 4711))
+    place = field_index(MessageId.TIMESYNC, "ts1")
+    stamp = asked[-1].fields[place]
+    assert isinstance(stamp, int)
+    bench.far.send(vehicle.encoder.encode(MessageId.TIMESYNC, 5_000_000_000, stamp))
+    bench.run(0.2)
+    [answer] = of(received(bench.far), MessageId.TIMESYNC)
+    assert answer.fields[place] == 4711
+    [figures] = bench.daemon.fleet.figures()
+    assert figures.timesync.round_trip_s is not None
+    assert figures.timesync.offset_s is not None

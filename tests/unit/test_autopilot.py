@@ -182,3 +182,23 @@ def test_no_command_raises_and_none_is_forwarded_to_its_own_link(
         one.step(other, heartbeat((250 - other, 190)), NOW_NS)
     for action in one.step(link, command(source, target, number, *parameters), NOW_NS):
         assert isinstance(action, Reply) or action.link != link
+
+
+@given(
+    profile=st.sampled_from(["px4", "ardupilot", "qdrone2"]),
+    messages=st.lists(
+        st.tuples(
+            st.sampled_from([4, 11, 20, 23, 39, 41, 44, 45, 51, 66, 73, 75, 76, 84, 86, 111]), st.binary(max_size=60)
+        ),
+        max_size=20,
+    ),
+)
+def test_no_bytes_for_a_commanded_vehicle_raise(profile: str, messages: list[tuple[int, bytes]]) -> None:
+    dialect = dialect_named(profile)
+    config = PlantConfig(trajectory="commanded", start="ground")
+    one, encoder = Autopilot(1, [dialect.schedule(None)], dialect, config), Encoder(*GCS)
+    for msgid, payload in messages:
+        heard = Decoder().feed(encoder.encode_payload(msgid, payload), 0)[0]
+        for action in one.step(0, heard, NOW_NS):
+            assert isinstance(action, Reply)
+            encoder.encode(action.msgid, *action.fields)  # can be sent

@@ -111,10 +111,10 @@ def test_unix_stamps_are_laid_over_boot_stamps(pieces: int) -> None:
         assert times[0].tolist() == (3 * S + true[a:b]).tolist()
         placed.append(times[1])
     laid = np.concatenate(placed)
-    assert 290 <= len(laid) <= 301  # the first two seconds are held back
+    assert 290 <= len(laid) <= 401  # the first one to two seconds are held back
     error = laid - (3 * S + true[-len(laid) :])
-    assert np.ptp(error) == 0
-    assert abs(int(error[0])) < 1_000_000  # 200 samples of each find the least delay to well under a millisecond
+    assert np.ptp(error) < 50_000  # as more is known of the least delay, slewed
+    assert np.abs(error).max() < 1_000_000  # 100 samples of each find the least delay to well under a millisecond
 
 
 def test_time_goes_on_over_a_reboot() -> None:

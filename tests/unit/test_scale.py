@@ -84,10 +84,10 @@ def test_vibration_does_not_weigh() -> None:
     [
         ("qdrone2", 1.0, ""),
         ("qdrone2", 1.3, ""),
-        ("qdrone2", 2.05, "(2.0 g): --profile spec"),
-        ("spec", 0.49, "(0.5 g): --profile ardupilot"),
-        ("spec", 2.0, "(2.0 g)"),
-        ("px4", 9.8, "(9.8 g)"),
+        ("qdrone2", 2.05, "2.0 g: --profile spec"),
+        ("spec", 0.49, "0.5 g: --profile ardupilot"),
+        ("spec", 2.0, "2.0 g"),
+        ("px4", 9.8, "9.8 g"),
     ],
 )
 def test_a_profile_that_gravity_contradicts_is_told_with_the_one_that_fits(

@@ -550,9 +550,9 @@ def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_no
         story.give(weighing(2.04, 0.25 * number))
     assert story.at(State.WAITING)
     assert story.session.healthy
-    assert "PROP waiting: IMU scale (2.0 g): --profile spec" in story.texts
+    assert "PROP waiting: IMU scale 2.0 g: --profile spec" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "1 g" in effect.text]
-    said = "the vehicle does not feel 1 g by the scale of the profile qdrone2 (2.0 g): --profile spec"
+    said = "the vehicle does not feel 1 g by the scale of the profile qdrone2, but 2.0 g: --profile spec"
     assert notes == [said]
     for number in range(24, 48):
         story.passed += 25

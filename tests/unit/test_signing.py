@@ -4,6 +4,7 @@ import hashlib
 
 import pymavlink.dialects.v20.ardupilotmega as dialect
 import pytest
+from memory_port import memory_pair
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame
@@ -178,3 +179,19 @@ def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.Mo
 def test_a_key_of_another_size_is_refused(size: int, link_id: int) -> None:
     with pytest.raises(UsageError, match="32 bytes"):
         Signing(b"k" * size, link_id=link_id)
+
+
+def test_the_emulated_vehicle_signs_and_hears_only_what_is_signed() -> None:
+    emulator = pytest.importorskip("sitl_plant.emulator", reason="the plant is an extra")
+    dialects = pytest.importorskip("sitl_plant.autopilot.dialect")
+    near, far = memory_pair()
+    link = emulator.Link(near, dialects.DIALECTS["qdrone2"], 100.0, signing=Signing(KEY, stamp=NOW))
+    station = Signing(KEY, stamp=NOW)
+    far.send(Encoder(255, 190).encode(MessageId.HEARTBEAT, *HEARTBEAT))
+    far.send(Encoder(255, 190, station).encode(MessageId.HEARTBEAT, *HEARTBEAT))
+    (frame,) = link.receive()
+    link.act(emulator.Forward(0, frame))
+    decoder = Decoder(signing=Signing(KEY, stamp=NOW))
+    assert [one.sysid for data, _ in far.receive(0.0) for one in decoder.feed_datagram(data, 0)] == [255]
+    near.close()
+    far.close()

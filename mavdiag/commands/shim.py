@@ -1,0 +1,87 @@
+"""`mavdiag shim`: a bad link between two endpoints, to see what a link does to a verdict."""
+
+import time
+from dataclasses import fields
+from typing import Annotated
+
+import typer
+
+from mavdiag.commandline import stop_signals
+from mavdiag.link.ports import Endpoint, open_endpoint, wait
+from mavdiag.link.ports.stream import frame_length
+from mavdiag.link.shim import Impairment, Shim, ShimCount
+
+__all__ = ["Passage", "shim"]
+
+LOOK_S = 0.001  # how often it looks whether a message is due
+
+
+class Passage:
+    """One direction: what is received at one end goes through a shim to the other. Byte streams are cut into frames."""
+
+    def __init__(self, source: Endpoint, target: Endpoint, through: Shim) -> None:
+        self._source, self._target, self.shim = source, target, through
+        self._begun = b""
+
+    def step(self, now_ns: int) -> None:
+        """Take what came, send what is due."""
+        for data, _ in self._source.receive(0.0):
+            if self._source.datagrams:
+                self.shim.offer(data, now_ns)
+                continue
+            messages, self._begun = frames_of(self._begun + data)
+            for message in messages:
+                self.shim.offer(message, now_ns)
+        for message in self.shim.due(now_ns):
+            self._target.send(message)
+
+
+def frames_of(data: bytes) -> tuple[list[bytes], bytes]:
+    """The frames of a byte stream, bytes between them as messages of their own, and the beginning of the next frame.
+
+    >>> frames_of(b"ab" + bytes.fromhex("fe00000101000000fe"))
+    ([b'ab', b'\\xfe\\x00\\x00\\x01\\x01\\x00\\x00\\x00'], b'\\xfe')
+    """
+    found: list[bytes] = []
+    at = garbage = 0
+    while at < len(data):
+        length = frame_length(data, at)
+        if length is None or at + length > len(data):
+            break
+        if length > 1:
+            found += [data[garbage:at], data[at : at + length]] if at > garbage else [data[at : at + length]]
+            garbage = at + length
+        at += length
+    return [*found, data[garbage:at]] if at > garbage else found, data[at:]
+
+
+def shim(
+    vehicle: Annotated[str, typer.Argument(metavar="IN", help="The vehicle's side: udpin:127.0.0.1:14550, ...")],
+    daemon: Annotated[str, typer.Argument(metavar="OUT", help="The other side: udpout:127.0.0.1:14551, ...")],
+    loss: Annotated[float, typer.Option(metavar="P", help="Probability that a message is lost.")] = 0.0,
+    jitter: Annotated[float, typer.Option(metavar="MS", help="The delay varies by so much, up and down.")] = 0.0,
+    reorder: Annotated[int, typer.Option(metavar="DEPTH", help="Messages that may overtake one.")] = 0,
+    duplicate: Annotated[float, typer.Option(metavar="P", help="Probability that a message comes twice.")] = 0.0,
+    corrupt: Annotated[float, typer.Option(metavar="P", help="Probability that one bit of it is changed.")] = 0.0,
+    rate: Annotated[float | None, typer.Option(metavar="BYTES_PER_S", help="What the line carries.")] = None,
+    delay: Annotated[float, typer.Option(metavar="MS", help="How long a message takes.")] = 0.0,
+    seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same fate to the same messages.")] = 0,
+    both: Annotated[bool, typer.Option("--both", help="Impair the way back to the vehicle as well.")] = False,
+) -> None:
+    """Pass messages between two endpoints both ways, and impair those that come from IN. Ctrl-C ends it."""
+    bad = Impairment(loss, jitter / 1e3, reorder, duplicate, corrupt, rate, delay / 1e3)
+    back = bad if both else Impairment()
+    with open_endpoint(vehicle) as near, open_endpoint(daemon) as far, stop_signals() as stopped:
+        ways = (Passage(near, far, Shim(bad, seed)), Passage(far, near, Shim(back, seed + 1)))
+        typer.echo(f"ready: {near.address} to {far.address}", err=True)
+        while not stopped():
+            for way in ways:
+                way.step(time.monotonic_ns())
+            wait((near, far), LOOK_S)
+    for name, way in zip(("from IN to OUT", "from OUT to IN"), ways, strict=True):
+        typer.echo(f"{name}: {_words(way.shim.count)}")
+
+
+def _words(count: ShimCount) -> str:
+    names = [field.name for field in fields(ShimCount)]
+    return ", ".join(f"{getattr(count, name)} {name}" for name in names)

@@ -1,0 +1,159 @@
+"""A bad link in a box: what a radio, a router or a noisy cable does to messages, on a virtual clock and from a seed.
+
+    shim = Shim(Impairment(loss=0.05, jitter_s=0.010, reorder=3), seed=1)
+    shim.offer(message, now_ns)
+    for message in shim.due(now_ns): ...
+
+In this order: a message is lost, changed in one bit, sent twice, overtaken by the next ones, queued for a line of so
+many bytes a second, and delayed. Jitter is drawn for each message by itself, as the network emulator of Linux does, so
+messages that follow each other faster than it overtake each other as well. What happens to a message depends on the
+seed and on the messages before it, not on how often `due` is asked.
+"""
+
+import heapq
+import random
+from dataclasses import dataclass
+
+from mavdiag.errors import UsageError
+from mavdiag.units import NS_PER_MS, NS_PER_S
+
+__all__ = ["Impairment", "Shim", "ShimCount"]
+
+HOLD_NS = 250 * NS_PER_MS  # a message that waits to be overtaken waits no longer than this (our choice)
+QUEUE_NS = NS_PER_S  # what would wait longer for the line is thrown away (our choice: a radio's buffer holds as much)
+
+
+@dataclass(frozen=True, slots=True)
+class Impairment:
+    """What a link does to messages. Raises UsageError, naming the field, for an impossible value.
+
+    loss, duplicate, corrupt: probabilities, 0..1.
+    delay_s, jitter_s: a message takes delay_s give or take jitter_s, or from 0 to twice jitter_s if that is more [s].
+    reorder: by how many following messages one is overtaken at most; by each number down to none equally often.
+    rate: bytes a second; None for no limit.
+    """
+
+    loss: float = 0.0
+    jitter_s: float = 0.0
+    reorder: int = 0
+    duplicate: float = 0.0
+    corrupt: float = 0.0
+    rate: float | None = None
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("loss", "duplicate", "corrupt"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise UsageError(f"--{name} {getattr(self, name):g}: write a probability from 0 to 1, as 0.05 for 5 %")
+        for name in ("delay", "jitter"):
+            if not 0.0 <= getattr(self, f"{name}_s") <= 60.0:
+                raise UsageError(f"--{name} {1e3 * getattr(self, f'{name}_s'):g}: write milliseconds, 0 to 60000")
+        if not 0 <= self.reorder <= 1000:
+            raise UsageError(f"--reorder {self.reorder}: write a number of messages, 0 to 1000")
+        if self.rate is not None and not 1.0 <= self.rate <= 1e12:
+            raise UsageError(f"--rate {self.rate:g}: write bytes a second, at least 1 (57600 baud are 5760)")
+
+
+@dataclass(frozen=True, slots=True)
+class ShimCount:
+    """What became of the messages so far.
+
+    offered, passed: that came in, and went out (second copies included).
+    lost: by chance. overflowed: because the line was too slow.
+    duplicated: sent twice. corrupted: changed in a bit.
+    reordered: that went out after one that had come in later.
+    """
+
+    offered: int = 0
+    passed: int = 0
+    lost: int = 0
+    overflowed: int = 0
+    duplicated: int = 0
+    corrupted: int = 0
+    reordered: int = 0
+
+
+class Shim:
+    """One direction of a bad link. `offer` messages as they come, send what is `due`."""
+
+    def __init__(self, impairment: Impairment, seed: int = 0) -> None:
+        self._does, self._random = impairment, random.Random(seed)
+        self._delay_ns = max(impairment.delay_s, impairment.jitter_s) * NS_PER_S
+        self._held: list[tuple[int, int, int, bytes]] = []  # overtaken at this message, or at this time; number, data
+        self._waiting: list[tuple[int, int, int, bytes]] = []  # a heap: due [ns], how many went before, number, data
+        self._free_ns = 0  # when the line is free
+        self._copies = self._released = 0
+        self._highest = -1  # number of the latest message that went out, in the order that they came in
+        self._offered = self._passed = self._lost = self._overflowed = 0
+        self._duplicated = self._corrupted = self._reordered = 0
+
+    @property
+    def count(self) -> ShimCount:
+        """The figures so far."""
+        return ShimCount(
+            self._offered,
+            self._passed,
+            self._lost,
+            self._overflowed,
+            self._duplicated,
+            self._corrupted,
+            self._reordered,
+        )
+
+    def offer(self, data: bytes, now_ns: int) -> None:
+        """A message comes in. now_ns: never before that of an earlier call."""
+        does, draw = self._does, self._random.random
+        self._offered += 1
+        lost, changed, twice = draw() < does.loss, draw() < does.corrupt, draw() < does.duplicate
+        if lost:
+            self._lost += 1
+            return
+        if changed and data:
+            self._corrupted += 1
+            bit = self._random.randrange(8 * len(data))
+            data = data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
+        self._duplicated += twice
+        for _ in range(1 + twice):
+            self._hold(data, now_ns)
+
+    def due(self, now_ns: int) -> list[bytes]:
+        """The messages that go out by now, in their order."""
+        for entry in [one for one in self._held if one[1] <= now_ns]:
+            self._held.remove(entry)
+            self._send(entry[3], entry[2], entry[1])
+        found = []
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            _, _, number, data = heapq.heappop(self._waiting)
+            self._passed += 1
+            self._reordered += number < self._highest
+            self._highest = max(self._highest, number)
+            found.append(data)
+        return found
+
+    def _hold(self, data: bytes, now_ns: int) -> None:
+        """Let a message wait for those that overtake it, and those go that waited for it."""
+        number = self._copies
+        self._copies += 1
+        places = self._random.randint(0, self._does.reorder) if self._does.reorder else 0
+        if places:
+            self._held.append((number + places, now_ns + HOLD_NS, number, data))
+        else:
+            self._send(data, number, now_ns)
+        if self._held:
+            overtaken = [one for one in self._held if one[0] <= number]
+            self._held = [one for one in self._held if one[0] > number]
+            for one in overtaken:
+                self._send(one[3], one[2], now_ns)
+
+    def _send(self, data: bytes, number: int, now_ns: int) -> None:
+        """Onto the line, and through it."""
+        does = self._does
+        if does.rate is not None:
+            start_ns = max(now_ns, self._free_ns)
+            if start_ns - now_ns > QUEUE_NS:
+                self._overflowed += 1
+                return
+            now_ns = self._free_ns = start_ns + round(len(data) / does.rate * NS_PER_S)
+        jitter_ns = (2.0 * self._random.random() - 1.0) * does.jitter_s * NS_PER_S if does.jitter_s else 0.0
+        heapq.heappush(self._waiting, (now_ns + round(self._delay_ns + jitter_ns), self._released, number, data))
+        self._released += 1

@@ -1,0 +1,294 @@
+"""Faults that the daemon survives: nothing is corrupted, and what it did before it does again."""
+
+import errno
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+from made_session import baseline_for
+from made_vehicle import RATE_HZ, TICK_S, Bench, FakeFitter, MadeVehicle, VirtualHost, received
+
+from detector.config import Settings
+from detector.daemon import Daemon
+from detector.states import State
+from mavdiag.baseline import Baseline
+from mavdiag.link.codec import decode_statustext
+from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.ports import open_endpoint
+
+UDP_IN = "udpin:127.0.0.1:0"
+WATCH = Settings(connect=UDP_IN, baseline=Path("b.json"))
+PATIENCE_S = 30.0
+
+
+@pytest.fixture
+def watching() -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(host: VirtualHost | None = None) -> Bench:
+        bench = Bench(WATCH, vehicles=[MadeVehicle(1)], baseline=baseline_for(), host=host or VirtualHost())
+        made.append(bench)
+        bench.run(6.0)
+        assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+        return bench
+
+    yield make
+    for bench in made:
+        bench.close()
+
+
+def unheard(bench: Bench, seconds: float) -> None:
+    """The vehicle flies on, and nothing of it arrives."""
+    for _ in range(round(seconds / TICK_S)):
+        bench.vehicles[0].samples(round(TICK_S * RATE_HZ))
+        bench.host.sleep(TICK_S)
+        bench.daemon.tick()
+
+
+def alarms(bench: Bench) -> list[str]:
+    """The texts of declared faults since the last time."""
+    texts = [decode_statustext(frame) for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    return [one.text for one in texts if one.severity <= Severity.CRITICAL]
+
+
+def finds_a_fault(bench: Bench) -> bool:
+    """Whether it judges again: quiet so far, and an alarm within 3 s of a fault."""
+    quiet = not alarms(bench)
+    bench.vehicles[0].turning = 0.5
+    bench.run(3.0)
+    return quiet and bool(alarms(bench))
+
+
+def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench]) -> None:
+    bench = watching()
+    unheard(bench, 4.0)
+    bench.vehicles[0].sent = 0
+    bench.run(8.0)
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 1
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert finds_a_fault(bench)
+
+
+@pytest.mark.parametrize("cut_s", [1.0, 60.0])
+def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut_s: float) -> None:
+    bench = watching()
+    unheard(bench, cut_s)
+    assert (bench.daemon.fleet.vehicles[1].session.state.state is State.LOST) == (cut_s > 3.0)
+    bench.run(6.0)
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert finds_a_fault(bench)
+
+
+@pytest.mark.parametrize("half_s", [0.2, 4.0])
+def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s: float) -> None:
+    bench = watching()
+    for _ in range(10):
+        unheard(bench, half_s)
+        bench.run(half_s)
+    bench.run(6.0)
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert finds_a_fault(bench)
+
+
+class SteppedHost(VirtualHost):
+    """A machine whose wall clock is set by hand; the monotonic clock goes on."""
+
+    ahead = timedelta(0)
+
+    def utc(self) -> datetime:
+        return super().utc() + self.ahead
+
+
+@pytest.mark.parametrize("days", [-400, 400])
+def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench], days: int) -> None:
+    host = SteppedHost()
+    bench = watching(host)
+    before = bench.daemon.fleet.figures()
+    host.ahead = timedelta(days=days)
+    bench.run(5.0)
+    after = bench.daemon.fleet.figures()
+    assert after[0].judged_s == pytest.approx(before[0].judged_s + 5.0, abs=0.1)
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert finds_a_fault(bench)
+
+
+def test_a_baseline_that_finds_the_disk_full_leaves_the_old_one_and_watching_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "b.json"
+    baseline_for(rate_hz=200).save(path)
+    before = path.read_bytes()
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    settings = Settings(connect=UDP_IN, learn=5.0, save=path)
+    bench = Bench(settings, vehicles=[MadeVehicle(1)], fitter=FakeFitter(baseline_for()))
+    bench.run(12.0)
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
+    assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert finds_a_fault(bench)
+    bench.close()
+
+
+SAVER = """
+import sys
+from made_session import baseline_for
+from pathlib import Path
+first, second = baseline_for(), baseline_for(rate_hz=200)
+print("ready", flush=True)
+while True:
+    for one in (first, second):
+        one.save(Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.realtime
+def test_sigkill_while_a_baseline_is_written_leaves_a_whole_one(tmp_path: Path) -> None:
+    path, rng = tmp_path / "b.json", random.Random(5)
+    digests = {baseline_for().digest, baseline_for(rate_hz=200).digest}
+    baseline_for().save(path)
+    for _ in range(4):
+        command = [sys.executable, "-c", SAVER, str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, env=_environment()) as child:
+            assert child.stdout is not None
+            child.stdout.readline()
+            time.sleep(rng.uniform(0.05, 0.2))
+            child.kill()
+        assert Baseline.load(path).digest in digests
+
+
+def _environment() -> dict[str, str]:
+    paths = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def _daemon(baseline: Path, *options: str, limit: str = "unlimited") -> tuple["subprocess.Popen[str]", str]:
+    """A daemon as a process that may write files of so many KiB, and the address to send to."""
+    command = [sys.executable, "-m", "detector", "--connect", UDP_IN, "--baseline", str(baseline), *options]
+    child = subprocess.Popen(
+        ["bash", "-c", f'ulimit -f {limit}; exec "$@"', "-", *command], stderr=subprocess.PIPE, text=True
+    )
+    assert child.stderr is not None
+    line = child.stderr.readline()
+    return child, line.split()[1].rstrip(",").replace("udpin", "udpout")
+
+
+def _alarmed(address: str, vehicle: MadeVehicle, patience_s: float = PATIENCE_S) -> bool:
+    """Fly in real time, with a fault from 4 s on, until an alarm comes back."""
+    begun, done = time.monotonic(), 0
+    with open_endpoint(address) as endpoint:
+        while (s := time.monotonic() - begun) < patience_s:
+            vehicle.turning = 0.5 if s > 4.0 else 0.0
+            for frame in vehicle.samples(int(s * RATE_HZ) - done):
+                endpoint.send(frame)
+            done = max(done, int(s * RATE_HZ))
+            time.sleep(0.02)
+            texts = [decode_statustext(one) for one in received(endpoint) if one.msgid == MessageId.STATUSTEXT]
+            if any(one.severity <= Severity.CRITICAL for one in texts):
+                return True
+    return False
+
+
+@pytest.mark.realtime
+def test_a_full_disk_stops_neither_the_alerts_nor_the_daemon(tmp_path: Path) -> None:
+    baseline_for().save(tmp_path / "b.json")
+    files = ("--journal", str(tmp_path / "j.jsonl"), "--record", str(tmp_path / "r.tlog"))
+    child, address = _daemon(tmp_path / "b.json", *files, limit="2")
+    try:
+        assert _alarmed(address, MadeVehicle(1))
+        child.send_signal(signal.SIGTERM)
+        _, said = child.communicate(timeout=PATIENCE_S)
+    finally:
+        child.kill()
+    assert child.returncode == 0
+    assert "cannot be written" in said
+    assert "Traceback" not in said
+    assert (tmp_path / "r.tlog").stat().st_size <= 2048
+
+
+@pytest.mark.realtime
+def test_a_daemon_that_was_killed_watches_again_when_it_is_started(tmp_path: Path) -> None:
+    baseline_for().save(tmp_path / "b.json")
+    vehicle = MadeVehicle(1)
+    for _ in range(2):
+        child, address = _daemon(tmp_path / "b.json", "--journal", str(tmp_path / "j.jsonl"))
+        try:
+            assert _alarmed(address, vehicle)
+        finally:
+            child.kill()
+            child.communicate()
+    assert (tmp_path / "j.jsonl").read_text().count('"kind": "start"') == 2
+
+
+@pytest.mark.realtime
+def test_a_serial_line_that_was_unplugged_is_read_again(tmp_path: Path) -> None:
+    """The device comes back under its name, as udev's links by id do."""
+    device, vehicle, host = tmp_path / "ttyACM0", MadeVehicle(1), VirtualHost()
+    master, slave = os.openpty()
+    device.symlink_to(os.ttyname(slave))
+    settings = replace_connect(f"{device},115200")
+    with open_endpoint(f"{device},115200", clock=host.now_ns) as link:
+        os.close(slave)
+        daemon = Daemon(settings, host, link, [], baseline=baseline_for(), fitter=FakeFitter())
+
+        def fly(master: int, seconds: float) -> None:
+            for _ in range(round(seconds / TICK_S)):
+                for frame in vehicle.samples(round(TICK_S * RATE_HZ)):
+                    os.write(master, frame)
+                    os.set_blocking(master, False)
+                time.sleep(0.001)
+                host.sleep(TICK_S)
+                daemon.tick()
+                drained(master)
+
+        fly(master, 6.0)
+        assert state(daemon) is State.MONITORING
+        os.close(master)
+        device.unlink()
+        for _ in range(200):
+            host.sleep(TICK_S)
+            daemon.tick()
+        assert state(daemon) is State.LOST
+        assert not link.connected
+        master, slave = os.openpty()
+        device.symlink_to(os.ttyname(slave))
+        give_up = time.monotonic() + PATIENCE_S
+        while not link.connected and time.monotonic() < give_up:
+            daemon.tick()
+            time.sleep(0.05)
+        os.close(slave)
+        vehicle.sent += 800
+        fly(master, 6.0)
+        assert state(daemon) is State.MONITORING
+        daemon.end()
+    os.close(master)
+
+
+def state(daemon: Daemon) -> State:
+    return daemon.fleet.vehicles[1].session.state.state
+
+
+def replace_connect(address: str) -> Settings:
+    return Settings.model_validate({**WATCH.model_dump(), "connect": address})
+
+
+def drained(handle: int) -> None:
+    """Read what the daemon sent, so that the line does not fill up."""
+    try:
+        while os.read(handle, 65_536):
+            pass
+    except BlockingIOError:
+        return

@@ -1,0 +1,109 @@
+"""The bad link in a box: its figures come out as asked, the same for the same seed, and its limits are told."""
+
+from collections.abc import Callable
+
+import pytest
+
+from mavdiag.commands.shim import frames_of
+from mavdiag.errors import UsageError
+from mavdiag.link.shim import Impairment, Shim
+
+MS = 1_000_000
+COUNT = 20_000
+
+
+def passed(
+    impairment: Impairment, seed: int = 1, every_ms: int = 1, looks_ms: int = 1
+) -> tuple[Shim, list[tuple[int, int]]]:
+    """(when, number) of what comes out of numbered messages, one every so often."""
+    shim, found = Shim(impairment, seed), []
+    for ms in range(COUNT * every_ms + 3000):
+        if ms % every_ms == 0 and ms < COUNT * every_ms:
+            shim.offer((ms // every_ms).to_bytes(4, "little"), ms * MS)
+        if ms % looks_ms == 0:
+            found += [(ms, int.from_bytes(data, "little")) for data in shim.due(ms * MS)]
+    return shim, found
+
+
+def test_a_good_link_changes_nothing() -> None:
+    shim, found = passed(Impairment())
+    assert found == [(ms, ms) for ms in range(COUNT)]
+    assert (shim.count.offered, shim.count.passed, shim.count.lost, shim.count.reordered) == (COUNT, COUNT, 0, 0)
+
+
+def test_loss_duplicates_and_corruption_are_as_often_as_asked() -> None:
+    shim, found = passed(Impairment(loss=0.05, duplicate=0.01, corrupt=0.02))
+    count = shim.count
+    assert count.lost / COUNT == pytest.approx(0.05, abs=0.006)
+    assert count.duplicated / COUNT == pytest.approx(0.01, abs=0.003)
+    assert count.corrupted / COUNT == pytest.approx(0.02, abs=0.004)
+    assert count.passed == len(found) == COUNT - count.lost + count.duplicated
+    wrong = sum(number != ms for ms, number in found)
+    assert count.corrupted <= wrong <= count.corrupted + 20  # second copies as well
+    assert count.reordered == 0
+
+
+@pytest.mark.parametrize("depth", [1, 3, 8])
+def test_a_message_is_overtaken_by_no_more_than_asked(depth: int) -> None:
+    shim, found = passed(Impairment(reorder=depth))
+    numbers = [number for _, number in found]
+    assert sorted(numbers) == list(range(COUNT))
+    overtaken = [sum(later > number for later in numbers[:at][-20:]) for at, number in enumerate(numbers)]
+    assert max(overtaken) == depth
+    assert shim.count.reordered == sum(one > 0 for one in overtaken)
+
+
+def test_a_message_that_nothing_follows_is_not_held_for_ever() -> None:
+    shim = Shim(Impairment(reorder=50), 3)
+    for _ in range(5):
+        shim.offer(b"x", 0)
+    assert len(shim.due(0)) < 5
+    shim.due(300 * MS)
+    assert shim.count.passed == 5
+
+
+def test_delay_and_jitter() -> None:
+    _, found = passed(Impairment(delay_s=0.050, jitter_s=0.010), every_ms=20)
+    late = [ms - 20 * number for ms, number in found]
+    assert 40 <= min(late) <= 41
+    assert 59 <= max(late) <= 61
+    _, found = passed(Impairment(jitter_s=0.010), every_ms=20)
+    assert 19 <= max(ms - 20 * number for ms, number in found) <= 21
+
+
+def test_a_slow_line_carries_what_it_can_and_throws_the_rest_away() -> None:
+    shim, found = passed(Impairment(rate=2000.0))  # 4 bytes a message: half of what comes
+    assert len(found) == pytest.approx(COUNT / 2, rel=0.06)
+    assert shim.count.overflowed == COUNT - len(found)
+    assert max(ms - number for ms, number in found) <= 1003
+
+
+def test_the_same_seed_gives_the_same_however_often_it_is_asked() -> None:
+    bad = Impairment(0.1, 0.01, 3, 0.1, 0.1, 4500.0, 0.02)
+    numbers = [
+        [number for _, number in passed(bad, seed, looks_ms=looks)[1]] for seed, looks in ((5, 1), (5, 40), (6, 1))
+    ]
+    assert numbers[0] == numbers[1]
+    assert numbers[0] != numbers[2]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Impairment(loss=5.0), "--loss 5: write a probability from 0 to 1"),
+        (lambda: Impairment(duplicate=float("nan")), "--duplicate nan"),
+        (lambda: Impairment(jitter_s=-0.001), "--jitter -1: write milliseconds"),
+        (lambda: Impairment(reorder=-1), "--reorder -1"),
+        (lambda: Impairment(rate=0.0), "--rate 0: write bytes a second"),
+    ],
+)
+def test_impossible_values_are_refused_by_name(make: Callable[[], Impairment], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        make()
+
+
+def test_a_byte_stream_is_cut_into_frames() -> None:
+    frame = bytes.fromhex("fe00000101000000")
+    assert frames_of(b"xy" + frame + frame[:3]) == ([b"xy", frame], frame[:3])
+    assert frames_of(frame + b"z" + frame) == ([frame, b"z", frame], b"")
+    assert frames_of(b"abc") == ([b"abc"], b"")
