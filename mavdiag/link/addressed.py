@@ -20,7 +20,7 @@ __all__ = [
 
 # Commands and parameter requests for one vehicle's computer that are handed out at a time, so that a flood is not
 # answered (our choice).
-REQUESTS_MAX = 8
+REQUESTS_MAX = 16
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
