@@ -1,6 +1,7 @@
 """What a vehicle file says for an autopilot outside: the table `[hil]`."""
 
 from collections.abc import Mapping
+from dataclasses import field
 from typing import Annotated
 
 from pydantic import Field
@@ -20,7 +21,7 @@ class Pilot:
     """
 
     rotors: tuple[Annotated[int, Field(ge=1)], ...]
-    parameters: Mapping[str, int | float] = Field(default_factory=dict)
+    parameters: Mapping[str, int | float] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})

@@ -14,7 +14,7 @@ from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 from peers.torque import TorqueModel, blame, drive, fit_torque
 from peers.windows import mean_over
-from sitl_plant.physics.jit import jit
+from sitl_plant.physics.jit import allocating
 
 __all__ = ["bank_of_models", "fixed_threshold", "kalman", "sliding_mode"]
 
@@ -164,7 +164,7 @@ def _injection(model: TorqueModel, gain: FloatArray, one: Flown) -> FloatArray:
     return np.asarray(low[round(SETTLE_S / one.dt_s) :], dtype=np.float64)
 
 
-@jit
+@allocating
 def _switch(f: FloatArray, omega: FloatArray, damping: FloatArray, gain: FloatArray, dt_s: float) -> FloatArray:
     """The discontinuous term of each row, (n, 3): Euler's method, as it would run on board."""
     out = np.empty_like(omega)

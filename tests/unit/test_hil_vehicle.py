@@ -13,7 +13,14 @@ from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import allocation, qdrone2, shipped_vehicles, vehicle_named
 from sitl_plant.vehicle_hil import Hil, Pilot
 
-ARDUPILOT = {"qdrone2": "x", "qdrone2-recorded": "x", "quad-plus": "plus", "hexa-x": "hexa-x", "octo-x": "octo-x"}
+ARDUPILOT = {
+    "qdrone2": "x",
+    "qdrone2-recorded": "x",
+    "quad-plus": "plus",
+    "hexa-x": "hexa-x",
+    "hexa-plus": "hexa-plus",
+    "octo-x": "octo-x",
+}
 
 
 def test_every_shipped_vehicle_is_here() -> None:
@@ -37,7 +44,7 @@ def test_ardupilots_file_is_name_comma_value(name: str) -> None:
     assert lines[0].startswith("#")
     values = {line.split(",")[0]: float(line.split(",")[1]) for line in lines[1:]}
     assert values["FRAME_CLASS"] == {4: 1, 6: 2, 8: 3}[len(vehicle.rotors)]
-    assert values["FRAME_TYPE"] == (0 if name == "quad-plus" else 1)
+    assert values["FRAME_TYPE"] == (0 if name.endswith("plus") else 1)
     hover = Plant(PlantConfig(vehicle=vehicle, drone=2, trajectory="hover")).advance(2000).duty
     assert values["MOT_THST_HOVER"] == pytest.approx(np.mean(hover**2), abs=0.015)
     assert all(len(parameter) <= 16 for parameter in values)
