@@ -203,6 +203,7 @@ SENT = {
     MessageId.NAMED_VALUE_FLOAT,
     MessageId.COMMAND_LONG,
     MessageId.COMMAND_ACK,
+    MessageId.TIMESYNC,
 }
 COMMANDS = {MavCmd.SET_MESSAGE_INTERVAL}
 

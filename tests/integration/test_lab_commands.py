@@ -77,7 +77,7 @@ def test_the_lab_tools_print_their_tables(mavdiag: Any, flights: list[Path]) -> 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["model", "absent.tlog"], "absent.tlog: cannot be read"),
+        (["model", "absent.tlog"], "absent.tlog: no such file"),
         (["model", "track", "LOG", "--every", "0"], "--every and --memory must be longer"),
         (["model", "LOG", "--plot", "/dev/null"], "not a regular file"),
         (["model", "LOG", "--order", "2;2"], "three whole numbers"),
