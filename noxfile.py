@@ -40,4 +40,4 @@ def bench(session: nox.Session) -> None:
 @nox.session
 def wheels(session: nox.Session) -> None:
     """Whether Debian needs a compiler; asks the package index."""
-    session.run("python", "packaging/check_wheels.py")
+    session.run("python", "deploy/check_wheels.py")

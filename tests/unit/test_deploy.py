@@ -15,8 +15,8 @@ import pytest
 from detector.config import ENVIRONMENT, Settings
 
 ROOT = Path(__file__).resolve().parents[2]
-UNIT = ROOT / "packaging" / "mavdiag-detector.service"
-CONTAINER = ROOT / "packaging" / "Containerfile"
+UNIT = ROOT / "deploy" / "mavdiag-detector.service"
+CONTAINER = ROOT / "deploy" / "Containerfile"
 PROGRAM = "/opt/mavdiag/bin/mavdiag-detector"
 
 
@@ -102,7 +102,7 @@ def test_the_variables_named_there_are_settings(path: Path) -> None:
 
 @pytest.fixture
 def check_wheels() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("check_wheels", ROOT / "packaging" / "check_wheels.py")
+    spec = importlib.util.spec_from_file_location("check_wheels", ROOT / "deploy" / "check_wheels.py")
     assert spec is not None
     assert spec.loader is not None
     module = sys.modules["check_wheels"] = importlib.util.module_from_spec(spec)

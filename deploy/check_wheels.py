@@ -1,6 +1,6 @@
 """Whether the detector installs on Debian without a compiler: a wheel for every dependency, by the rules of pip.
 
-    python packaging/check_wheels.py [--platform arm64] [--python 3.13]
+    python deploy/check_wheels.py [--platform arm64] [--python 3.13]
 
 Nothing is installed: pip resolves the dependencies of pyproject.toml as the target would and says which files it would
 take. Exit code 0 if there is one for each, 1 if not, 3 if the index cannot be reached.
