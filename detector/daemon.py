@@ -186,7 +186,10 @@ class Daemon:
         """Where it stands."""
         links = (LinkFigures(one.address, one.connected, one.traffic) for one in (self._link, *self._behind))
         lost = tuple((name, file.lost) for name, file in self._files)
-        return DaemonFigures(self.fleet.figures(), tuple(links), self._late, self._host.cpu_s(), lost)
+        delay_s = self.fleet.delay.longest_s
+        return DaemonFigures(
+            self.fleet.figures(), tuple(links), self._late, self._host.cpu_s(), lost, self._guard.refused, delay_s
+        )
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
@@ -262,10 +265,10 @@ class Daemon:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+        figures = self.figures()
         self.fleet.delay, text = self.fleet.delay.news(self._now())
         if text:
             self._host.say(text)
-        figures = self.figures()
         if self._metrics is not None:
             self._metrics.show(figures, self._host.now_ns())
         if figures.healthy:

@@ -27,6 +27,8 @@ class DaemonFigures:
     late: looks at the links that came too late, so far.
     cpu_s: processor time so far.
     lost_entries: what could not be written to each file, so far, by option.
+    refused: frames of the vehicle's link that were not heard, so far, by cause.
+    delay_s: longest that a vehicle waited for its turn lately, because there was much to do.
     """
 
     vehicles: tuple[VehicleFigures, ...]
@@ -34,6 +36,8 @@ class DaemonFigures:
     late: int
     cpu_s: float
     lost_entries: tuple[tuple[str, int], ...] = ()
+    refused: tuple[tuple[str, int], ...] = ()
+    delay_s: float = 0.0
 
     @property
     def healthy(self) -> bool:

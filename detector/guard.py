@@ -59,15 +59,19 @@ class Guard:
             texts.append(self.summary())
         return turns, texts
 
+    @property
+    def refused(self) -> tuple[tuple[str, int], ...]:
+        """Frames that were not heard so far, by cause."""
+        intruders = {sysid: self._link.intruder(sysid) for sysid in self._link.vehicles}
+        elsewhere = [
+            (f"in the name of vehicle {sysid} from elsewhere", one.frames) for sysid, one in intruders.items() if one
+        ]
+        signatures = [] if self._signing is None else [(str(cause), n) for cause, n in self._signing.refused.items()]
+        return (*elsewhere, *signatures)
+
     def summary(self) -> str:
         """What was refused so far, in one line; empty if nothing was."""
-        parts = []
-        for sysid in self._link.vehicles:
-            intruder = self._link.intruder(sysid)
-            if intruder is not None:
-                parts.append(f"{intruder.frames} frames in the name of vehicle {sysid} from elsewhere")
-        if self._signing is not None:
-            parts += [f"{count} {cause}" for cause, count in self._signing.refused.items()]
+        parts = [f"{count} {cause}" for cause, count in self.refused]
         return f"refused: {', '.join(parts)}" if parts else ""
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:

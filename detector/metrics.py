@@ -80,6 +80,12 @@ class Metrics(Collector):
         for name, count in figures.lost_entries:
             lost.add_metric([name], count)
         yield lost
+        refused = CounterMetricFamily("mavdiag_frames_refused", "Frames that were not heard.", labels=["cause"])
+        for cause, count in figures.refused:
+            refused.add_metric([cause], count)
+        yield refused
+        text = "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do."
+        yield _gauge("turn_delay_seconds", text, figures.delay_s)
         yield from _links(figures)
         yield from _vehicles(figures)
         events = CounterMetricFamily("mavdiag_events", "Alarms of the monitors.", labels=["vehicle", "monitor"])

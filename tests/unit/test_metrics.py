@@ -3,6 +3,7 @@
 import re
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -121,3 +122,13 @@ def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -
     two, one = np.array([0, 1], dtype=np.int64), np.array([2], dtype=np.int64)
     metrics.observe([Turn(1, (), arrived_ns=two, judged_ns=two), Turn(2, (), arrived_ns=one)], 1_000_000)
     assert (metrics._look.counts.sum(), metrics._verdict.counts.sum()) == (3, 2)
+
+
+def test_refused_frames_and_the_wait_for_a_turn_are_shown(metrics: Metrics) -> None:
+    bench = flown(metrics)
+    figures = replace(bench.daemon.figures(), refused=(("signature wrong", 3),), delay_s=0.7)
+    metrics.show(figures, 0)
+    text = page(metrics)
+    assert 'mavdiag_frames_refused_total{cause="signature wrong"} 3.0' in text
+    assert "mavdiag_turn_delay_seconds 0.7" in text
+    bench.close()
