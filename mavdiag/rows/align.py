@@ -114,8 +114,8 @@ class AlignSpec:
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
         """Take in a chunk, return the rows that it completes (delayed by `reorder_s`), one block a segment."""
-        state = replace(state, streams=_merged(self, state.streams, telemetry))
-        return _emit(self, state, _horizon(self, state.streams))
+        streams = _merged(self, state.streams, telemetry)
+        return _emit(self, replace(state, streams=streams), _horizon(self, streams))
 
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
@@ -166,7 +166,7 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
             continue
-        if signal in FINITE and not math.isfinite(float(v.sum())):  # a sample that is no number is a lost sample
+        if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):  # a sample that is no number is a lost sample
             finite = np.isfinite(v).all(axis=1)
             t, v = t[finite], v[finite]
         old = streams.get(signal)
@@ -240,7 +240,7 @@ def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
         return np.arange(fresh[0] if last_ns is None else last_ns + step, fresh[-1] + 1, step, dtype=np.int64)
     points = fresh if last_ns is None else np.concatenate(([last_ns], fresh))
     places = (points[1:] - points[:-1]) / dt_ns
-    if ((places > 0.5) & (places < 1.5)).all():
+    if np.minimum.reduce(places, initial=1.0) > 0.5 and np.maximum.reduce(places, initial=1.0) < 1.5:
         return fresh
     return _place_uneven(points, last_ns is None, dt_ns)
 
@@ -291,7 +291,7 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:
     """(n,) rows outside of gaps and of what must settle after them, and until when the last one blanks."""
-    if gap.max() <= spec.max_gap_s * NS_PER_S:
+    if np.maximum.reduce(gap) <= spec.max_gap_s * NS_PER_S:
         return rows > until_ns, until_ns
     settle = np.where(gap > _ns(spec.break_s), _ns(spec.settle_start_s), _ns(spec.settle_gap_s))
     reach = np.where(gap > spec.max_gap_s * NS_PER_S, rows + settle, until_ns)
@@ -314,7 +314,7 @@ def _linear(spec: AlignSpec, state: AlignState, signal: Signal, rows: IntArray) 
     if stream is None:
         return np.full((len(rows), 3), np.nan)
     values, gap = stream.interpolated(rows, limit_ns)
-    if gap.max() > limit_ns:
+    if np.maximum.reduce(gap) > limit_ns:
         values[gap > limit_ns] = np.nan
     return values
 
