@@ -32,7 +32,7 @@ from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, BoolArray, Telemetry
+from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
 from mavdiag.thresholds.rule import Threshold
 
@@ -265,15 +265,16 @@ class Chain:
         flight_s: float,
     ) -> tuple[Account, ...]:
         counts: dict[int, tuple[BoolArray, int]] = {}  # valid rows without a signal, of each array of flags
-        out = []
+        out, none = [], dict[Signal, float]()
         for slot, account, one, denied in zip(self.slots, accounts, found, outside, strict=True):
-            missing = {}
+            missing = none
             for signal in slot.monitor.signals:
                 there = slot.monitor.known(block, signal)
                 if id(there) not in counts:
-                    counts[id(there)] = there, 0 if there.all() else int(np.count_nonzero(block.valid & ~there))
+                    whole = np.count_nonzero(there) == len(there)
+                    counts[id(there)] = there, 0 if whole else int(np.count_nonzero(block.valid & ~there))
                 if count := counts[id(there)][1]:
-                    missing[signal] = count * block.dt_s
+                    missing = {**missing, signal: count * block.dt_s}
             out.append(account.add(one, flight_s, missing, denied))
         return tuple(out)
 

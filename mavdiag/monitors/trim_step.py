@@ -154,7 +154,7 @@ def _shifts(
     count = len(t_ns) // tick
     used = count * tick
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
-    means = rows[:used].reshape(count, tick, 6).mean(axis=1)
+    means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
     shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
     ticks, reference = state.ticks, state.reference

@@ -82,15 +82,21 @@ class Block(_Answers):
             return self.valid
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
-        key = (signal, columns.start, columns.stop)
+        return self._answer((signal, columns.start, columns.stop))
+
+    def _answer(self, key: tuple[Signal, int | None, int | None]) -> BoolArray:
         try:
             answers = self._answers
         except AttributeError:
             answers = {}
             object.__setattr__(self, "_answers", answers)
         if key not in answers:
-            answers[key] = self._finite(signal, columns)
+            answers[key] = self._finite(key[0], slice(key[1], key[2]))
         return answers[key]
+
+    def finite_rate(self) -> BoolArray:
+        """(n,) where the gyro gives numbers, whether it may be judged or not; do not write to it."""
+        return self._answer((Signal.BODY_RATE, None, None))
 
     def _finite(self, signal: Signal, columns: slice) -> BoolArray:
         name = _SIGNALS.get(signal)
@@ -100,13 +106,14 @@ class Block(_Answers):
         values = values[:, columns]
         if values.shape[1] == 0:
             return np.zeros(len(self), dtype=np.bool_)
-        if math.isfinite(float(values.sum())):
+        if math.isfinite(float(np.add.reduce(values, axis=None))):
             return np.ones(len(self), dtype=np.bool_)
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
 _COLUMNS = tuple(field.name for field in fields(Block))[2:]
 _SIGNALS = {
+    Signal.BODY_RATE: "rate",
     Signal.SPECIFIC_FORCE: "force",
     Signal.TORQUE_COMMAND: "torque",
     Signal.RATE_SETPOINT: "rate_setpoint",

@@ -251,7 +251,10 @@ class Envelope:
 
     def _compared(self, bins: Conditions) -> tuple[FloatArray, FloatArray]:
         values = bins.values[:, [ORDER.index(one.condition) for one in self.covered]]
-        return values, np.column_stack([one.excess(values[:, i]) for i, one in enumerate(self.covered)])
+        excess = np.empty(values.shape)
+        for i, one in enumerate(self.covered):
+            excess[:, i] = one.excess(values[:, i])
+        return values, excess
 
 
 def _farthest(
