@@ -115,7 +115,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
         trim, known = trim_of(block, spec.layout, spec.source)
         both = np.concatenate((trim, tilt_of(block)), axis=1)
         state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
-        shift = mean[:, :3] - np.array(spec.mean)
+        shift = mean[:, :3] - spec.mean
         rise = np.maximum.reduce(rises(shift, spec.layout, spec.spread, mean[:, 3:]), axis=1)
         rotors = rises(shift, spec.layout, spec.spread)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)

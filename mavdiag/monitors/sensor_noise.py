@@ -132,7 +132,7 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         spec, block = self.spec, rows.block
         before = state.mean
         state, d, valid = _differences(state, block)
-        z = np.minimum(np.abs(d / np.array(spec.rms)), LIMIT)
+        z = np.minimum(np.abs(d / spec.rms), LIMIT)
         mean_state, mean, full = sliding_mean(before, z * z, valid, window_rows(spec.window_s, block.dt_s))
         power = np.sort(np.log(np.maximum(mean, LEAST_POWER)), axis=1)
         value = np.maximum(power[:, -1] - 2.0 * np.maximum(power[:, -2], 0.0), 0.0)

@@ -116,6 +116,11 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         """Of the accelerometer its z."""
         return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
 
+    def __init__(self, spec: ThrustLossSpec) -> None:
+        super().__init__(spec)
+        lost = np.empty((0, 2)) if spec.layout is None else -spec.layout.mixing[:, :2]
+        self._lost, self._sizes = lost.T, np.linalg.norm(lost, axis=1)
+
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
         return ThrustLossState(np.ones(1), start_mean(COLUMNS))
@@ -140,20 +145,16 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         loss = 1.0 - mean[:, 0] / expected
         value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
         value = np.where(mean[:, 4] < TUMBLING_RAD_S, value, 0.0)
-        rotors = np.empty((len(block), 0)) if spec.layout is None else _towards(spec.layout, mean[:, 2:4])
+        rotors = self._towards(mean[:, 2:4])
         return ThrustLossState(usual, mean_state), Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
+
+    def _towards(self, turning: FloatArray) -> FloatArray:
+        """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
+        sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * self._sizes
+        cosine: FloatArray = np.divide(turning @ self._lost, sizes, out=np.zeros(sizes.shape), where=sizes > 0)
+        return cosine
 
 
 def _known(block: Block) -> BoolArray:
     sound = block.valid & block.finite_rate()
     return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, ONLY_Z) & (block.thrust > MIN_THRUST), dtype=np.bool_)
-
-
-def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
-    """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
-    lost = -layout.mixing[:, :2]
-    sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * np.linalg.norm(lost, axis=1)
-    cosine: FloatArray = np.divide(
-        turning @ lost.T, sizes, out=np.zeros((len(turning), layout.rotors)), where=sizes > 0
-    )
-    return cosine
