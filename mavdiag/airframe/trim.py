@@ -104,7 +104,7 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
     full, which tells rotors of one sense of rotation apart.
     """
-    variance = np.empty(shift.shape)
+    variance = np.empty(shift.shape if len(tilt) == len(shift) else (1, 3))  # the same for all rows without a tilt
     variance[:, :2], variance[:, 2] = np.square(spread[:2]), spread[2] ** 2
     if tilt is not NO_TILT:
         variance[:, :2] += TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]

@@ -19,7 +19,7 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_all, window_rows
+from mavdiag.rows.windows import MeanState, ema, forgetting, row_max, sliding_mean, start_mean, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -187,11 +187,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
         kept, all_of_them = z if count == len(z) else z[used], np.ones(count, dtype=np.bool_)
         mean_state, mean, full = sliding_mean(state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s))
-        level = np.sqrt(np.maximum(np.add.reduce(mean, axis=1) / 3, 0.0))
+        level = np.sqrt(np.maximum((mean[:, 0] + mean[:, 1] + mean[:, 2]) / 3, 0.0))
         if count < len(z):
             some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
             level[used], full[used] = some, whole
-        worst = np.maximum.reduce(np.abs(z), axis=1, initial=0.0)
+        worst = row_max(np.abs(z))
         state = InnovationState(
             state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state
         )

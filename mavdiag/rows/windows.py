@@ -21,6 +21,7 @@ __all__ = [
     "ema",
     "forgetting",
     "highpass",
+    "row_max",
     "sliding_mean",
     "spans",
     "start_mean",
@@ -193,6 +194,14 @@ def _run_lengths(carried: int, valid: BoolArray) -> IntArray:
     at = np.arange(len(valid))
     run: IntArray = at - np.maximum.accumulate(np.where(valid, -1 - carried, at))
     return run
+
+
+def row_max(x: FloatArray) -> FloatArray:
+    """Largest value of each row, (n, k) -> (n,), k at least 1; for few columns quicker than a reduction along rows."""
+    highest: FloatArray = x[:, 0]
+    for column in x.T[1:]:
+        highest = np.maximum(highest, column)
+    return highest
 
 
 def forgetting(memory_s: float, dt_s: float) -> float:
