@@ -60,7 +60,14 @@ def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
 
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
+    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere.
+
+    The same arrays for the same question; do not write to them.
+    """
+    return block.once((source, layout), lambda: _trim_of(block, layout, source))
+
+
+def _trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     if source == "actuator":
         outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
         if outputs.shape[1] < layout.rotors:

@@ -123,8 +123,8 @@ class DecisionState:
     ) -> "DecisionState":
         """With these; quicker than `replace`, for every look does it."""
         times = (self.looked_ns, self.calm_ns, self.over_ns)
-        fault = (self.fault, self.lead, self.gathered, self.graded)
-        return DecisionState(latest, events, self.waiting, diagnosis, *times, *fault)
+        rest = (*times, self.fault, self.lead, self.gathered, self.graded)
+        return DecisionState(latest, events, self.waiting, diagnosis, *rest)
 
 
 Fresh: TypeAlias = tuple[Reading, SlotSpec]

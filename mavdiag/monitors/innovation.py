@@ -186,15 +186,15 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
         kept, all_of_them = z if count == len(z) else z[used], np.ones(count, dtype=np.bool_)
-        mean_state, mean, full = sliding_mean(state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s))
+        mean_state, mean, full = sliding_mean(
+            state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s)
+        )
         level = np.sqrt(np.maximum((mean[:, 0] + mean[:, 1] + mean[:, 2]) / 3, 0.0))
         if count < len(z):
             some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
             level[used], full[used] = some, whole
         worst = row_max(np.abs(z))
-        state = InnovationState(
-            state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state
-        )
+        state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 

@@ -166,7 +166,9 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
             continue
-        if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):  # a sample that is no number is a lost sample
+        if signal in FINITE and not math.isfinite(
+            float(np.add.reduce(v, axis=None))
+        ):  # a sample that is no number is a lost sample
             finite = np.isfinite(v).all(axis=1)
             t, v = t[finite], v[finite]
         old = streams.get(signal)
