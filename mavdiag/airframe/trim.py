@@ -112,7 +112,7 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     full, which tells rotors of one sense of rotation apart.
     """
     variance = np.empty(shift.shape if len(tilt) == len(shift) else (1, 3))  # the same for all rows without a tilt
-    variance[:, :2], variance[:, 2] = np.square(spread[:2]), spread[2] ** 2
+    variance[:, 0], variance[:, 1], variance[:, 2] = spread[0] ** 2, spread[1] ** 2, spread[2] ** 2
     if tilt is not NO_TILT:
         variance[:, :2] += TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
     C, W = layout.unmixing, 1.0 / variance

@@ -91,15 +91,13 @@ def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
         stop = edges[-1]
         if stop < len(one.ratio):
             rest.append(one if stop == one.first else Waiting(one.values, one.ratio, stop))
-        filled = [k for k in range(len(times)) if edges[k] < edges[k + 1]]
-        if filled:
-            _look(one, filled, edges, times, highest, readings)
+        if edges[0] < stop:
+            _look(one, edges, times, highest, readings)
     return Looks(tuple(waiting), tuple(rest), at, highest, readings)
 
 
 def _look(
     one: Waiting,
-    filled: Sequence[int],
     edges: Sequence[int],
     times: Sequence[int],
     highest: list[float | None],
@@ -107,8 +105,10 @@ def _look(
 ) -> None:
     """Add one chunk's values to the looks that hold some of them."""
     values, valid = one.values, one.values.valid
-    ratios = [float(np.maximum.reduce(one.ratio[edges[k] : edges[k + 1]])) for k in filled]
-    for k, ratio in zip(filled, ratios, strict=True):
+    for k, t_ns in enumerate(times):
+        if edges[k] == edges[k + 1]:
+            continue
+        ratio = float(np.maximum.reduce(one.ratio[edges[k] : edges[k + 1]]))
         before = highest[k]
         highest[k] = top = ratio if before is None else max(before, ratio)
         last = edges[k + 1] - 1
@@ -122,7 +122,7 @@ def _look(
                 continue
             last = edges[k] + int(good[-1])
         rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-        readings[k] = Reading(times[k], top, values.value.item(last), rotors)
+        readings[k] = Reading(t_ns, top, values.value.item(last), rotors)
 
 
 def _joined(parts: Sequence[Statistic]) -> Statistic:

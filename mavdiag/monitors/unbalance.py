@@ -291,8 +291,9 @@ class _Filter:
         used = count * tick
         ticks, flags = state.ticks, state.whole
         if count:
-            products = self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick)
-            fresh = np.add.reduce(products, axis=2).T / tick
+            fresh = (
+                np.add.reduce(self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick), axis=2).T / tick
+            )
             whole = window_all(valid[: used + reach], tick + reach)[::tick]
             if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
                 finite = np.isfinite(fresh)
@@ -308,8 +309,7 @@ class _Filter:
         x, y, z = (np.correlate(row, self._taps) for row in rows)
         ax, ay, gz = x[1:], y[1:], z[1:]
         out = np.empty((COLUMNS, len(ax)))
-        out[0], out[1], out[2] = ax * ax + ay * ay, gz * ax, gz * ay
-        out[3] = x[:-1] * ay - y[:-1] * ax
+        out[0], out[1], out[2], out[3] = ax * ax + ay * ay, gz * ax, gz * ay, x[:-1] * ay - y[:-1] * ax
         return out
 
 

@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -151,6 +152,7 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     return float(np.mean(steps[steps <= max(PAUSE_NS, median)])) / NS_PER_S, Grid.RESAMPLED
 
 
+@lru_cache(maxsize=64)  # every step asks for the same spans many times
 def _ns(span_s: float) -> int:
     return NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S)
 
@@ -166,9 +168,8 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
             continue
-        if signal in FINITE and not math.isfinite(
-            float(np.add.reduce(v, axis=None))
-        ):  # a sample that is no number is a lost sample
+        # A sample that is no number is a lost sample.
+        if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):
             finite = np.isfinite(v).all(axis=1)
             t, v = t[finite], v[finite]
         old = streams.get(signal)

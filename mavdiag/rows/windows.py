@@ -127,6 +127,7 @@ def start_mean(columns: int) -> MeanState:
     return MeanState((np.zeros((1, columns)),), 0, 1, 0)
 
 
+@lru_cache(maxsize=64)
 def window_rows(window_s: float, dt_s: float) -> int:
     """Rows in a window of `window_s` at a period of `dt_s` [s], at least 1. Raises UsageError if one is not positive.
 
@@ -204,6 +205,7 @@ def row_max(x: FloatArray) -> FloatArray:
     return highest
 
 
+@lru_cache(maxsize=64)
 def forgetting(memory_s: float, dt_s: float) -> float:
     """The factor alpha of an exponential mean with a time constant of `memory_s`: 1 - exp(-dt/memory)."""
     return -math.expm1(-dt_s / memory_s)
