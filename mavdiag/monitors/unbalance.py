@@ -283,17 +283,15 @@ class _Filter:
     def step(self, state: UnbalanceState, block: Block) -> tuple[UnbalanceState, _Ticks]:
         """The windows that the next rows complete."""
         tick, window, reach = self._tick, self._window, len(self._taps)
-        waiting = state.rows.shape[1]
-        rows = np.empty((3, waiting + len(block)))
-        rows[:, :waiting], rows[:2, waiting:], rows[2, waiting:] = state.rows, block.force[:, :2].T, block.rate[:, 2]
+        fresh = np.concatenate((block.force[:, :2], block.rate[:, 2:]), axis=1)
+        rows = np.concatenate((state.rows, fresh.T), axis=1)
         t_ns, valid = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, block.valid))
         count = max(0, len(t_ns) - reach) // tick  # the filter looks back taps - 1 rows, the turning part one more
         used = count * tick
         ticks, flags = state.ticks, state.whole
         if count:
-            fresh = (
-                np.add.reduce(self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick), axis=2).T / tick
-            )
+            products = self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick)
+            fresh = np.add.reduce(products, axis=2).T / tick
             whole = window_all(valid[: used + reach], tick + reach)[::tick]
             if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
                 finite = np.isfinite(fresh)
