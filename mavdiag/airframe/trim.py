@@ -60,13 +60,20 @@ def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
 
 
 def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere."""
+    """Roll, pitch and yaw trim of each row, (n, 3) [fraction of hover], and where it may be used; zero elsewhere.
+
+    The same arrays for the same question; do not write to them.
+    """
+    return block.once((source, layout), lambda: _trim_of(block, layout, source))
+
+
+def _trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
     if source == "actuator":
         outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
         if outputs.shape[1] < layout.rotors:
             return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-        level = outputs.mean(axis=1)
-        known = block.valid & np.isfinite(outputs).all(axis=1) & (level > MIN_OUTPUT)
+        level = np.add.reduce(outputs, axis=1) / layout.rotors
+        known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
         w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
         return np.einsum("nr,kr->nk", w, layout.unmixing), known
     if layout.torque_gain is None:
@@ -85,6 +92,8 @@ def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray
 
 def tilt_of(block: Block) -> FloatArray:
     """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
+    if np.count_nonzero(block.setpoint_valid) == len(block):
+        return block.setpoint[:, :2]
     return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
 
 
@@ -102,9 +111,10 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
     full, which tells rotors of one sense of rotation apart.
     """
-    variance = np.empty(shift.shape)
-    variance[:, :2] = np.square(spread[:2]) + TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
-    variance[:, 2] = spread[2] ** 2
+    variance = np.empty(shift.shape if len(tilt) == len(shift) else (1, 3))  # the same for all rows without a tilt
+    variance[:, 0], variance[:, 1], variance[:, 2] = spread[0] ** 2, spread[1] ** 2, spread[2] ** 2
+    if tilt is not NO_TILT:
+        variance[:, :2] += TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
     C, W = layout.unmixing, 1.0 / variance
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
     return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)

@@ -60,6 +60,6 @@ class Account:
             lacking = {**lacking, **{signal: lacking.get(signal, 0.0) + span_s for signal, span_s in missing.items()}}
         count, peak = int(np.count_nonzero(found.valid)), self.peak
         if count:
-            highest = float((found.value if count == len(found) else found.value[found.valid]).max())
+            highest = float(np.maximum.reduce(found.value if count == len(found) else found.value[found.valid]))
             peak = highest if peak is None else max(peak, highest)
         return Account(self.flight_s + flight_s, self.judged_s + count * found.period_s, peak, lacking, beside)

@@ -118,6 +118,14 @@ class DecisionState:
     gathered: Gathered | None = None
     graded: int = 0
 
+    def now(
+        self, diagnosis: Diagnosis, latest: tuple[Reading | None, ...], events: tuple[EventState, ...]
+    ) -> "DecisionState":
+        """With these; quicker than `replace`, for every look does it."""
+        times = (self.looked_ns, self.calm_ns, self.over_ns)
+        rest = (*times, self.fault, self.lead, self.gathered, self.graded)
+        return DecisionState(latest, events, self.waiting, diagnosis, *rest)
+
 
 Fresh: TypeAlias = tuple[Reading, SlotSpec]
 Step: TypeAlias = tuple[DecisionState, tuple[Event, ...], tuple[Change, ...]]
@@ -195,7 +203,7 @@ class DecisionSpec:
     def _read(self, state: DecisionState, parts: Sequence[Looks], number: int) -> tuple[DecisionState, list[Event]]:
         """Take one look's values: the latest reading and the events of every slot."""
         # What was read last ages while nothing is valid.
-        latest = tuple(one.readings[number] or old for one, old in zip(parts, state.latest, strict=True))
+        latest = tuple([one.readings[number] or old for one, old in zip(parts, state.latest, strict=True)])
         events, fresh = state.events, list[Event]()
         for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
             ratio = one.highest[number]
@@ -205,7 +213,7 @@ class DecisionSpec:
                 after, seen = slot.events.step(events[i], part)
                 events = (*events[:i], after, *events[i + 1 :])
                 fresh += seen
-        return replace(state, latest=latest, events=events), fresh
+        return state.now(state.diagnosis, latest, events), fresh
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
@@ -221,7 +229,7 @@ class DecisionSpec:
         if changed:
             now = replace(now, stage=stage, reason=reason, since_ns=t_ns)
         if stage is not Stage.FAULT and not changed:
-            return replace(state, diagnosis=now), False
+            return state.now(now, state.latest, state.events), False
         if stage is not Stage.FAULT:
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, kind=None)
             return replace(state, diagnosis=now, gathered=None, graded=0), True
@@ -320,15 +328,11 @@ def _leading(diagnosis: Diagnosis, fresh: Sequence[Fresh]) -> Diagnosis:
     reading, slot = max(
         fresh, key=lambda pair: (pair[1].decides, pair[0].ratio > 1.0 and pair[1].kind is kind, pair[0].ratio)
     )
-    named = slot.events
-    return replace(
-        diagnosis,
-        monitor=named.monitor,
-        axis=named.axis,
-        unit=slot.unit,
-        statistic=max(reading.value, reading.ratio * slot.threshold),
-        threshold=slot.threshold,
-    )
+    named, it = slot.events, diagnosis
+    statistic = max(reading.value, reading.ratio * slot.threshold)
+    evidence = (named.monitor, named.axis, slot.unit, statistic, named.threshold)
+    fault = (it.rotor, it.confidence, it.fault_type, it.severity, it.kind)
+    return Diagnosis(it.stage, it.reason, it.since_ns, *evidence, *fault)
 
 
 def _height(ratio: float, decides: bool) -> Height:

@@ -81,26 +81,23 @@ def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
 
 def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
     """Cut values at these times [ns]. delay_s: how much later than its time stamp a value is known."""
-    t_ns = looks - round(delay_s * NS_PER_S)
-    at = [[one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()] for one in waiting]
-    rest = tuple(
-        one if stops[-1] == one.first else Waiting(one.values, one.ratio, stops[-1])
-        for one, stops in zip(waiting, at, strict=True)
-        if stops[-1] < len(one.ratio)
-    )
-    highest: list[float | None] = [None] * len(looks)
-    readings: list[Reading | None] = [None] * len(looks)
-    times = looks.tolist()
-    for one, edges in zip(waiting, at, strict=True):
-        filled = [k for k in range(len(times)) if edges[k] < edges[k + 1]]
-        if filled:
-            _look(one, filled, edges, times, highest, readings)
-    return Looks(tuple(waiting), rest, at, highest, readings)
+    t_ns, times = looks - round(delay_s * NS_PER_S), looks.tolist()
+    at, rest = list[list[int]](), list[Waiting]()
+    highest: list[float | None] = [None] * len(times)
+    readings: list[Reading | None] = [None] * len(times)
+    for one in waiting:
+        edges = [one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()]
+        at.append(edges)
+        stop = edges[-1]
+        if stop < len(one.ratio):
+            rest.append(one if stop == one.first else Waiting(one.values, one.ratio, stop))
+        if edges[0] < stop:
+            _look(one, edges, times, highest, readings)
+    return Looks(tuple(waiting), tuple(rest), at, highest, readings)
 
 
 def _look(
     one: Waiting,
-    filled: Sequence[int],
     edges: Sequence[int],
     times: Sequence[int],
     highest: list[float | None],
@@ -108,8 +105,10 @@ def _look(
 ) -> None:
     """Add one chunk's values to the looks that hold some of them."""
     values, valid = one.values, one.values.valid
-    ratios = np.maximum.reduceat(one.ratio[: edges[-1]], [edges[k] for k in filled]).tolist()
-    for k, ratio in zip(filled, ratios, strict=True):
+    for k, t_ns in enumerate(times):
+        if edges[k] == edges[k + 1]:
+            continue
+        ratio = float(np.maximum.reduce(one.ratio[edges[k] : edges[k + 1]]))
         before = highest[k]
         highest[k] = top = ratio if before is None else max(before, ratio)
         last = edges[k + 1] - 1
@@ -123,7 +122,7 @@ def _look(
                 continue
             last = edges[k] + int(good[-1])
         rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-        readings[k] = Reading(times[k], top, float(values.value[last]), rotors)
+        readings[k] = Reading(t_ns, top, values.value.item(last), rotors)
 
 
 def _joined(parts: Sequence[Statistic]) -> Statistic:

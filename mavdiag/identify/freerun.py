@@ -42,7 +42,7 @@ def step(model: ArxModel, state: FreeRunState, u: FloatArray) -> tuple[FreeRunSt
         return state, np.empty(0)
     inputs = np.concatenate((state.past_u, u))
     # y(t) = [ b_0 u(t) + b_1 u(t-1) + .. ] - a_1 y(t-1) - a_2 y(t-2) - ..
-    driven = np.convolve(inputs, model.b, mode="valid").tolist()
+    driven = np.correlate(inputs, model.b[::-1]).tolist()  # a convolution, "valid"
     past = state.past_y
     outputs = _second_order(driven, model, past) if len(past) <= 2 else _any_order(driven, model, past)
     recent_y = (*past, *outputs[-len(past) :])[-len(past) :]

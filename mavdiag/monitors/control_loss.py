@@ -91,5 +91,6 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
         fast = np.sqrt(np.einsum("nk,nk->n", rates.y, rates.y))
         value = np.minimum(fast, np.sqrt(np.einsum("nk,nk->n", left, left)))
         valid = rates.commanded & np.isfinite(value)
-        value = np.where(valid, value, 0.0)
-        return None, Statistic(rates.t_ns, rates.dt_s, value, valid, value, np.where(valid, fast, 0.0))
+        if np.count_nonzero(valid) < len(valid):
+            value, fast = np.where(valid, value, 0.0), np.where(valid, fast, 0.0)
+        return None, Statistic(rates.t_ns, rates.dt_s, value, valid, value, fast)

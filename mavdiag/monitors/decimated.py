@@ -73,12 +73,15 @@ class Decimator:
     def step(self, state: DecimatorState, rows: Rows) -> tuple[DecimatorState, Decimated]:
         """Take the next rows; return the samples that they complete."""
         block, rates, stride = rows.block, rows.rates, self._stride
-        at = np.arange(state.skip, len(rates), stride)
-        fresh = np.empty((len(at), 5))
-        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], rates.commanded[at]
-        skip = state.skip + len(at) * stride - len(rates)
+        at = slice(state.skip, None, stride)
+        commanded = rates.commanded[at]
+        fresh = np.empty((len(commanded), 5))
+        fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], commanded
+        skip = state.skip + len(commanded) * stride - len(rates)
 
-        raw = np.concatenate((state.raw, [block.force[:, 2], block.thrust]), axis=1)
+        waiting = state.raw.shape[1]
+        raw = np.empty((2, waiting + len(block)))
+        raw[:, :waiting], raw[0, waiting:], raw[1, waiting:] = state.raw, block.force[:, 2], block.thrust
         raw_ns = np.concatenate((state.raw_ns, block.t_ns))
         smoothed = self._smooth(raw)
         count = len(smoothed)

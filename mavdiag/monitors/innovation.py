@@ -19,7 +19,7 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_all, window_rows
+from mavdiag.rows.windows import MeanState, ema, forgetting, row_max, sliding_mean, start_mean, window_all, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -168,6 +168,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         """Its window, and the memory of the command [s]."""
         return self.spec.window_s + self.spec.memory_s
 
+    def __init__(self, spec: InnovationSpec) -> None:
+        super().__init__(spec)
+        self._mean, self._a, self._b = np.array(spec.mean), np.array(spec.a), np.array(spec.b)
+        self._k0, self._k1 = np.array(spec.k0), np.array(spec.k1)
+
     def start(self) -> InnovationState:
         """No row yet."""
         return _fresh()
@@ -176,16 +181,21 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         """The level at each row whose commanded rate became known."""
         spec, rates = self.spec, rows.rates
         state, pairs = _pair(state, rows, spec.memory_s)
-        e = _errors(pairs.u, pairs.y - np.array(spec.mean), np.array(spec.a), np.array(spec.b))
-        z = np.clip(e / np.sqrt(np.array(spec.k0) + np.array(spec.k1) * pairs.busy), -LIMIT, LIMIT)
-        window = window_rows(spec.window_s, rates.dt_s)
+        e = _errors(pairs.u, pairs.y - self._mean, self._a, self._b)
+        z = np.minimum(np.maximum(e / np.sqrt(self._k0 + self._k1 * pairs.busy), -LIMIT), LIMIT)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
-        used, all_of_them = pairs.valid, np.ones(int(pairs.valid.sum()), dtype=np.bool_)
-        mean_state, mean, whole = sliding_mean(state.mean, z[used] ** 2, all_of_them, window)
-        level, full = np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
-        level[used], full[used] = np.sqrt(np.maximum(mean.mean(axis=1), 0.0)), whole
-        worst = np.abs(z).max(axis=1, initial=0.0)
-        return replace(state, mean=mean_state), Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
+        used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
+        kept, all_of_them = z if count == len(z) else z[used], np.ones(count, dtype=np.bool_)
+        mean_state, mean, full = sliding_mean(
+            state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s)
+        )
+        level = np.sqrt(np.maximum((mean[:, 0] + mean[:, 1] + mean[:, 2]) / 3, 0.0))
+        if count < len(z):
+            some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+            level[used], full[used] = some, whole
+        worst = row_max(np.abs(z))
+        state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
+        return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 
 def _check(flights: Flights) -> None:
@@ -213,9 +223,13 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         nothing = np.empty((0, 3))
         kept = replace(state, waiting_ns=waiting_ns, waiting=waiting)
         return kept, _Pairs(state.past[:, :3], state.past[:, 3:], np.empty(0, dtype=np.bool_), nothing)
-    at = np.minimum(np.searchsorted(waiting_ns, rates.t_ns), len(waiting_ns) - 1)
-    fresh = np.concatenate((rates.u, waiting[at]), axis=1)
-    good = rates.commanded & (waiting_ns[at] == rates.t_ns)
+    used, good = len(rates), rates.commanded
+    if np.array_equal(waiting_ns[:used], rates.t_ns):  # the usual case
+        fresh = np.concatenate((rates.u, waiting[:used]), axis=1)
+    else:
+        at = np.minimum(waiting_ns.searchsorted(rates.t_ns), len(waiting_ns) - 1)
+        fresh = np.concatenate((rates.u, waiting[at]), axis=1)
+        used, good = int(at[-1]) + 1, good & (waiting_ns[at] == rates.t_ns)
     if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
         finite = np.isfinite(fresh)
         good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
@@ -223,7 +237,6 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
     valid = np.concatenate((state.past_valid, good))
     whole = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
-    used = int(at[-1]) + 1
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
     return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
 
@@ -231,12 +244,10 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """One-step prediction errors e(t) = y(t) + a_1 y(t-1) + .. - b_1 u(t-1) - .., (LAG + n, 3) -> (n, 3)."""
     n = len(y) - LAG
-    e = y[LAG:].copy()
-    for i in range(1, NA + 1):
-        e += a[:, i - 1] * y[LAG - i : LAG - i + n]
-    for i in range(1, NB + 1):
-        e -= b[:, i - 1] * u[LAG - i : LAG - i + n]
-    return e
+    lagged = [y[LAG - i : LAG - i + n] for i in range(NA + 1)] + [u[LAG - i : LAG - i + n] for i in range(1, NB + 1)]
+    weights = np.concatenate((np.ones((1, 3)), a.T, -b.T))
+    terms = np.concatenate(lagged).reshape(len(lagged), n, 3) * weights[:, None]
+    return np.asarray(np.add.reduce(terms, axis=0), dtype=np.float64)
 
 
 def _training_pairs(flights: Flights) -> list[_Pairs]:

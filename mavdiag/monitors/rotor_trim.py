@@ -20,7 +20,7 @@ from mavdiag.monitors.healthy import Three, three
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
+from mavdiag.rows.windows import MeanState, row_max, sliding_mean, start_mean, window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.guard import Guard
 
@@ -115,8 +115,8 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
         trim, known = trim_of(block, spec.layout, spec.source)
         both = np.concatenate((trim, tilt_of(block)), axis=1)
         state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
-        shift = mean[:, :3] - np.array(spec.mean)
-        rise = np.maximum.reduce(rises(shift, spec.layout, spec.spread, mean[:, 3:]), axis=1)
+        shift = mean[:, :3] - spec.mean
+        rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))
         rotors = rises(shift, spec.layout, spec.spread)
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
 

@@ -20,7 +20,7 @@ from mavdiag.monitors.healthy import Three, three
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import window_mean
+from mavdiag.rows.windows import row_max, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -160,6 +160,10 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
             ),
         )
 
+    def __init__(self, spec: SensorDriftSpec) -> None:
+        super().__init__(spec)
+        self._spreads = np.array([spec.tilt, spec.heading, spec.lift])
+
     def start(self) -> SensorDriftState:
         """No row yet."""
         return _fresh()
@@ -168,8 +172,7 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
         """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
         spec = self.spec
         state, t_ns, parts, excused, full = _advance(spec, state, rows.block)
-        scale = np.array([spec.tilt, spec.heading, spec.lift]) + excused[:, None] * ANGLES
-        value = np.minimum((parts / scale).max(axis=1, initial=0.0), LIMIT)
+        value = np.minimum(row_max(parts / (self._spreads + excused[:, None] * ANGLES)), LIMIT)
         return state, Statistic(t_ns, spec.tick * spec.dt_s, value, full, value, parts[:, 0])
 
 
@@ -200,11 +203,11 @@ def _advance(
     spec: SensorDriftSpec, state: SensorDriftState, block: Block
 ) -> tuple[SensorDriftState, IntArray, FloatArray, FloatArray, BoolArray]:
     """The ticks that the next rows complete: times, (n, 3) |dE|, |dY| and |V|, e [rad], and whether they count."""
-    tick = spec.tick
+    tick, least = spec.tick, 2 * spec.ticks(MEAN_S)
     rows, t_ns, valid = _joined(state, block)
     n = len(rows) // tick
     used = n * tick
-    whole: BoolArray = np.asarray(valid[:used].reshape(n, tick).all(axis=1), dtype=np.bool_)
+    whole: BoolArray = np.logical_and.reduce(valid[:used].reshape(n, tick), axis=1)
     steps, seen = _ticks(spec, rows[:used], n)
     parts, excused, full = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.bool_)
     angle, history = state.angle, state.history
@@ -212,29 +215,31 @@ def _advance(
         if not good:
             angle, history = np.zeros(4), np.empty((0, COLUMNS))
             continue
-        sums = np.cumsum(np.concatenate((angle[None], steps[first:stop])), axis=0)
-        fresh = np.column_stack((seen[first:stop, :3] - sums[1:, :3], seen[first:stop, 3], sums[1:, 3]))
+        sums = np.add.accumulate(np.concatenate((angle[None], steps[first:stop])), axis=0)
+        fresh = np.concatenate((seen[first:stop], sums[1:, 3:]), axis=1)
+        fresh[:, :3] -= sums[1:, :3]
         angle, past = sums[-1], len(history)
         history = np.concatenate((history, fresh))
         found = _disagreements(spec, history, past)
         parts[first:stop], excused[first:stop] = found[:, :3], found[:, 3]
-        full[first:stop] = np.arange(past, len(history)) >= 2 * spec.ticks(MEAN_S) - 1
-        history = history[-(spec.ticks(LAG_S) + 2 * spec.ticks(MEAN_S)) :]
+        full[first + max(0, least - 1 - past) : stop] = True
+        history = history[-(spec.ticks(LAG_S) + least) :]
     state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
     return state, t_ns[tick - 1 : used : tick], parts, excused, full
 
 
 def _stretches(flags: BoolArray) -> list[tuple[int, int, bool]]:
     """Spans of equal flags: first, stop, flag."""
-    if len(flags) == 0:
-        return []
+    same = np.count_nonzero(flags)
+    if same in (0, len(flags)):
+        return [(0, len(flags), bool(same))] if len(flags) else []
     edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
     return [(a, b, bool(flags[a])) for a, b in itertools.pairwise(edges)]
 
 
 def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     """Of each tick what the gyro turns, (n, 4), and what is seen: tilt to north and east, heading, V, (n, 4)."""
-    p, q, r = (rows[:, :3] - np.array(spec.bias)).T
+    p, q, r = (rows[:, :3] - spec.bias).T
     phi, theta, psi = rows[:, 6:].T
     x, y, z = rows[:, 3:6].T
     c, s, cos_theta = np.cos(psi), np.sin(psi), np.cos(theta)
@@ -245,8 +250,9 @@ def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray,
     each[0], each[1], each[2] = p * c - q * s, p * s + q * c, turn
     each[3], each[4], each[5], each[6] = np.abs(turn), phi * c - theta * s, phi * s + theta * c, psi
     each[7] = down + (GRAVITY - spec.vertical)
-    means = np.add.reduce(each.reshape(8, n, spec.tick), axis=2).T / spec.tick
-    return means[:, :4] * (spec.tick * spec.dt_s), means[:, 4:]
+    tick = spec.tick
+    means = np.add.reduce(each.reshape(8, n, tick), axis=2).T / tick
+    return means[:, :4] * (tick * spec.dt_s), means[:, 4:]
 
 
 def _disagreements(spec: SensorDriftSpec, history: FloatArray, past: int) -> FloatArray:

@@ -132,7 +132,7 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         spec, block = self.spec, rows.block
         before = state.mean
         state, d, valid = _differences(state, block)
-        z = np.minimum(np.abs(d / np.array(spec.rms)), LIMIT)
+        z = np.minimum(np.abs(d / spec.rms), LIMIT)
         mean_state, mean, full = sliding_mean(before, z * z, valid, window_rows(spec.window_s, block.dt_s))
         power = np.sort(np.log(np.maximum(mean, LEAST_POWER)), axis=1)
         value = np.maximum(power[:, -1] - 2.0 * np.maximum(power[:, -2], 0.0), 0.0)
@@ -147,12 +147,14 @@ def _fresh() -> SensorNoiseState:
 def _differences(state: SensorNoiseState, block: Block) -> tuple[SensorNoiseState, FloatArray, BoolArray]:
     """Fourth differences of each row, (n, 6), zero where a row behind them is unknown, and (n,) whether all are."""
     fresh = np.concatenate((block.rate, block.force), axis=1)
-    known = block.valid & block.known(Signal.SPECIFIC_FORCE) & np.isfinite(block.rate).all(axis=1)
+    known = block.valid & block.known(Signal.SPECIFIC_FORCE) & block.finite_rate()
     if np.count_nonzero(known) < len(known):
         fresh = np.where(known[:, None], fresh, 0.0)
     both, flags = np.concatenate((state.rows, fresh)), np.concatenate((state.valid, known))
     whole = window_all(flags, ORDER + 1)
-    d = np.diff(both, n=ORDER, axis=0)
+    d = both
+    for _ in range(ORDER):
+        d = d[1:] - d[:-1]
     if np.count_nonzero(whole) < len(whole):
         d[~whole] = 0.0
     return SensorNoiseState(both[-ORDER:], flags[-ORDER:], state.mean), d, whole

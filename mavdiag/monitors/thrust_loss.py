@@ -5,7 +5,7 @@ collective command gave until now, and the airframe turns towards the empty arm 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -116,6 +116,11 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         """Of the accelerometer its z."""
         return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
 
+    def __init__(self, spec: ThrustLossSpec) -> None:
+        super().__init__(spec)
+        lost = np.empty((0, 2)) if spec.layout is None else -spec.layout.mixing[:, :2]
+        self._lost, self._sizes = lost.T, np.linalg.norm(lost, axis=1)
+
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
         return ThrustLossState(np.ones(1), start_mean(COLUMNS))
@@ -124,32 +129,32 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         """The missing share at each of the next rows."""
         spec, block = self.spec, rows.block
         known = _known(block)
-        thrust = np.where(known, block.thrust, 1.0)
-        up = np.where(known, -block.force[:, 2], spec.per_command)
-        given = np.clip(up / (spec.per_command * thrust), 0.0, CUT)
+        columns = np.empty((len(block), COLUMNS))
+        if np.count_nonzero(known) == len(block):
+            thrust, up, rate = block.thrust, -block.force[:, 2], block.rate
+        else:
+            thrust = np.where(known, block.thrust, 1.0)
+            up = np.where(known, -block.force[:, 2], spec.per_command)
+            rate = np.where(known[:, None], block.rate, 0.0)
+        given = np.minimum(np.maximum(up / (spec.per_command * thrust), 0.0), CUT)
         usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
-        rate = np.where(known[:, None], block.rate, 0.0)
-        columns = np.column_stack((up, thrust, rate[:, :2], np.sqrt(np.einsum("nk,nk->n", rate, rate))))
+        columns[:, 0], columns[:, 1], columns[:, 2:4] = up, thrust, rate[:, :2]
+        np.sqrt(np.einsum("nk,nk->n", rate, rate), out=columns[:, 4])
         mean_state, mean, full = sliding_mean(state.mean, columns, known, window_rows(WINDOW_S, block.dt_s))
         expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
         loss = 1.0 - mean[:, 0] / expected
         value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
         value = np.where(mean[:, 4] < TUMBLING_RAD_S, value, 0.0)
-        rotors = np.empty((len(block), 0)) if spec.layout is None else _towards(spec.layout, mean[:, 2:4])
-        state = replace(state, usual=usual, mean=mean_state)
-        return state, Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
+        rotors = self._towards(mean[:, 2:4])
+        return ThrustLossState(usual, mean_state), Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
+
+    def _towards(self, turning: FloatArray) -> FloatArray:
+        """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
+        sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * self._sizes
+        cosine: FloatArray = np.divide(turning @ self._lost, sizes, out=np.zeros(sizes.shape), where=sizes > 0)
+        return cosine
 
 
 def _known(block: Block) -> BoolArray:
-    sound = block.valid & np.isfinite(block.rate).all(axis=1)
+    sound = block.valid & block.finite_rate()
     return np.asarray(sound & block.known(Signal.SPECIFIC_FORCE, ONLY_Z) & (block.thrust > MIN_THRUST), dtype=np.bool_)
-
-
-def _towards(layout: RotorLayout, turning: FloatArray) -> FloatArray:
-    """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
-    lost = -layout.mixing[:, :2]
-    sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * np.linalg.norm(lost, axis=1)
-    cosine: FloatArray = np.divide(
-        turning @ lost.T, sizes, out=np.zeros((len(turning), layout.rotors)), where=sizes > 0
-    )
-    return cosine

@@ -17,6 +17,7 @@ from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
+from mavdiag.rows.windows import row_max
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -127,8 +128,11 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
         """The best single-rotor rise twice a second."""
         spec, block = self.spec, rows.block
         state, t_ns, shift, tilt, valid = _shifts(spec, state, block)
-        rise = rises(shift, spec.layout, spec.spread, tilt).max(axis=1)
-        rotors = rises(shift, spec.layout, spec.spread)
+        if len(t_ns):
+            rise = row_max(rises(shift, spec.layout, spec.spread, tilt))
+            rotors = rises(shift, spec.layout, spec.spread)
+        else:
+            rise, rotors = np.empty(0), np.empty((0, spec.layout.rotors))
         period_s = _tick(block) * block.dt_s
         return state, Statistic(t_ns, period_s, rise, valid, rise, shift[:, 2], rotors)
 
@@ -153,8 +157,11 @@ def _shifts(
     rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
     count = len(t_ns) // tick
     used = count * tick
-    whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick) if count else known[:0]
-    means = rows[:used].reshape(count, tick, 6).mean(axis=1)
+    if count == 0:
+        waiting = TrimStepState(t_ns, rows, known, state.ticks, state.reference)
+        return waiting, t_ns[:0], np.empty((0, 3)), np.empty((0, 2)), known[:0]
+    whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
+    means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
     shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
     ticks, reference = state.ticks, state.reference

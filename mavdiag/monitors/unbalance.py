@@ -283,17 +283,19 @@ class _Filter:
     def step(self, state: UnbalanceState, block: Block) -> tuple[UnbalanceState, _Ticks]:
         """The windows that the next rows complete."""
         tick, window, reach = self._tick, self._window, len(self._taps)
-        rows = np.concatenate((state.rows, [block.force[:, 0], block.force[:, 1], block.rate[:, 2]]), axis=1)
+        fresh = np.concatenate((block.force[:, :2], block.rate[:, 2:]), axis=1)
+        rows = np.concatenate((state.rows, fresh.T), axis=1)
         t_ns, valid = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, block.valid))
         count = max(0, len(t_ns) - reach) // tick  # the filter looks back taps - 1 rows, the turning part one more
         used = count * tick
         ticks, flags = state.ticks, state.whole
         if count:
             products = self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick)
-            fresh = products.mean(axis=2).T
-            whole = window_all(valid[: used + reach], tick + reach)[::tick] & np.isfinite(fresh).all(axis=1)
-            if not whole.all():
-                fresh = np.where(np.isfinite(fresh), fresh, 0.0)
+            fresh = np.add.reduce(products, axis=2).T / tick
+            whole = window_all(valid[: used + reach], tick + reach)[::tick]
+            if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
+                finite = np.isfinite(fresh)
+                whole, fresh = whole & finite.all(axis=1), np.where(finite, fresh, 0.0)
             ticks, flags = np.concatenate((ticks, fresh)), np.concatenate((flags, whole))
         ends = t_ns[reach + tick - 1 : reach + used : tick]
         known = max(0, len(ticks) - window + 1)  # at most `count`: the state holds less than a window
@@ -305,8 +307,7 @@ class _Filter:
         x, y, z = (np.correlate(row, self._taps) for row in rows)
         ax, ay, gz = x[1:], y[1:], z[1:]
         out = np.empty((COLUMNS, len(ax)))
-        out[0], out[1], out[2] = ax * ax + ay * ay, gz * ax, gz * ay
-        out[3] = x[:-1] * ay - y[:-1] * ax
+        out[0], out[1], out[2], out[3] = ax * ax + ay * ay, gz * ax, gz * ay, x[:-1] * ay - y[:-1] * ax
         return out
 
 

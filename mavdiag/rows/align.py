@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -114,12 +115,12 @@ class AlignSpec:
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
         """Take in a chunk, return the rows that it completes (delayed by `reorder_s`), one block a segment."""
-        state = replace(state, streams=_merged(self, state.streams, telemetry))
-        return _emit(self, state, _horizon(self, state.streams))
+        streams = _merged(self, state.streams, telemetry)
+        return _emit(self, state, streams, _horizon(self, streams))
 
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
-        return _emit(self, state, NEVER_NS)
+        return _emit(self, state, state.streams, NEVER_NS)
 
     def reached_ns(self, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
@@ -151,6 +152,7 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     return float(np.mean(steps[steps <= max(PAUSE_NS, median)])) / NS_PER_S, Grid.RESAMPLED
 
 
+@lru_cache(maxsize=64)  # every step asks for the same spans many times
 def _ns(span_s: float) -> int:
     return NEVER_NS if span_s == math.inf else round(span_s * NS_PER_S)
 
@@ -166,7 +168,8 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if not (signal in MAIN or signal in LINEAR or signal in HELD):
             continue
-        if signal in FINITE and not math.isfinite(float(v.sum())):  # a sample that is no number is a lost sample
+        # A sample that is no number is a lost sample.
+        if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):
             finite = np.isfinite(v).all(axis=1)
             t, v = t[finite], v[finite]
         old = streams.get(signal)
@@ -204,8 +207,10 @@ def _horizon(spec: AlignSpec, streams: Streams) -> int:
     return horizon
 
 
-def _emit(spec: AlignSpec, state: AlignState, horizon_ns: int) -> tuple[AlignState, tuple[Block, ...]]:
-    t = state.streams[Signal.BODY_RATE].t if Signal.BODY_RATE in state.streams else np.empty(0, dtype=np.int64)
+def _emit(
+    spec: AlignSpec, state: AlignState, streams: Streams, horizon_ns: int
+) -> tuple[AlignState, tuple[Block, ...]]:
+    t = streams[Signal.BODY_RATE].t if Signal.BODY_RATE in streams else np.empty(0, dtype=np.int64)
     fresh = t[int(t.searchsorted(state.done_ns, side="right")) : int(t.searchsorted(horizon_ns, side="right"))]
     done_ns = int(fresh[-1]) if len(fresh) else state.done_ns
     blocks: list[Block] = []
@@ -215,9 +220,11 @@ def _emit(spec: AlignSpec, state: AlignState, horizon_ns: int) -> tuple[AlignSta
             state = replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
         rows = _place(spec, state.last_ns, piece)
         if len(rows):
-            state, block = _fill(spec, state, rows)
+            state, block = _fill(spec, state, streams, rows)
             blocks.append(block)
-    return replace(state, done_ns=done_ns, streams=_bounded(spec, state.streams, state.last_ns)), tuple(blocks)
+    kept = _bounded(spec, streams, state.last_ns)
+    state = AlignState(kept, state.segment, state.last_ns, done_ns, state.blank_until_ns, state.setpoint_blank_ns)
+    return state, tuple(blocks)
 
 
 def _pieces(fresh: IntArray, last_ns: int | None, limit_ns: int) -> list[tuple[IntArray, bool]]:
@@ -240,7 +247,7 @@ def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
         return np.arange(fresh[0] if last_ns is None else last_ns + step, fresh[-1] + 1, step, dtype=np.int64)
     points = fresh if last_ns is None else np.concatenate(([last_ns], fresh))
     places = (points[1:] - points[:-1]) / dt_ns
-    if ((places > 0.5) & (places < 1.5)).all():
+    if np.minimum.reduce(places, initial=1.0) > 0.5 and np.maximum.reduce(places, initial=1.0) < 1.5:
         return fresh
     return _place_uneven(points, last_ns is None, dt_ns)
 
@@ -259,13 +266,13 @@ def _place_uneven(points: IntArray, first_is_new: bool, dt_ns: float) -> IntArra
     return np.array(rows, dtype=np.int64)
 
 
-def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignState, Block]:
-    rate, gap = state.streams[Signal.BODY_RATE].interpolated(rows, _ns(spec.break_s))
+def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) -> tuple[AlignState, Block]:
+    rate, gap = streams[Signal.BODY_RATE].interpolated(rows, _ns(spec.break_s))
     valid, blank_ns = _usable(spec, rows, gap, state.blank_until_ns)
-    setpoint, gap = _setpoint(spec, state, rows)
+    setpoint, gap = _setpoint(spec, streams, rows)
     setpoint_valid, setpoint_blank_ns = _usable(spec, rows, gap, state.setpoint_blank_ns)
-    force, torque, rate_setpoint, attitude = (_linear(spec, state, signal, rows) for signal in LINEAR)
-    thrust, height, voltage, armed, vibration, actuator = (_held(state, signal, rows) for signal in HELD)
+    force, torque, rate_setpoint, attitude = (_linear(spec, streams, signal, rows) for signal in LINEAR)
+    thrust, height, voltage, armed, vibration, actuator = (_held(streams, signal, rows) for signal in HELD)
     block = Block(
         segment=state.segment,
         dt_s=spec.dt_s,
@@ -286,12 +293,12 @@ def _fill(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[AlignStat
         setpoint_valid=setpoint_valid,
     )
     last_ns = int(rows[-1])
-    return replace(state, last_ns=last_ns, blank_until_ns=blank_ns, setpoint_blank_ns=setpoint_blank_ns), block
+    return AlignState(streams, state.segment, last_ns, state.done_ns, blank_ns, setpoint_blank_ns), block
 
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:
     """(n,) rows outside of gaps and of what must settle after them, and until when the last one blanks."""
-    if gap.max() <= spec.max_gap_s * NS_PER_S:
+    if np.maximum.reduce(gap) <= spec.max_gap_s * NS_PER_S:
         return rows > until_ns, until_ns
     settle = np.where(gap > _ns(spec.break_s), _ns(spec.settle_start_s), _ns(spec.settle_gap_s))
     reach = np.where(gap > spec.max_gap_s * NS_PER_S, rows + settle, until_ns)
@@ -299,28 +306,28 @@ def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tu
     return rows > reach, int(reach[-1])
 
 
-def _setpoint(spec: AlignSpec, state: AlignState, rows: IntArray) -> tuple[FloatArray, IntArray]:
+def _setpoint(spec: AlignSpec, streams: Streams, rows: IntArray) -> tuple[FloatArray, IntArray]:
     """Commanded angles, finite everywhere: 0 before the first, the last one in an outage; and the gap at each row."""
-    stream = state.streams.get(Signal.ATTITUDE_SETPOINT)
+    stream = streams.get(Signal.ATTITUDE_SETPOINT)
     if stream is None:
         return np.zeros((len(rows), 3)), np.full(len(rows), NEVER_NS)
     values, gap = stream.interpolated(rows, _ns(spec.break_s))
     return (values if math.isfinite(values[0, 0]) else np.nan_to_num(values)), gap
 
 
-def _linear(spec: AlignSpec, state: AlignState, signal: Signal, rows: IntArray) -> FloatArray:
+def _linear(spec: AlignSpec, streams: Streams, signal: Signal, rows: IntArray) -> FloatArray:
     """Interpolated values; nan where no two samples within the limit surround the row."""
-    stream, limit_ns = state.streams.get(signal), _limit_ns(spec, signal)
+    stream, limit_ns = streams.get(signal), _limit_ns(spec, signal)
     if stream is None:
         return np.full((len(rows), 3), np.nan)
     values, gap = stream.interpolated(rows, limit_ns)
-    if gap.max() > limit_ns:
+    if np.maximum.reduce(gap) > limit_ns:
         values[gap > limit_ns] = np.nan
     return values
 
 
-def _held(state: AlignState, signal: Signal, rows: IntArray) -> FloatArray:
-    stream = state.streams.get(signal)
+def _held(streams: Streams, signal: Signal, rows: IntArray) -> FloatArray:
+    stream = streams.get(signal)
     if stream is None:
         return np.full((len(rows), WIDTHS.get(signal, 1)), np.nan)
     return stream.held(rows, _ns(HELD[signal]))

@@ -1,7 +1,9 @@
 """The uniform rows that everything after the alignment works on."""
 
 import math
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,13 +12,14 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 __all__ = ["ALL", "Block"]
 
 ALL = slice(None)  # columns
+Found = TypeVar("Found")
 
 
 class _Answers:
-    """What `known` found so far, so that each monitor need not look again; no part of the value."""
+    """What was found in the rows so far, so that each monitor need not look again; no part of the value."""
 
     __slots__ = ("_answers",)
-    _answers: dict[tuple[Signal, int | None, int | None], BoolArray]
+    _answers: dict[Hashable, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +85,23 @@ class Block(_Answers):
             return self.valid
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
-        key = (signal, columns.start, columns.stop)
+        return self.once((signal, columns.start, columns.stop), lambda: self._finite(signal, columns))
+
+    def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
+        """What `find` gives, and the same for the same key later on; do not write to it."""
         try:
             answers = self._answers
         except AttributeError:
             answers = {}
             object.__setattr__(self, "_answers", answers)
         if key not in answers:
-            answers[key] = self._finite(signal, columns)
-        return answers[key]
+            answers[key] = find()
+        found: Found = answers[key]
+        return found
+
+    def finite_rate(self) -> BoolArray:
+        """(n,) where the gyro gives numbers, whether it may be judged or not; do not write to it."""
+        return self.once(Signal.BODY_RATE, lambda: self._finite(Signal.BODY_RATE, ALL))
 
     def _finite(self, signal: Signal, columns: slice) -> BoolArray:
         name = _SIGNALS.get(signal)
@@ -100,13 +111,14 @@ class Block(_Answers):
         values = values[:, columns]
         if values.shape[1] == 0:
             return np.zeros(len(self), dtype=np.bool_)
-        if math.isfinite(float(values.sum())):
+        if math.isfinite(float(np.add.reduce(values, axis=None))):
             return np.ones(len(self), dtype=np.bool_)
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
 _COLUMNS = tuple(field.name for field in fields(Block))[2:]
 _SIGNALS = {
+    Signal.BODY_RATE: "rate",
     Signal.SPECIFIC_FORCE: "force",
     Signal.TORQUE_COMMAND: "torque",
     Signal.RATE_SETPOINT: "rate_setpoint",

@@ -5,6 +5,7 @@ not move it. One that the link does not carry is nan and restricts nothing. The 
 of the vehicle's clock, so any cut of the rows into chunks gives the same ones.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -88,9 +89,13 @@ def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditio
     values[:, 1:3] = mean[:, 2:4]
     values[:, 3] = np.fmax.reduceat(np.abs(rates[:m]), starts, axis=0).max(axis=1)
     values[:, 6] = np.fmin.reduceat(block[:n, 5], at)
-    ends = np.append(starts[1:], m) - 1
-    edge = np.concatenate((rates[ends], block[np.append(at[1:], n) - 1, 5:]), axis=1)
-    steps = np.abs(np.diff(np.concatenate((state.last[None], edge)), axis=0)) / BIN_S
+    edge = np.empty((len(end_ns), 4))
+    edge[:-1, :2], edge[-1, :2] = rates[starts[1:] - 1], rates[m - 1]
+    edge[:-1, 2:], edge[-1, 2:] = block[at[1:] - 1, 5:], block[n - 1, 5:]
+    steps = edge.copy()
+    steps[0] -= state.last
+    steps[1:] -= edge[:-1]
+    steps = np.abs(steps) / BIN_S
     values[:, 4], values[:, 7] = np.fmax(steps[:, 0], steps[:, 1]), steps[:, 2]
     values[:, 5] = np.where(np.isfinite(steps[:, 3]), steps[:, 3], np.abs(mean[:, 4]))
     state = ConditionState(block_ns[n:], block[n:], rates_ns[m:], rates[m:], tilt[-TILT_BINS:], edge[-1])
@@ -103,21 +108,26 @@ _NOTHING = Conditions(np.empty(0, dtype=np.int64), np.empty((0, COUNT)))
 def _block(rows: Rows) -> FloatArray:
     block = rows.block
     setpoint = block.setpoint
-    if not block.setpoint_valid.all():
+    if np.count_nonzero(block.setpoint_valid) < len(block):
         setpoint = np.where(block.setpoint_valid[:, None], setpoint, np.nan)
     out = np.empty((len(block), 7))
     out[:, :2], out[:, 6] = setpoint[:, :2], setpoint[:, 2]
     out[:, 2], out[:, 3], out[:, 4], out[:, 5] = block.thrust, block.voltage, block.rate[:, 2], block.height
-    return out if block.valid.all() else np.where(block.valid[:, None], out, np.nan)
+    return out if np.count_nonzero(block.valid) == len(block) else np.where(block.valid[:, None], out, np.nan)
 
 
 def _rates(rows: Rows) -> FloatArray:
     rates = rows.rates
-    return rates.u[:, :2] if rates.commanded.all() else np.where(rates.commanded[:, None], rates.u[:, :2], np.nan)
+    if np.count_nonzero(rates.commanded) == len(rates):
+        return rates.u[:, :2]
+    return np.where(rates.commanded[:, None], rates.u[:, :2], np.nan)
 
 
 def _bins(t_ns: IntArray) -> tuple[IntArray, IntArray]:
     """Where the bins of rows end [ns], and their first rows."""
+    first, last = int(t_ns[0]) // _BIN_NS, int(t_ns[-1]) // _BIN_NS
+    if first == last:  # the usual case of a live link
+        return np.array([(first + 1) * _BIN_NS]), np.zeros(1, dtype=np.int64)
     number = t_ns // _BIN_NS
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     return (number[starts] + 1) * _BIN_NS, starts
@@ -125,10 +135,10 @@ def _bins(t_ns: IntArray) -> tuple[IntArray, IntArray]:
 
 def _means(values: FloatArray, starts: IntArray) -> FloatArray:
     """Means of the finite values from each start to the next, nan where there is none."""
-    known: BoolArray = np.isfinite(values)
-    if known.all():
-        counts = np.diff(np.append(starts, len(values)))[:, None]
+    if math.isfinite(float(np.add.reduce(values, axis=None))):
+        counts = np.diff(np.append(starts, len(values)))[:, None] if len(starts) > 1 else len(values)
         return np.asarray(np.add.reduceat(values, starts, axis=0) / counts, dtype=np.float64)
+    known: BoolArray = np.isfinite(values)
     sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
     number = np.add.reduceat(known.astype(np.float64), starts, axis=0)
     means: FloatArray = np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
@@ -141,5 +151,5 @@ def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
     for i in range(fresh):
         stop = len(setpoints) - fresh + i + 1
         if stop >= TILT_BINS:
-            out[i] = np.hypot(*setpoints[stop - TILT_BINS : stop].mean(axis=0))
+            out[i] = np.hypot(*(np.add.reduce(setpoints[stop - TILT_BINS : stop], axis=0) / TILT_BINS))
     return out

@@ -100,7 +100,7 @@ class GateSpec:
 
 def _runs(up: BoolArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
-    if up.all():
+    if np.count_nonzero(up) == len(up):
         return [(0, len(up))]
     edges: IntArray = np.flatnonzero(np.diff(up)) + 1
     starts = [0, *edges.tolist()]
@@ -110,11 +110,13 @@ def _runs(up: BoolArray) -> list[tuple[int, int]]:
 def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
     if not state.airborne:
         state = replace(state, airborne=True, span=state.span + 1, begun_ns=int(block.t_ns[first]))
-    rows = block.rows(first, stop, state.span)
+    whole = first == 0 and stop == len(block) and block.segment == state.span
+    rows = block if whole else block.rows(first, stop, state.span)
     settled_ns = state.begun_ns + round(spec.trim_start_s * NS_PER_S)
     if rows.t_ns[0] < settled_ns:
         rows = replace(rows, valid=rows.valid & (rows.t_ns >= settled_ns))
-    return replace(state, held=(*state.held, rows), last_ns=int(rows.t_ns[-1]))
+    held = (*state.held, rows)
+    return GateState(held, state.source, state.airborne, state.span, state.begun_ns, int(rows.t_ns[-1]))
 
 
 def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block | Border]]:
@@ -128,7 +130,8 @@ def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block | Bor
 def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
     """Let go of the rows that are `trim_end_s` older than the newest."""
     if not state.held or spec.trim_end_s == 0:
-        return replace(state, held=()), list(state.held)
+        flown = GateState((), state.source, state.airborne, state.span, state.begun_ns, state.last_ns)
+        return flown, list(state.held)
     safe_ns = int(state.held[-1].t_ns[-1]) - round(spec.trim_end_s * NS_PER_S)
     done: list[Block] = []
     kept: list[Block] = []

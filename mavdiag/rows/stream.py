@@ -40,7 +40,7 @@ class Stream:
         """With new samples, (m,) and (m, k). One that is later than `reorder_ns`, or comes twice, is dropped."""
         if len(t) == 0:
             return self
-        if t[0] > self.newest and (t[1:] > t[:-1]).all():  # the usual case: all new and in order
+        if t[0] > self.newest and _rising(t):  # the usual case: all new and in order
             if len(self.t):
                 t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
             return Stream(t, v, int(t[-1]), self.floor_ns, self.angle, self.turns)
@@ -49,7 +49,7 @@ class Stream:
         t, v = t[on_time], v[on_time]
         if len(self.t):
             t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
-        if not (t[1:] > t[:-1]).all():
+        if not _rising(t):
             order = np.argsort(t, kind="stable")
             t, v = t[order], v[order]
             keep = np.append(np.diff(t) > 0, True)  # of equal times the last to arrive counts
@@ -63,7 +63,9 @@ class Stream:
             return self
         turns = self.turns
         if self.angle:
-            turns = turns - np.round(np.diff(self.v[: first + 1], axis=0) / TURN).sum(axis=0)
+            steps = self.v[1 : first + 1] - self.v[:first]
+            if _jumps(steps):
+                turns = turns - np.round(steps / TURN).sum(axis=0)
         t = self.t[first:]
         return Stream(t, self.v[first:], self.newest, int(t[0]), self.angle, turns)
 
@@ -75,7 +77,7 @@ class Stream:
         """
         t, v = self.t, self._unwrapped() if self.angle else self.v
         first = int(t.searchsorted(rows[0], side="left"))
-        if np.array_equal(t[first : first + len(rows)], rows):
+        if len(t) >= first + len(rows) and np.count_nonzero(t[first : first + len(rows)] == rows) == len(rows):
             return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
         left = t.searchsorted(rows, side="right") - 1
         inside = left[0] >= 0 and left[-1] < len(t) - 1
@@ -97,16 +99,30 @@ class Stream:
         """The last value at or before each row, (n, k); nan before the first, and where it is older than the limit."""
         t = self.t
         if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
-            return np.repeat(self.v[:1], len(rows), axis=0)
+            return self.v[:1].repeat(len(rows), axis=0)
         at = t.searchsorted(rows, side="right") - 1
-        values: FloatArray = self.v[np.maximum(at, 0)]
+        if at[0] >= 0:
+            values: FloatArray = self.v.take(at, axis=0)
+            if rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
+                return values
+        else:
+            values = self.v[np.maximum(at, 0)]
         values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
         return values
 
     def _unwrapped(self) -> FloatArray:
         """The angles without jumps. Whole turns are added to what came, so that any cut gives the same bits."""
         steps = self.v[1:] - self.v[:-1]
-        if not self.turns.any() and (len(steps) == 0 or np.abs(steps).max() <= math.pi):
+        if not (np.count_nonzero(self.turns) or _jumps(steps)):
             return self.v
         turns = np.cumsum(np.concatenate((self.turns[None], -np.round(steps / TURN))), axis=0)
         return self.v + TURN * turns
+
+
+def _rising(t: IntArray) -> bool:
+    return bool(np.count_nonzero(t[1:] > t[:-1]) == len(t) - 1)
+
+
+def _jumps(steps: FloatArray) -> bool:
+    """Whether some step of the angles may be one over a full turn."""
+    return len(steps) > 0 and not np.maximum.reduce(np.abs(steps), axis=None) <= math.pi

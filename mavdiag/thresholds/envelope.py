@@ -12,7 +12,7 @@ healthy flight told of, or that the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -74,15 +74,18 @@ class Covered:
 
     def excess(self, values: FloatArray) -> FloatArray:
         """e of values: 0 inside, up to 1 near, above 1 outside; 0 where unknown."""
+        low, high, reach = self.borders()
+        return _excess(values, low, high, reach)
+
+    def borders(self) -> tuple[float, float, float]:
+        """Where e is 0 below and above, infinite on a side that is not limited, and how far from there it is 1."""
         rule = RULES[self.condition]
         low, high = self._limits()
         if rule.side == "both":
-            out = np.fmax(values - high, low - values) / (rule.room * (high - low))
-        elif rule.side == "upper":
-            out = (values - high) / (rule.room * high)
-        else:
-            out = (low - values) / (rule.room * low) if low > 0 else np.zeros(values.shape)
-        return np.fmax(out, 0.0)
+            return low, high, rule.room * (high - low)
+        if rule.side == "upper":
+            return -np.inf, high, rule.room * high
+        return (low, np.inf, rule.room * low) if low > 0 else (-np.inf, np.inf, 1.0)
 
     def sentence(self, value: float) -> str:
         """What was flown and what was learnt: "yaw rate 1.8 rad/s, learnt up to 0.3".
@@ -125,6 +128,12 @@ class Covered:
     @property
     def _middle(self) -> float:
         return 0.5 * (self.low + self.high)
+
+
+def _excess(
+    values: FloatArray, low: float | FloatArray, high: float | FloatArray, reach: float | FloatArray
+) -> FloatArray:
+    return np.fmax(np.fmax(values - high, low - values) / reach, 0.0)
 
 
 def _figure(value: float, digits: int) -> str:
@@ -194,6 +203,15 @@ class Envelope:
     covered: tuple[Covered, ...] = ()
     slots: tuple[Dependence, ...] = ()
     delay_s: float = 0.0
+    _order: list[int] = field(init=False, repr=False, compare=False)
+    _borders: FloatArray = field(init=False, repr=False, compare=False)
+    _longest_ns: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        longest_s = max((slot.memory_s for slot in self.slots), default=0.0) + self.delay_s + 2 * BIN_S
+        object.__setattr__(self, "_order", [ORDER.index(one.condition) for one in self.covered])
+        object.__setattr__(self, "_borders", np.array([one.borders() for one in self.covered]).reshape(-1, 3).T)
+        object.__setattr__(self, "_longest_ns", round(longest_s * NS_PER_S))
 
     def start(self) -> EnvelopeState:
         """Before the first row of a segment."""
@@ -206,9 +224,9 @@ class Envelope:
             return state
         conditions, bins = measure(state.conditions, rows)
         if len(bins.end_ns) == 0:
-            return replace(state, conditions=conditions)
+            return EnvelopeState(conditions, state.end_ns, state.values, state.excess)
         values, excess = self._compared(bins)
-        keep_ns = int(rows.block.t_ns[0]) - round(self._longest_s * NS_PER_S)
+        keep_ns = int(rows.block.t_ns[0]) - self._longest_ns
         first = int(state.end_ns.searchsorted(keep_ns))
         return EnvelopeState(
             conditions,
@@ -245,13 +263,9 @@ class Envelope:
         """Why a slot does not judge."""
         return next(one for one in self.covered if one.condition is condition).sentence(value)
 
-    @property
-    def _longest_s(self) -> float:
-        return max((slot.memory_s for slot in self.slots), default=0.0) + self.delay_s + 2 * BIN_S
-
     def _compared(self, bins: Conditions) -> tuple[FloatArray, FloatArray]:
-        values = bins.values[:, [ORDER.index(one.condition) for one in self.covered]]
-        return values, np.column_stack([one.excess(values[:, i]) for i, one in enumerate(self.covered)])
+        values = bins.values[:, self._order]
+        return values, _excess(values, *self._borders)
 
 
 def _farthest(
