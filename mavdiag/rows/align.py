@@ -16,6 +16,9 @@ Samples may arrive out of order by up to `reorder_s`; later ones and duplicates 
 its samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the
 result does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than
 `reorder_s`.
+
+On a native grid and an orderly link (`order`) a row waits only for what is missing: it comes out when the gyro is 5 ms
+further, if gyro and interpolated signals miss no sample up to it.
 """
 
 import math
@@ -28,6 +31,7 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
+from mavdiag.rows.order import ORDER_NS, calm_from_ns
 from mavdiag.rows.stream import NEVER_NS, Stream
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -58,6 +62,8 @@ HELD = {
 }
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1
 MAIN = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT)
+BETWEEN = (Signal.ATTITUDE_SETPOINT, *LINEAR)  # interpolated to the gyro's times
+USED = frozenset((*MAIN, *LINEAR, *HELD))
 ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 pi
 FINITE = (*MAIN, Signal.ATTITUDE)
 
@@ -79,6 +85,7 @@ class AlignState:
     segment: int = -1
     last_ns: int | None = None  # time of the last row placed
     done_ns: int = -NEVER_NS  # gyro samples up to here are dealt with
+    calm_ns: int = NEVER_NS  # from here on the link is orderly
     blank_until_ns: int = -NEVER_NS  # of the gyro
     setpoint_blank_ns: int = -NEVER_NS
 
@@ -113,22 +120,30 @@ class AlignSpec:
         return AlignState()
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
-        """Take in a chunk, return the rows that it completes (delayed by `reorder_s`), one block a segment."""
-        state = replace(state, streams=_merged(self, state.streams, telemetry))
-        return _emit(self, state, _horizon(self, state.streams))
+        """Take in a chunk, return the rows that it completes, one block a segment."""
+        calm_ns = calm_from_ns(state.calm_ns, state.streams.get(Signal.BODY_RATE), telemetry, USED)
+        state = replace(state, streams=_merged(self, state.streams, telemetry), calm_ns=calm_ns)
+        return _emit(self, state, _horizon(self, state.streams, calm_ns))
 
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
         return _emit(self, state, NEVER_NS)
 
-    def reached_ns(self, chunks: Sequence[Telemetry]) -> int | None:
+    def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
-        newest = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
-        if not newest:
+        fresh = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
+        if not fresh:
             return None
-        return max(newest.get(Signal.BODY_RATE, -NEVER_NS), max(newest.values()) - _ns(self.break_s)) - _ns(
-            self.reorder_s
-        )
+        newest = {signal: max(fresh.get(signal, -NEVER_NS), one.newest) for signal, one in state.streams.items()}
+        newest = fresh | newest
+        gyro_ns = newest.get(Signal.BODY_RATE, -NEVER_NS)
+        safe = max(gyro_ns, max(newest.values()) - _ns(self.break_s)) - _ns(self.reorder_s)
+        waited = [newest[one] for one in BETWEEN if one in newest and safe < newest[one] + _limit_ns(self, one)]
+        return min(max(safe, gyro_ns - ORDER_NS) if self.hurries(gyro_ns, state.calm_ns) else safe, *waited, NEVER_NS)
+
+    def hurries(self, gyro_ns: int, calm_ns: int) -> bool:
+        """Whether rows wait only for what is missing. gyro_ns: the gyro's newest; calm_ns: as in `AlignState`."""
+        return self.grid is Grid.NATIVE and gyro_ns > calm_ns
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
@@ -164,7 +179,7 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
     streams = dict(streams)
     for series in telemetry.series:
         signal, t, v = series.signal, series.t_ns, series.values
-        if not (signal in MAIN or signal in LINEAR or signal in HELD):
+        if signal not in USED:
             continue
         if signal in FINITE and not math.isfinite(float(v.sum())):  # a sample that is no number is a lost sample
             finite = np.isfinite(v).all(axis=1)
@@ -183,7 +198,7 @@ def _bounded(spec: AlignSpec, streams: Streams, last_ns: int | None) -> Streams:
     return {signal: stream.since(max(row_ns, stream.newest - span_ns)) for signal, stream in streams.items()}
 
 
-def _horizon(spec: AlignSpec, streams: Streams) -> int:
+def _horizon(spec: AlignSpec, streams: Streams, calm_ns: int) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
@@ -193,14 +208,21 @@ def _horizon(spec: AlignSpec, streams: Streams) -> int:
         return -NEVER_NS
     latest = max(stream.newest for stream in streams.values())
     horizon = safe = max(gyro.newest, latest - _ns(spec.break_s)) - reorder_ns
-    for signal in (Signal.ATTITUDE_SETPOINT, *LINEAR):
+    hurries = spec.hurries(gyro.newest, calm_ns)
+    if hurries:
+        horizon = max(safe, min(gyro.newest - ORDER_NS, gyro.whole_ns(safe, spec.dt_s * NS_PER_S)))
+    for signal in BETWEEN:
         stream = streams.get(signal)
         if stream is None:
             continue
         settled = max(safe, stream.newest - reorder_ns)
+        if hurries:
+            settled = max(settled, stream.whole_ns(settled))
         behind = int(stream.t.searchsorted(settled, side="right")) - 1
         if behind >= 0 and settled < stream.t[behind] + _limit_ns(spec, signal):  # the next sample may still count
             horizon = min(horizon, int(stream.t[behind]))
+        elif behind + 1 < len(stream.t):
+            horizon = min(horizon, settled)
     return horizon
 
 
