@@ -1,10 +1,10 @@
 """Whether the samples of one vehicle come in the order of their times, across its signals: `calm_from_ns`.
 
 A link is orderly while every sample comes before the gyro is `ORDER_NS` further than its time. Then nothing that a row
-needs is on its way any more when the gyro is so much further than the row. Where the gyro or an interpolated signal
-misses a sample, that is seen; that a held signal misses one is not, for it may have nothing to tell. So rows may leave
-early only while the link is orderly. The first held sample that comes late on a link that was orderly counts in a log
-from its own time on, and live from the next row on; then the link is not orderly for `CALM_NS`.
+needs is on its way any more when the gyro is so much further than the row. On a link that stops being orderly the
+aligner sees where the gyro or an interpolated signal misses a sample, and waits for it. It cannot see that a held
+signal misses one, or that a stopped signal has begun again. So the first such sample that comes late counts in a log
+from its own time on, and live from the next row on; then the link is not orderly for `CALM_NS`, and rows wait for all.
 """
 
 from collections.abc import Set
@@ -33,7 +33,10 @@ def calm_from_ns(calm_ns: int, gyro: Stream | None, telemetry: Telemetry, signal
         newest, hosts = np.maximum.accumulate(np.concatenate((newest, fresh.t_ns))), fresh.host_ns
         if calm_ns == NEVER_NS:
             calm_ns = int(fresh.t_ns[0]) + BEGIN_NS
-    for one in telemetry.series:
-        if one.signal in signals and (one.t_ns <= newest[hosts.searchsorted(one.host_ns)] - ORDER_NS).any():
-            return max(calm_ns, int(newest[-1]) + CALM_NS)
-    return calm_ns
+    used = [one for one in telemetry.series if one.signal in signals]
+    if not used:
+        return calm_ns
+    t_ns = np.concatenate([one.t_ns for one in used])
+    before = newest.take(hosts.searchsorted(np.concatenate([one.host_ns for one in used])))  # what the gyro had reached
+    late = (t_ns <= before - ORDER_NS).any()
+    return max(calm_ns, int(newest[-1]) + CALM_NS) if late else calm_ns
