@@ -184,7 +184,7 @@ class Chain:
         row_ns = state.front.align.last_ns
         if row_ns is None or len(state.waiting) >= MOST_WAITING:
             return True
-        newest_ns = self.front.align.reached_ns(state.waiting)
+        newest_ns = self.front.align.reached_ns(state.front.align, state.waiting)
         return newest_ns is not None and newest_ns // LOOK_NS > row_ns // LOOK_NS
 
     def _taken(self, state: ChainState) -> tuple[ChainState, tuple[Rows | Border, ...]]:

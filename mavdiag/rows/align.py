@@ -16,6 +16,9 @@ Samples may arrive out of order by up to `reorder_s`; later ones and duplicates 
 its samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the
 result does not depend on how the telemetry was cut into chunks, as long as no stream lags the gyro by more than
 `reorder_s`.
+
+On a native grid and an orderly link (`order`) a row waits only for what is missing: it comes out when the gyro is 5 ms
+further, if gyro and interpolated signals miss no sample up to it.
 """
 
 import math
@@ -29,6 +32,8 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
+from mavdiag.rows.order import ORDER_NS, calm_from_ns
+from mavdiag.rows.places import pieces, uneven_places
 from mavdiag.rows.stream import NEVER_NS, Stream
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -59,6 +64,8 @@ HELD = {
 }
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1
 MAIN = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT)
+BETWEEN = (Signal.ATTITUDE_SETPOINT, *LINEAR)  # interpolated to the gyro's times
+USED = frozenset((*MAIN, *LINEAR, *HELD))
 ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 pi
 FINITE = (*MAIN, Signal.ATTITUDE)
 
@@ -80,6 +87,7 @@ class AlignState:
     segment: int = -1
     last_ns: int | None = None  # time of the last row placed
     done_ns: int = -NEVER_NS  # gyro samples up to here are dealt with
+    calm_ns: int = NEVER_NS  # from here on the link is orderly
     blank_until_ns: int = -NEVER_NS  # of the gyro
     setpoint_blank_ns: int = -NEVER_NS
 
@@ -114,22 +122,30 @@ class AlignSpec:
         return AlignState()
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
-        """Take in a chunk, return the rows that it completes (delayed by `reorder_s`), one block a segment."""
+        """Take in a chunk, return the rows that it completes, one block a segment."""
+        calm_ns = calm_from_ns(state.calm_ns, state.streams.get(Signal.BODY_RATE), telemetry, USED)
         streams = _merged(self, state.streams, telemetry)
-        return _emit(self, state, streams, _horizon(self, streams))
+        return _emit(self, state, streams, _horizon(self, streams, calm_ns), calm_ns)
 
     def finish(self, state: AlignState) -> tuple[AlignState, tuple[Block, ...]]:
         """The end of a log: what waited for late samples comes out."""
-        return _emit(self, state, state.streams, NEVER_NS)
+        return _emit(self, state, state.streams, NEVER_NS, state.calm_ns)
 
-    def reached_ns(self, chunks: Sequence[Telemetry]) -> int | None:
+    def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
-        newest = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
-        if not newest:
+        fresh = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
+        if not fresh:
             return None
-        return max(newest.get(Signal.BODY_RATE, -NEVER_NS), max(newest.values()) - _ns(self.break_s)) - _ns(
-            self.reorder_s
-        )
+        newest = {signal: max(fresh.get(signal, -NEVER_NS), one.newest) for signal, one in state.streams.items()}
+        newest = fresh | newest
+        gyro_ns = newest.get(Signal.BODY_RATE, -NEVER_NS)
+        safe = max(gyro_ns, max(newest.values()) - _ns(self.break_s)) - _ns(self.reorder_s)
+        waited = [newest[one] for one in BETWEEN if one in newest and safe < newest[one] + _limit_ns(self, one)]
+        return min(max(safe, gyro_ns - ORDER_NS) if self.hurries(gyro_ns, state.calm_ns) else safe, *waited, NEVER_NS)
+
+    def hurries(self, gyro_ns: int, calm_ns: int) -> bool:
+        """Whether rows wait only for what is missing. gyro_ns: the gyro's newest; calm_ns: as in `AlignState`."""
+        return self.grid is Grid.NATIVE and gyro_ns > calm_ns
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
@@ -166,7 +182,7 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
     streams = dict(streams)
     for series in telemetry.series:
         signal, t, v = series.signal, series.t_ns, series.values
-        if not (signal in MAIN or signal in LINEAR or signal in HELD):
+        if signal not in USED:
             continue
         # A sample that is no number is a lost sample.
         if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):
@@ -186,7 +202,7 @@ def _bounded(spec: AlignSpec, streams: Streams, last_ns: int | None) -> Streams:
     return {signal: stream.since(max(row_ns, stream.newest - span_ns)) for signal, stream in streams.items()}
 
 
-def _horizon(spec: AlignSpec, streams: Streams) -> int:
+def _horizon(spec: AlignSpec, streams: Streams, calm_ns: int) -> int:
     """Rows up to here are complete: every sample that they need has come, or cannot come any more.
 
     All samples up to `safe` have come. If only the gyro stops, the time of the others shows it after `break_s`.
@@ -196,25 +212,32 @@ def _horizon(spec: AlignSpec, streams: Streams) -> int:
         return -NEVER_NS
     latest = max(stream.newest for stream in streams.values())
     horizon = safe = max(gyro.newest, latest - _ns(spec.break_s)) - reorder_ns
-    for signal in (Signal.ATTITUDE_SETPOINT, *LINEAR):
+    hurries = spec.hurries(gyro.newest, calm_ns)
+    if hurries:
+        horizon = max(safe, min(gyro.newest - ORDER_NS, gyro.whole_ns(safe, spec.dt_s * NS_PER_S)))
+    for signal in BETWEEN:
         stream = streams.get(signal)
         if stream is None:
             continue
         settled = max(safe, stream.newest - reorder_ns)
+        if hurries:
+            settled = max(settled, stream.whole_ns(settled))
         behind = int(stream.t.searchsorted(settled, side="right")) - 1
         if behind >= 0 and settled < stream.t[behind] + _limit_ns(spec, signal):  # the next sample may still count
             horizon = min(horizon, int(stream.t[behind]))
+        elif behind + 1 < len(stream.t):
+            horizon = min(horizon, settled)
     return horizon
 
 
 def _emit(
-    spec: AlignSpec, state: AlignState, streams: Streams, horizon_ns: int
+    spec: AlignSpec, state: AlignState, streams: Streams, horizon_ns: int, calm_ns: int
 ) -> tuple[AlignState, tuple[Block, ...]]:
     t = streams[Signal.BODY_RATE].t if Signal.BODY_RATE in streams else np.empty(0, dtype=np.int64)
     fresh = t[int(t.searchsorted(state.done_ns, side="right")) : int(t.searchsorted(horizon_ns, side="right"))]
     done_ns = int(fresh[-1]) if len(fresh) else state.done_ns
     blocks: list[Block] = []
-    for piece, broken in _pieces(fresh, state.last_ns, _ns(spec.break_s)):
+    for piece, broken in pieces(fresh, state.last_ns, _ns(spec.break_s)):
         if broken:
             blank_ns = int(piece[0]) + _ns(spec.settle_start_s)
             state = replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
@@ -223,20 +246,9 @@ def _emit(
             state, block = _fill(spec, state, streams, rows)
             blocks.append(block)
     kept = _bounded(spec, streams, state.last_ns)
-    state = AlignState(kept, state.segment, state.last_ns, done_ns, state.blank_until_ns, state.setpoint_blank_ns)
+    blank_ns, setpoint_blank_ns = state.blank_until_ns, state.setpoint_blank_ns
+    state = AlignState(kept, state.segment, state.last_ns, done_ns, calm_ns, blank_ns, setpoint_blank_ns)
     return state, tuple(blocks)
-
-
-def _pieces(fresh: IntArray, last_ns: int | None, limit_ns: int) -> list[tuple[IntArray, bool]]:
-    """Stretches without a step above the limit, and whether one lies before each."""
-    if len(fresh) == 0:
-        return []
-    if last_ns is not None and fresh[-1] - last_ns <= limit_ns:
-        return [(fresh, False)]
-    broken = np.diff(fresh, prepend=fresh[0] if last_ns is None else last_ns) > limit_ns
-    broken[0] |= last_ns is None
-    starts = np.union1d([0], np.flatnonzero(broken))
-    return list(zip(np.split(fresh, starts[1:]), broken[starts].tolist(), strict=True))
 
 
 def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
@@ -249,21 +261,7 @@ def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
     places = (points[1:] - points[:-1]) / dt_ns
     if np.minimum.reduce(places, initial=1.0) > 0.5 and np.maximum.reduce(places, initial=1.0) < 1.5:
         return fresh
-    return _place_uneven(points, last_ns is None, dt_ns)
-
-
-def _place_uneven(points: IntArray, first_is_new: bool, dt_ns: float) -> IntArray:
-    """The slow way for a stretch with losses or jitter: a sample too near to the last row is left out."""
-    rows = [int(points[0])] if first_is_new else []
-    last = int(points[0])
-    for t in points[1:].tolist():
-        n = round((t - last) / dt_ns)
-        if n < 1:
-            continue
-        rows.extend(last + round(i * (t - last) / n) for i in range(1, n))
-        rows.append(t)
-        last = t
-    return np.array(rows, dtype=np.int64)
+    return uneven_places(points, last_ns is None, dt_ns)
 
 
 def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) -> tuple[AlignState, Block]:
@@ -293,7 +291,8 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
         setpoint_valid=setpoint_valid,
     )
     last_ns = int(rows[-1])
-    return AlignState(streams, state.segment, last_ns, state.done_ns, blank_ns, setpoint_blank_ns), block
+    state = AlignState(streams, state.segment, last_ns, state.done_ns, state.calm_ns, blank_ns, setpoint_blank_ns)
+    return state, block
 
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:

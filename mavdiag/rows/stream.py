@@ -11,6 +11,8 @@ __all__ = ["NEVER_NS", "Stream"]
 
 NEVER_NS = 2**62
 TURN = 2 * math.pi
+MISSING = 1.5  # usual steps: in a longer one a sample is missing
+SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
 
 
 def _no_turns() -> FloatArray:
@@ -27,6 +29,7 @@ class Stream:
     floor_ns: earlier samples and this one are settled; a sample that comes for them is dropped.
     angle: the values are angles; they are read without jumps of 2 pi.
     turns: (3,) full turns that belong to the first sample of an angle.
+    step_ns: usual step [ns], 0 while it is not known.
     """
 
     t: IntArray
@@ -35,6 +38,7 @@ class Stream:
     floor_ns: int = -NEVER_NS
     angle: bool = False
     turns: FloatArray = field(default_factory=_no_turns)
+    step_ns: float = 0.0
 
     def merged(self, t: IntArray, v: FloatArray, reorder_ns: int) -> "Stream":
         """With new samples, (m,) and (m, k). One that is later than `reorder_ns`, or comes twice, is dropped."""
@@ -42,8 +46,12 @@ class Stream:
             return self
         if t[0] > self.newest and _rising(t):  # the usual case: all new and in order
             if len(self.t):
+                before = len(self.t)
                 t, v = np.concatenate((self.t, t)), np.concatenate((self.v, v))
-            return Stream(t, v, int(t[-1]), self.floor_ns, self.angle, self.turns)
+                step_ns = self._usual(t[before:] - t[before - 1 : -1])
+            else:
+                step_ns = self._usual(t[1:] - t[:-1])
+            return Stream(t, v, int(t[-1]), self.floor_ns, self.angle, self.turns, step_ns)
         newest = np.maximum.accumulate(np.maximum(t, self.newest))
         on_time = (t >= newest - reorder_ns) & (t > self.floor_ns)
         t, v = t[on_time], v[on_time]
@@ -54,7 +62,7 @@ class Stream:
             t, v = t[order], v[order]
             keep = np.append(np.diff(t) > 0, True)  # of equal times the last to arrive counts
             t, v = t[keep], v[keep]
-        return Stream(t, v, int(newest[-1]), self.floor_ns, self.angle, self.turns)
+        return Stream(t, v, int(newest[-1]), self.floor_ns, self.angle, self.turns, self.step_ns)
 
     def since(self, before_ns: int) -> "Stream":
         """Without the samples older than `before_ns`, but with the one that a row at `before_ns` needs on its left."""
@@ -67,7 +75,27 @@ class Stream:
             if _jumps(steps):
                 turns = turns - np.round(steps / TURN).sum(axis=0)
         t = self.t[first:]
-        return Stream(t, self.v[first:], self.newest, int(t[0]), self.angle, turns)
+        return Stream(t, self.v[first:], self.newest, int(t[0]), self.angle, turns, self.step_ns)
+
+    def whole_ns(self, since_ns: int, most_ns: float = math.inf) -> int:
+        """Up to where no sample is missing among those after `since_ns`; that time itself if that is not known.
+
+        A sample is missing in a step above 1.5 of the usual one, or of `most_ns` if that is shorter.
+        """
+        usual_ns = min(self.step_ns, most_ns)
+        first = int(self.t.searchsorted(since_ns, side="right"))
+        if usual_ns == 0 or first == len(self.t):
+            return since_ns
+        last = max(first - 1, 0)
+        missing = self.t[last + 1 :] - self.t[last:-1] > MISSING * usual_ns
+        return int(self.t[last + int(missing.argmax())] if missing.any() else self.t[-1])
+
+    def _usual(self, steps: IntArray) -> float:
+        """The usual step after these new ones [ns]: their middle one, but hardly longer than before."""
+        if len(steps) == 0:
+            return self.step_ns
+        middle = float(np.sort(steps)[(len(steps) - 1) // 2])
+        return min(middle, SLOWER * self.step_ns) if self.step_ns else middle
 
     def interpolated(self, rows: IntArray, limit_ns: int) -> tuple[FloatArray, IntArray]:
         """Values (n, k) at the times of rows, and the time between the two samples around each row (n,) [ns].

@@ -1,0 +1,217 @@
+"""A row waits only for what is missing, and what waits for it is worth it: the rows are those of the whole log."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_telemetry import cut
+
+from mavdiag.rows.align import AlignSpec, Grid
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+
+DT_NS = 2_000_000
+N = 3000  # 6 s at 500 Hz
+START_NS = 1_000_000_000
+SPEC = AlignSpec(0.002)
+# Every how many gyro samples each signal comes.
+STEPS = {
+    Signal.BODY_RATE: 1,
+    Signal.ATTITUDE_SETPOINT: 5,
+    Signal.SPECIFIC_FORCE: 1,
+    Signal.ATTITUDE: 10,
+    Signal.THRUST_SETPOINT: 5,
+    Signal.ACTUATOR: 25,
+    Signal.VIBRATION: 250,
+    Signal.ARMED: 500,
+}
+WIDTHS = {Signal.ACTUATOR: 4, Signal.THRUST_SETPOINT: 1, Signal.ARMED: 1}
+COLUMNS = ("t_ns", "setpoint", "rate", "force", "attitude", "thrust", "actuator", "vibration", "armed")
+FLAGS = ("valid", "setpoint_valid")
+
+
+def sent(seed: int) -> dict[Signal, tuple[IntArray, FloatArray]]:
+    """Times and values of each signal."""
+    rng = np.random.default_rng(seed)
+    every = {signal: START_NS + DT_NS * np.arange(0, N, step, dtype=np.int64) for signal, step in STEPS.items()}
+    return {signal: (t, rng.normal(size=(len(t), WIDTHS.get(signal, 3)))) for signal, t in every.items()}
+
+
+def arrived(
+    seed: int,
+    late_ns: int = 0,
+    share: float = 0.0,
+    lost: float = 0.0,
+    since_ns: int = 0,
+    signals: tuple[Signal, ...] = tuple(STEPS),
+) -> Telemetry:
+    """In order of arrival: of these signals, a share of the samples from a time on is late; another share is lost."""
+    rng, parts = np.random.default_rng(seed + 1), []
+    for signal, (t, v) in sent(seed).items():
+        kept = (rng.random(len(t)) >= lost) | (t == START_NS)
+        t, v = t[kept], v[kept]
+        late = (rng.random(len(t)) < share) & (t >= since_ns) & (signal in signals)
+        delays = rng.integers(0, late_ns + 1, len(t)) * late
+        order = np.argsort(t + delays, kind="stable")
+        parts.append(Series(signal, t[order], (t + delays)[order], v[order]))
+    return Telemetry(tuple(parts))
+
+
+def in_order(telemetry: Telemetry) -> Telemetry:
+    """Without any disorder."""
+    orders = [np.argsort(one.t_ns, kind="stable") for one in telemetry.series]
+    pairs = zip(telemetry.series, orders, strict=True)
+    return Telemetry(tuple(Series(s.signal, s.t_ns[at], s.t_ns[at], s.values[at]) for s, at in pairs))
+
+
+def table(blocks: list[Block]) -> dict[str, FloatArray]:
+    return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in (*COLUMNS, *FLAGS)}
+
+
+def run(spec: AlignSpec, chunks: list[Telemetry]) -> tuple[dict[str, FloatArray], IntArray]:
+    """All rows; and after each chunk the gyro's newest sample and by how much the rows are behind it, (n, 2) [ns]."""
+    state, blocks, behind = spec.start(), list[Block](), list[tuple[int, int]]()
+    for chunk in chunks:
+        reached_ns = spec.reached_ns(state, [in_order(chunk)])
+        before_ns = state.last_ns
+        state, found = spec.step(state, chunk)
+        blocks += found
+        if found and before_ns is not None:
+            assert reached_ns is not None
+            assert int(found[-1].t_ns[-1]) <= reached_ns
+        if state.last_ns is not None:
+            newest = state.streams[Signal.BODY_RATE].newest
+            behind.append((newest, newest - state.last_ns))
+    return table([*blocks, *spec.finish(state)[1]]), np.array(behind)
+
+
+def assert_equal(found: dict[str, FloatArray], expected: dict[str, FloatArray]) -> None:
+    for name, column in expected.items():
+        np.testing.assert_array_equal(found[name], column, err_msg=name)
+
+
+def ticks(every_ns: int) -> list[int]:
+    return list(range(START_NS, START_NS + N * DT_NS + 60_000_000, every_ns))
+
+
+cuts = st.lists(st.integers(START_NS, START_NS + N * DT_NS + 60_000_000), max_size=150)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    late_ms=st.integers(0, 49),
+    share=st.sampled_from([0.02, 0.2, 1.0]),
+    lost=st.sampled_from([0.0, 0.05, 0.5]),
+    grid=st.sampled_from(list(Grid)),
+    edges=cuts,
+)
+def test_disorder_within_the_wait_gives_the_rows_of_the_sorted_stream(
+    seed: int, late_ms: int, share: float, lost: float, grid: Grid, edges: list[int]
+) -> None:
+    spec, telemetry = AlignSpec(0.002, grid), arrived(seed, late_ms * 1_000_000, share, lost)
+    expected, _ = run(spec, [in_order(telemetry)])
+    assert_equal(run(spec, cut(telemetry, sorted(edges)))[0], expected)
+    assert_equal(run(spec, cut(telemetry, ticks(40_000_000)))[0], expected)
+
+
+MISSED = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.ATTITUDE)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    late_ms=st.integers(0, 49),
+    share=st.sampled_from([0.002, 0.02, 0.2]),
+    lost=st.sampled_from([0.0, 0.02]),
+    every_ms=st.sampled_from([1, 2, 7, 40]),
+)
+def test_the_first_disorder_of_an_orderly_link_changes_no_row_where_what_is_late_is_missed(
+    seed: int, late_ms: int, share: float, lost: float, every_ms: int
+) -> None:
+    telemetry = arrived(seed, late_ms * 1_000_000, share, lost, START_NS + 3_000_000_000, MISSED)
+    expected, _ = run(SPEC, [in_order(telemetry)])
+    assert_equal(run(SPEC, cut(telemetry, ticks(every_ms * 1_000_000)))[0], expected)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), lost=st.sampled_from([0.0, 0.05, 0.5]), edges=cuts, lag_ms=st.integers(0, 4))
+def test_on_an_orderly_link_any_cut_gives_the_rows_of_the_log(
+    seed: int, lost: float, edges: list[int], lag_ms: int
+) -> None:
+    """With every signal but the gyro behind it by less than what counts as disorder."""
+    whole = arrived(seed, lost=lost)
+    telemetry = Telemetry(
+        tuple(
+            Series(s.signal, s.t_ns, s.host_ns + lag_ms * 1_000_000 * (s.signal is not Signal.BODY_RATE), s.values)
+            for s in whole.series
+        )
+    )
+    expected, _ = run(SPEC, [telemetry])
+    assert_equal(run(SPEC, cut(telemetry, sorted(edges)))[0], expected)
+    assert_equal(run(SPEC, cut(telemetry, ticks(2_000_000)))[0], expected)
+
+
+def test_an_orderly_stream_leaves_its_rows_at_once() -> None:
+    """Once the first second is over: 5 ms behind the gyro, and not before attitude, at 50 Hz, has reached them."""
+    _, behind = run(SPEC, cut(arrived(1), ticks(2_000_000)))
+    judged = behind[behind[:, 0] > START_NS + 1_100_000_000]
+    reached = (judged[:, 0] - START_NS) % 20_000_000
+    np.testing.assert_array_equal(judged[:, 1], np.maximum(reached, 6_000_000))
+    before = behind[behind[:, 0] < START_NS + 1_000_000_000]
+    assert before[-100:, 1].min() >= 50_000_000
+
+
+@pytest.mark.parametrize("signal", MISSED)
+def test_a_missing_place_is_waited_for_and_the_late_sample_counts(signal: Signal) -> None:
+    """The sample at 4 s comes late by 44 ms."""
+    hole_ns = START_NS + 4_000_000_000
+    telemetry = arrived(2)
+    parts = []
+    for one in telemetry.series:
+        host = one.host_ns + 44_000_000 * ((one.t_ns == hole_ns) & (one.signal is signal))
+        order = np.argsort(host, kind="stable")
+        parts.append(Series(one.signal, one.t_ns[order], host[order], one.values[order]))
+    found, behind = run(SPEC, cut(Telemetry(tuple(parts)), ticks(2_000_000)))
+    assert_equal(found, run(SPEC, [telemetry])[0])
+    waiting = behind[(behind[:, 0] >= hole_ns + 20_000_000) & (behind[:, 0] < hole_ns + 44_000_000)]
+    assert len(waiting) == 12
+    assert ((waiting[:, 0] - waiting[:, 1]) < hole_ns).all()
+
+
+@pytest.mark.parametrize("signal", MISSED[:3])
+def test_a_lost_sample_is_waited_for_no_longer_than_a_late_one(signal: Signal) -> None:
+    hole_ns = START_NS + 4_000_000_000
+    parts = []
+    for one in arrived(3).series:
+        kept = (one.t_ns != hole_ns) | (one.signal is not signal)
+        parts.append(Series(one.signal, one.t_ns[kept], one.host_ns[kept], one.values[kept]))
+    _, behind = run(SPEC, cut(Telemetry(tuple(parts)), ticks(2_000_000)))
+    row_ns = dict(zip(behind[:, 0].tolist(), (behind[:, 0] - behind[:, 1]).tolist(), strict=True))
+    after_ns = hole_ns + DT_NS * STEPS[signal]  # the next one
+    assert row_ns[after_ns + 40_000_000] < hole_ns
+    assert row_ns[after_ns + 60_000_000] >= hole_ns
+    judged = behind[behind[:, 0] > after_ns + 60_000_000]
+    assert judged[:, 1].max() <= 20_000_000
+
+
+def test_after_a_late_sample_rows_wait_for_ten_seconds_and_no_longer() -> None:
+    """Of a held signal, which is not missed: at 2 s of 14 s the thrust set-point comes 30 ms late."""
+    t = START_NS + DT_NS * np.arange(7000, dtype=np.int64)
+    late_ns = START_NS + 2_000_000_000
+    held = t[::50]
+    host = held + 30_000_000 * (held == late_ns)
+    telemetry = Telemetry(
+        (
+            Series(Signal.BODY_RATE, t, t, np.zeros((7000, 3))),
+            Series(Signal.THRUST_SETPOINT, held, host, np.arange(140.0)[:, None]),
+        )
+    )
+    edges = list(range(START_NS, START_NS + 14_000_000_000, 2_000_000))
+    _, behind = run(SPEC, cut(telemetry, edges))
+    at_ns, wait_ns = behind.T
+    early = (at_ns > START_NS + 1_100_000_000) & (at_ns < late_ns + 30_000_000)
+    unruly = (at_ns > late_ns + 80_000_000) & (at_ns < late_ns + 10_000_000_000)
+    assert set(wait_ns[early].tolist()) == {6_000_000}
+    assert set(wait_ns[unruly].tolist()) == {50_000_000}
+    assert set(wait_ns[at_ns > late_ns + 10_100_000_000].tolist()) == {6_000_000}
