@@ -292,9 +292,12 @@ def train(
         model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S)
     except IdentificationError as error:
         raise IdentificationError(f"{axis}: {error}") from error
-    if model.dc_gain < 0:
+    # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.
+    slope = sum(float(one @ other) for one, other in zip(u, y, strict=True)) / sum(float(one @ one) for one in u)
+    gain = min(model.dc_gain, slope)
+    if gain < 0:
         raise IdentificationError(
-            f"{axis}: the gyro turns against its set-point (gain {model.dc_gain:.2f}); check the sign conventions"
+            f"{axis}: the gyro turns against its set-point (gain {gain:.2f}); check the sign conventions"
         )
     return model
 

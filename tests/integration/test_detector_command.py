@@ -109,10 +109,16 @@ def test_a_busy_port_is_one_line_and_exit_code_2() -> None:
     ]
 
 
+def default(number: int) -> None:
+    """Not ignored, as `nohup` has its children ignore SIGHUP."""
+    signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_stops_it_cleanly_with_a_summary_and_a_last_line(number: int, tmp_path: Path) -> None:
     journal = tmp_path / "j.jsonl"
-    with running("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--journal", str(journal)) as (child, first):
+    options = ("--learn", "10", "--connect", "udpin:127.0.0.1:0", "--journal", str(journal))
+    with running(*options, before=lambda: default(number)) as (child, first):
         assert port_of(first) > 0
         code, rest = ended(child, number)
     assert code == 0

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = (
     "README.md",
     *(f"docs/{name}.md" for name in ("operating", "detector", "airframe", "droneprop", "qdrone2-recorded")),
+    *(f"docs/{name}.md" for name in ("emulator", "hil", "links", "security")),
     *(f"docs/{name}.md" for name in ("results", "theory")),
 )
 COMMAND = re.compile(r"(?:^|`|\$ )((?:mavdiag-detector|mavdiag|sitl-plant) [^`\n]*)", re.MULTILINE)
@@ -46,7 +47,7 @@ def words_of(command: str) -> tuple[str, ...]:
     known: tuple[str, ...] = (program,)
     for word in rest:
         listed = re.search(r"^Commands:\n((?:  .*\n?)+)", help_of(known), re.MULTILINE)
-        names = re.findall(r"^  (\w+)", listed[1], re.MULTILINE) if listed else []
+        names = re.findall(r"^  ([\w-]+)", listed[1], re.MULTILINE) if listed else []
         if word not in names:
             return (*known, "show") if known == ("mavdiag", "model") and not word.startswith("-") else known
         known = (*known, word)
