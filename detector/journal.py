@@ -19,11 +19,11 @@ from pathlib import Path
 from detector.appender import Appender, Rotation
 from detector.config import Fsync
 from detector.values import EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
+from mavdiag.as_json import event_json
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.link.messages import Severity
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.report import event_json
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 __all__ = ["Journal", "Recorder", "When", "is_urgent", "line", "mark"]

@@ -139,7 +139,7 @@ class Baseline(Part):
             lines.append(f"{name:<15} threshold {entry.threshold.value:.4g} {monitor.unit}{over}")
             lines.append(f"{'':<15} {entry.threshold.statement()}")
             if entry.threshold.session_allowance > 0:
-                within = entry.threshold.value - entry.threshold.session_allowance
+                within = entry.threshold.within(same_session=True)
                 lines.append(f"{'':<15} {within:.4g} in a session of these flights; another may differ")
         for covered in self.envelope:
             advice = covered.advice()

@@ -34,9 +34,8 @@ from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
-from mavdiag.thresholds.rule import Threshold
 
-__all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Slot", "chain_of", "front_of"]
+__all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Piece", "Slot", "chain_of", "front_of"]
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
 
@@ -77,6 +76,14 @@ class Gauge:
     valid: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """What was made of some rows. found: the statistic of each slot, as the envelope lets it count."""
+
+    rows: Rows
+    found: tuple[Statistic, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class ChainOutput:
     """What one chunk brought.
@@ -88,6 +95,7 @@ class ChainOutput:
     judged_s: by how much `ChainState.judged_s` grew.
     now_ns: vehicle time of the latest row; None if none came.
     likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
+    pieces: the rows with their statistics, for figures and displays (`mavdiag.traces`).
     """
 
     events: tuple[Event, ...] = ()
@@ -97,6 +105,7 @@ class ChainOutput:
     judged_s: float = 0.0
     now_ns: int | None = None
     likeness: Likeness | None = None
+    pieces: tuple[Piece, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,6 +247,7 @@ class Chain:
             output.judged_s + judged_s - state.judged_s,
             now_ns,
             likeness or output.likeness,
+            (*output.pieces, Piece(rows, tuple(found))),
         )
         told = (accounts, judged_s, now_ns, beginning, begun_s, state.waiting)
         return ChainState(state.front, envelope, tuple(monitors), decision, *told), events, changes, output
@@ -298,10 +308,6 @@ def front_of(baseline: Baseline) -> Front:
     return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates, baseline.airframe.outputs)
 
 
-def _threshold(threshold: Threshold, same_session: bool) -> float:
-    return threshold.value - (threshold.session_allowance if same_session else 0.0)
-
-
 def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
     """The chain that judges by a baseline.
 
@@ -317,7 +323,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
     alone = not any(monitor.decides for monitor in monitors)
     same = baseline.same_session(started_ns)
     slots = tuple(
-        Slot(monitor, _threshold(entry.threshold, same), monitor.decides or alone)
+        Slot(monitor, entry.threshold.within(same_session=same), monitor.decides or alone)
         for monitor, entry in zip(monitors, entries, strict=True)
     )
     specs = tuple(

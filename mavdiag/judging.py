@@ -8,7 +8,7 @@ from typing import Any
 from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.chain import Account, Chain, ChainState, chain_of
+from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.monitors import by_name
@@ -19,7 +19,16 @@ from mavdiag.rows.gate import Border
 from mavdiag.telemetry import Axis, Log, pandas_module
 from mavdiag.units import NS_PER_S
 
-__all__ = ["JudgedEvent", "LogVerdict", "MonitorSummary", "Verdict", "exit_code", "judge"]
+__all__ = [
+    "JudgedEvent",
+    "JudgedFlight",
+    "LogVerdict",
+    "MonitorSummary",
+    "Verdict",
+    "exit_code",
+    "judge",
+    "judge_in_full",
+]
 
 MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
 
@@ -105,17 +114,31 @@ class LogVerdict:
         return pandas.DataFrame(rows, columns=["t_s", "end_s", *names])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedFlight:
+    """A verdict and what the chain showed on the way. chain: None if the log could not be judged at all."""
+
+    verdict: LogVerdict
+    chain: Chain | None = None
+    pieces: tuple[Piece, ...] = ()
+
+
 def judge(log: Log, baseline: Baseline) -> LogVerdict:
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason."""
+    return judge_in_full(log, baseline).verdict
+
+
+def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
+    """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
-        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, str(error), profile=log.profile)
+        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, str(error), profile=log.profile))
     try:
         check_link(baseline, profile=log.profile, dt_s=dt_s)
     except BaselineError as error:
         reason = f"another link: {error}"
-        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
+        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
     chain = replace(chain_of(baseline, log.started_ns), fingerprint=None)  # compared here, before it is judged
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
@@ -124,7 +147,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     alike = likeness.sentence(baseline.airframe.name)
     if likeness.outcome is Outcome.FAR:
         reason = f"another vehicle: {alike}"
-        return LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s)
+        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
     state, first = chain.judge(chain.start(), parts)
     state, last = chain.finish(state)
     events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
@@ -132,7 +155,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
     verdict, reason = _verdict(monitors, state, events, changes)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
-    return LogVerdict(
+    told = LogVerdict(
         log.name,
         verdict,
         "; ".join((reason, *notes)),
@@ -145,6 +168,7 @@ def judge(log: Log, baseline: Baseline) -> LogVerdict:
         notes,
         _kind(changes),
     )
+    return JudgedFlight(told, chain, (*first.pieces, *last.pieces))
 
 
 def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
-from mavdiag.rows.block import Block
+from mavdiag.rows.block import COLUMNS, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
@@ -50,7 +50,7 @@ def joined(flight: Sequence[Rows]) -> list[Block]:
 def _together(segment: int, blocks: Sequence[Block]) -> Block:
     outputs = max(one.actuator.shape[1] for one in blocks)  # rows before the first message have no column
     same = [replace(one, actuator=_widened(one.actuator, outputs)) for one in blocks]
-    columns = (np.concatenate([getattr(one, field.name) for one in same]) for field in fields(Block)[2:])
+    columns = (np.concatenate([getattr(one, name) for one in same]) for name in COLUMNS)
     return Block(segment, blocks[0].dt_s, *columns)
 
 

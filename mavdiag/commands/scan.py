@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
+from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge
-from mavdiag.report import verdict_json
 
 __all__ = ["scan"]
 

@@ -68,6 +68,11 @@ class LearnContext:
             raise InputError("the rotor layout is not known; name the airframe")
         return self.airframe.layout
 
+    def need_rate(self, least_hz: float) -> None:
+        """Raises InputError if rows come more seldom."""
+        if 1 / self.dt_s < least_hz:
+            raise InputError(f"the gyro comes at {1 / self.dt_s:.3g} Hz; {least_hz:.0f} Hz are needed")
+
 
 @dataclass(frozen=True, slots=True)
 class RotorEvidence:

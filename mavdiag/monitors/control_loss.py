@@ -70,8 +70,7 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
-        if 1 / context.dt_s < MIN_RATE_HZ:
-            raise InputError(f"the gyro comes at {1 / context.dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed")
+        context.need_rate(MIN_RATE_HZ)
         if not any(rows.rates.commanded.any() for flight in flights for rows in flight):
             raise InputError("no flight with a gyro and an attitude set-point")
         return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)

@@ -41,7 +41,7 @@ LIMIT = 1e6  # a value is cut here
 GRAVITY = 9.80665
 ANGLES = np.array([1.0, 1.0, 0.0])  # which of the three disagreements are angles
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
-MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
+MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,8 +138,7 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
-        if 1 / context.dt_s < MIN_RATE_HZ:
-            raise InputError(f"the gyro comes at {1 / context.dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed")
+        context.need_rate(MIN_RATE_HZ)
         first = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
         pieces = [_biases(first, flight) for flight in flights]
         together = np.concatenate(pieces) if pieces else np.empty((0, 4))

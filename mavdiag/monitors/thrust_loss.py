@@ -101,8 +101,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     @classmethod
     def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
-        if 1 / context.dt_s < MIN_RATE_HZ:
-            raise InputError(f"the gyro comes at {1 / context.dt_s:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed")
+        context.need_rate(MIN_RATE_HZ)
         ratios = [np.empty(0)]
         for rows in (rows for flight in flights for rows in flight):
             known = _known(rows.block)

@@ -2,28 +2,21 @@
 
 import math
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
 
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
-__all__ = ["ALL", "Block"]
+__all__ = ["ALL", "COLUMNS", "Block"]
 
 ALL = slice(None)  # columns
 Found = TypeVar("Found")
 
 
-class _Answers:
-    """What was found in the rows so far, so that each monitor need not look again; no part of the value."""
-
-    __slots__ = ("_answers",)
-    _answers: dict[Hashable, Any]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Block(_Answers):
+class Block:
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
     A signal is nan in a row where it is unknown: never sent, or its last sample is too old (see `rows.align`). Only the
@@ -46,6 +39,7 @@ class Block(_Answers):
     actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
     valid: (n,) the gyro may be judged: it is there, settled and airborne.
     setpoint_valid: (n,) the set-point may be used: it is there and settled.
+    answers: what was found in the rows so far (`once`), so that each monitor need not look again.
     """
 
     segment: int
@@ -65,6 +59,7 @@ class Block(_Answers):
     actuator: FloatArray
     valid: BoolArray
     setpoint_valid: BoolArray
+    answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -72,7 +67,7 @@ class Block(_Answers):
     def rows(self, first: int, stop: int, segment: int | None = None) -> "Block":
         """Rows [first, stop) as a block of their own, of another segment if asked."""
         cut = slice(first, stop)
-        columns = (getattr(self, name)[cut] for name in _COLUMNS)
+        columns = (getattr(self, name)[cut] for name in COLUMNS)
         return Block(self.segment if segment is None else segment, self.dt_s, *columns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
@@ -89,14 +84,9 @@ class Block(_Answers):
 
     def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
         """What `find` gives, and the same for the same key later on; do not write to it."""
-        try:
-            answers = self._answers
-        except AttributeError:
-            answers = {}
-            object.__setattr__(self, "_answers", answers)
-        if key not in answers:
-            answers[key] = find()
-        found: Found = answers[key]
+        if key not in self.answers:
+            self.answers[key] = find()
+        found: Found = self.answers[key]
         return found
 
     def finite_rate(self) -> BoolArray:
@@ -116,7 +106,7 @@ class Block(_Answers):
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
-_COLUMNS = tuple(field.name for field in fields(Block))[2:]
+COLUMNS = tuple(column.name for column in fields(Block))[2:-1]  # arrays of rows, in the order of the fields
 _SIGNALS = {
     Signal.BODY_RATE: "rate",
     Signal.SPECIFIC_FORCE: "force",

@@ -98,6 +98,10 @@ class Threshold:
     demonstrated_per_hour: float
     false_alarms_per_flight: float
 
+    def within(self, *, same_session: bool) -> float:
+        """The value that holds: less in a session of the healthy flights."""
+        return self.value - (self.session_allowance if same_session else 0.0)
+
     @property
     def upper_95(self) -> float:
         """The level for this budget is below it with 95 % confidence, if the Gumbel law holds."""

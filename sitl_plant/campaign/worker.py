@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.decision.alarm import Change, Stage
 from mavdiag.errors import MavdiagError
 from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report import event_json
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from mavdiag.airframe.load import airframe_named
+from mavdiag.as_json import event_json
 from mavdiag.demo.subprocesses import child
 from mavdiag.judging import judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import tlog_record
-from mavdiag.report import event_json
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig

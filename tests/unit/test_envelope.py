@@ -10,12 +10,12 @@ from flying_telemetry import flying
 from made_baselines import FRAME, NOW, healthy, logged
 from made_conditions import column, made_block, measured, rows_of
 
+from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import MONITORS
-from mavdiag.report import verdict_json
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic

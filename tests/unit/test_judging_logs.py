@@ -8,12 +8,12 @@ from flying_telemetry import START_NS, flying, without
 from made_baselines import logged, thesis, trim, whole
 from made_telemetry import cut, flight
 
+from mavdiag.as_json import verdict_json
 from mavdiag.chain import chain_of
 from mavdiag.commands.options import between
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge
-from mavdiag.report import verdict_json
 from mavdiag.telemetry import Signal, Telemetry
 
 ALL = (0.0, 1e9)

@@ -16,12 +16,12 @@ from mavdiag.airframe.detect import contradicts, detect_layout
 from mavdiag.airframe.excitation import Fit
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.airframe.load import load_airframe, with_layout
+from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline, dump, parse
 from mavdiag.cli import app
 from mavdiag.errors import InputError, UsageError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.report import verdict_json
 from mavdiag.rows.block import Block
 from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.telemetry import FloatArray, Log, Signal, Telemetry

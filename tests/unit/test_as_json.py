@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from mavdiag.as_json import event_json, verdict_json
 from mavdiag.commands import progress
 from mavdiag.decision.alarm import Event
 from mavdiag.judging import LogVerdict, MonitorSummary, Verdict
-from mavdiag.report import event_json, verdict_json
 from mavdiag.telemetry import Axis
 
 
