@@ -14,7 +14,7 @@ import typer
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import with_layout
 from mavdiag.baseline import Baseline
-from mavdiag.commands.inspection import (
+from mavdiag.look.inspection import (
     Clock,
     MonitorState,
     Summary,

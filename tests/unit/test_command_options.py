@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_telemetry import flight
 
-from mavdiag.commands.inspection import summary
+from mavdiag.look.inspection import summary
 from mavdiag.commands.options import between
 from mavdiag.errors import InputError, UsageError
 from mavdiag.telemetry import Series, Signal
