@@ -10,10 +10,11 @@ import typer
 
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
+from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
-from mavdiag.commands.progress import each, working
+from mavdiag.commands.progress import each, sizes_of, working
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
@@ -28,7 +29,8 @@ THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 def identify(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA.")
+        list[Path],
+        typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; patterns."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
     method: Annotated[MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = MethodChoice.SRIV,
@@ -107,7 +109,14 @@ def make_baseline(
     from_s: float | None = None,
     to_s: float | None = None,
 ) -> Baseline:
-    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError."""
-    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
+    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError.
+
+    logs: files, folders with all logs below them, patterns.
+    """
+    found = logs_named(logs)
+    if found.skipped:
+        say(found.skipped_sentence, err=True)
+    paths = found.paths()
+    flights = [read_part(path, vehicle, from_s, to_s) for path in each(paths, "read", sizes_of(paths))]
     with working(f"learning from {len(flights)} flights ..."):
         return learn(flights, options, created=now())
