@@ -15,6 +15,7 @@ from mavdiag import judging, learning
 from mavdiag import logs as log_files
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
+from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
@@ -162,19 +163,10 @@ def _each(flights: Source | Iterable[Source]) -> list[Source]:
 
 
 def _logs(source: Source, vehicle: int | None) -> list[Log]:
-    """The logs that one source names: itself, a file, a pattern, all files of a folder. Raises InputError if none."""
+    """The logs that one source names: itself, a file, a pattern, all logs below a folder. Raises InputError if none."""
     if isinstance(source, Log):
         return [source]
-    path = Path(source)
-    found: Iterable[Path] = (path,)
-    if path.is_dir():
-        found = path.iterdir()
-    elif not path.exists() and any(sign in str(path) for sign in "*?["):
-        found = Path(path.anchor).glob(str(path.relative_to(path.anchor)))
-    logs = [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in sorted(found) if not one.is_dir()]
-    if not logs:
-        raise InputError(f"{source}: no log there; name files, a folder, or a pattern like 'healthy/*.tlog'")
-    return logs
+    return [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in logs_named([source]).paths()]
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:

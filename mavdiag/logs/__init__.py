@@ -16,7 +16,7 @@ from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log
 
-__all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "kinds", "read_log", "sha256_of"]
+__all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
 _READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "csv_log", "tlog")  # tlog has the weakest signature
@@ -47,12 +47,21 @@ def read_log(
     if columns is not None:
         return read_csv(path, columns)
     known = kinds() if among is None else among
-    head = read_bytes(path, HEAD_BYTES)
-    kind = next((k for k in known if k.recognise(head)), None)
+    kind = _kind_of(path, known)
     if kind is None:
         names = ", ".join(k.name for k in known)
         raise InputError(f"{path}: not a flight log of a known kind ({names})")
     return kind.read(path, vehicle, profile)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file is a log of a known kind, by its first bytes. Raises InputError if it cannot be read."""
+    return _kind_of(path, kinds()) is not None
+
+
+def _kind_of(path: Path, known: Sequence[LogKind]) -> LogKind | None:
+    head = read_bytes(path, HEAD_BYTES)
+    return next((kind for kind in known if kind.recognise(head)), None)
 
 
 def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:

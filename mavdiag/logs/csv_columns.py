@@ -27,12 +27,13 @@ from typing import Annotated, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mavdiag.errors import InputError
-from mavdiag.storage import parse_toml, read_toml
+from mavdiag.storage import TOML_BYTES, parse_toml, read_text, read_toml
 from mavdiag.telemetry import Signal
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US, RPM, G
 
-__all__ = ["ColumnMap", "SignalColumns", "load_column_map", "parse_column_map"]
+__all__ = ["ColumnMap", "SignalColumns", "column_map_text", "is_csv", "load_column_map", "parse_column_map"]
 
+SUFFIXES = (".csv", ".tsv", ".txt")
 TIME_NS: Mapping[str, int] = MappingProxyType({"s": NS_PER_S, "ms": NS_PER_MS, "us": NS_PER_US, "ns": 1})
 _ANGLES, _RATES = {"rad": 1.0, "deg": DEG}, {"rad/s": 1.0, "deg/s": DEG, "mrad/s": 1e-3}
 _FORCES = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
@@ -112,6 +113,17 @@ class _Columns(_Part):
 def load_column_map(path: Path) -> ColumnMap:
     """A column map from its file. Raises InputError, naming file and field."""
     return _map(str(path), read_toml(path))
+
+
+def column_map_text(path: Path) -> str:
+    """The text of a column map that can be used. Raises InputError, naming file and field."""
+    load_column_map(path)
+    return read_text(path, TOML_BYTES)
+
+
+def is_csv(path: Path) -> bool:
+    """Whether a file of a folder may be such a recording, by its name: its content does not tell."""
+    return path.suffix.lower() in SUFFIXES
 
 
 def parse_column_map(text: str) -> ColumnMap:

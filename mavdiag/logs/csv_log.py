@@ -16,7 +16,7 @@ from mavdiag.logs.csv_columns import ColumnMap, SignalColumns
 from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import recorded
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["KIND", "PROFILE", "read_csv"]
@@ -62,12 +62,12 @@ def _table(path: Path, text: str, columns: ColumnMap) -> FloatArray:
     wanted += [column for one in columns.signals for column in one.columns]
     places = [_place(path, column, names, header=columns.header) for column in wanted]
     body = rest if columns.header else text
+    if not body.strip():
+        raise InputError(f"{path}: it has no rows; check skip_lines and header of the column map")
     try:
         found = np.loadtxt(io.StringIO(body), delimiter=columns.delimiter, usecols=places, ndmin=2, comments=None)
     except ValueError:
         found = _cell_by_cell(body, columns.delimiter, places)
-    if len(found) == 0:
-        raise InputError(f"{path}: it has no rows; check skip_lines and header of the column map")
     if columns.time_column is None:
         return np.column_stack([np.arange(len(found)) / columns.rate_hz, found])
     return np.asarray(found, dtype=np.float64)
@@ -96,9 +96,7 @@ def _place(path: Path, column: str, names: Sequence[str], *, header: bool) -> in
     raise InputError(f"{path}: no column {column!r}; there are {there}")
 
 
-def _times(
-    path: Path, column: FloatArray, columns: ColumnMap
-) -> tuple[IntArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+def _times(column: FloatArray, columns: ColumnMap) -> tuple[IntArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Time of each row that has one [ns], and which these are."""
     unit_ns = columns.time_ns if columns.time_column is not None else NS_PER_S
     known = np.isfinite(column) & (np.abs(column) * unit_ns < LATEST_NS)
@@ -123,4 +121,4 @@ KIND = LogKind(
 
 
 def _refused(path: Path) -> Log:
-    raise InputError(f"{path}: a CSV file needs its column map; give --csv MAP.toml")
+    raise InputError(f"{path}: a CSV file needs its column map; give --columns MAP.toml")

@@ -149,7 +149,10 @@ def vibration(flight: Sequence[Rows]) -> Vibration | None:
 
 
 def rotor_line(flight: Sequence[Rows], corner_hz: float | None, told_hz: float) -> RotorLine:
-    """The line of the rotors. corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: as above."""
+    """The line of the rotors.
+
+    corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
+    """
     blocks = joined(flight)
     if not blocks:
         return RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, LINE_FROM_HZ, "there is no flight in it")
@@ -157,8 +160,10 @@ def rotor_line(flight: Sequence[Rows], corner_hz: float | None, told_hz: float) 
     to_hz = LINE_TO * rate_hz if corner_hz is None else min(LINE_TO * rate_hz, corner_hz)
     none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
     if to_hz <= 1.5 * LINE_FROM_HZ:
-        why = f"the accelerometer comes at {rate_hz:.0f} Hz" if corner_hz is None or corner_hz > to_hz else (
-            f"the IMU stream is low-passed at {corner_hz:g} Hz"
+        why = (
+            f"the accelerometer comes at {rate_hz:.0f} Hz"
+            if corner_hz is None or corner_hz > to_hz
+            else (f"the IMU stream is low-passed at {corner_hz:g} Hz")
         )
         return _because(none, f"{why}, which shows no rotor's line")
     power, hz = _spectrum(blocks, rate_hz)

@@ -26,7 +26,7 @@ from mavdiag.look.figures import (
 )
 from mavdiag.look.inspection import WINDOW_S, MonitorState, Summary, Units, monitor_states, rotors_of, summary, units_of
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import FloatArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
 __all__ = ["FirstLook", "first_look"]
@@ -123,7 +123,7 @@ def _gyro_gaps(log: Log) -> list[float]:
     gyro = log.telemetry.get(Signal.BODY_RATE)
     if gyro is None or len(gyro) < 2:
         return []
-    steps = np.diff(np.unique(gyro.t_ns)) / NS_PER_S
+    steps: FloatArray = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
     longest = max(GAP_S, 1.5 * float(np.median(steps)))
     return [float(step) for step in steps[steps > longest]]
 

@@ -10,7 +10,7 @@ from mavdiag.telemetry import Signal
 __all__ = ["CLOSING", "in_full", "in_one_line"]
 
 NOTABLE = 0.05  # of the mean output: a rotor that is told in the one line of a log (our choice)
-CLOSING = "this is no verdict: that takes a baseline of healthy flights (mavdiag identify)"
+CLOSING = "this is no verdict: that takes a baseline of flights with sound propellers (mavdiag identify)"
 
 
 def in_full(look: FirstLook) -> list[str]:
@@ -43,6 +43,8 @@ def in_one_line(look: FirstLook) -> str:
     busiest = max(look.loads, key=lambda one: one.over_mean, default=None)
     if busiest is not None and busiest.over_mean >= NOTABLE:
         parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
+    if look.trim is not None and not look.loads:
+        parts.append(f"trim {look.trim.roll:+.3f}, {look.trim.pitch:+.3f}, {look.trim.yaw:+.3f}")
     full = max((one.full_share for one in look.loads), default=0.0)
     if full > 0:
         parts.append(f"an output at its end for {100 * full:.1f} %")
