@@ -4,7 +4,6 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,10 @@ from mavdiag.archive.paths import Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
 from mavdiag.archive.scan import in_order, scan
 from mavdiag.archive.work import answer_of
-from mavdiag.errors import InputError, LinkError
+from mavdiag.errors import LinkError
 from mavdiag.judging import LogVerdict, Verdict
 
-HERE = partial(in_this_process, InputError)
+HERE = in_this_process
 QUESTION = Question("baseline", asked().options, "version", "scope")
 Opened = Callable[[], AbstractContextManager[TaskExecutor]]
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from mavdiag.commands import progress
 from mavdiag.commands.progress import each, shown, told
 
 
@@ -22,7 +21,7 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("mavdiag.commands.progress.time.monotonic", lambda: now[0])
     return now
 
 
