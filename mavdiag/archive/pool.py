@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
+from mavdiag.errors import InputError
+
 __all__ = ["TaskExecutor", "in_this_process", "local_executor"]
 
 P = ParamSpec("P")
@@ -71,21 +73,18 @@ def _end_with_parent() -> None:
 
 
 class _Here(Executor):
-    """Runs a task as it is submitted. What it raises is raised there and then, but for what `fn` may raise by right."""
-
-    def __init__(self, expected: type[Exception]) -> None:
-        self._expected = expected
+    """Runs a task as it is submitted; what is no InputError is raised there and then."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except self._expected as error:
+        except InputError as error:
             future.set_exception(error)
         return future
 
 
 @contextmanager
-def in_this_process(expected: type[Exception]) -> Iterator[TaskExecutor]:
-    """No worker: each task is done when it is submitted. expected: errors that are the task's answer."""
-    yield TaskExecutor(_Here(expected), 1)
+def in_this_process() -> Iterator[TaskExecutor]:
+    """No worker: each task is done when it is submitted."""
+    yield TaskExecutor(_Here(), 1)

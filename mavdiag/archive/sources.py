@@ -12,7 +12,8 @@ __all__ = ["digest_of_sources", "judging_version"]
 UNRELATED = (
     *("__pycache__", "py.typed", "__main__.py", "mavdiag/__init__.py", "mavdiag/cli.py", "mavdiag/commandline.py"),
     *("mavdiag/commands", "mavdiag/demo", "mavdiag/face.py", "mavdiag/as_json.py", "mavdiag/traces.py"),
-    *("mavdiag/learning", "mavdiag/testing.py", "mavdiag/link/ports"),
+    *("mavdiag/terminal", "mavdiag/drawing.py", "mavdiag/learning", "mavdiag/testing.py", "mavdiag/link/ports"),
+    *(f"mavdiag/{name}" for name in ("history", "look", "report")),
     *(f"mavdiag/archive/{name}.py" for name in ("cache", "cluster", "paths", "pool", "scan", "sources", "tables")),
 )
 

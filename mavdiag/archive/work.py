@@ -1,6 +1,7 @@
 """What a worker process does with a log (edge: it reads files)."""
 
 import hashlib
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -44,9 +45,9 @@ def judge_file(path: str, question: Question) -> Record:
     columns = None if options.columns is None else parse_column_map(options.columns)
     log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
     if options.windows_s is None:
-        return Record(log.sha256, judge(log, baseline))
+        return Record(log.sha256, replace(judge(log, baseline), log=""))
     flight = judge_in_full(log, baseline)
-    return Record(log.sha256, flight.verdict, windows_of(flight, options.windows_s))
+    return Record(log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s))
 
 
 def answer_of(path: str, question: Question | None) -> str | Record:

@@ -25,7 +25,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, Columns, FromS, ToS, Vehicle
 from mavdiag.commands.progress import shown, sizes_of
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import UsageError
 from mavdiag.judging import LogVerdict, Verdict, exit_code
 from mavdiag.logs.csv_columns import column_map_text, is_csv
 from mavdiag.logs.part import check_times
@@ -128,7 +128,7 @@ def _answered(
 def _opened(scheduler: str | None, jobs: int) -> Callable[[], AbstractContextManager[TaskExecutor]]:
     if scheduler is not None:
         return partial(dask_executor, scheduler)
-    return partial(local_executor, jobs) if jobs > 1 else partial(in_this_process, InputError)
+    return partial(local_executor, jobs) if jobs > 1 else in_this_process
 
 
 def _processors() -> int:
