@@ -26,7 +26,7 @@ HEADER = "t_us,gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z,remark"
 SIGNS = np.array([1.0, -1.0, -1.0])
 
 
-def recording(path: Path, seed: int, seconds: float = 12.0, **config: object) -> Path:
+def recording(path: Path, seed: int, seconds: float = 10.0, **config: object) -> Path:
     """Write a flight of the emulated QDrone 2 at 1 kHz. config: of the plant."""
     plant = PlantConfig(seed=seed, **config)  # type: ignore[arg-type]  # of several types
     telemetry, _ = flight_telemetry(plant, seconds, LinkSpec("qdrone2"))
