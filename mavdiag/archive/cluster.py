@@ -1,5 +1,6 @@
 """The workers of a Dask cluster (edge)."""
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -9,6 +10,20 @@ from mavdiag.errors import LinkError, UsageError
 __all__ = ["dask_executor"]
 
 PATIENCE_S = 10.0
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from printing tracebacks of a connection that is lost; what follows from it is an error of ours."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    before = [one.level for one in loggers]
+    for one in loggers:
+        one.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
 
 
 @contextmanager
@@ -26,7 +41,7 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         client = Client(address, timeout=PATIENCE_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(f"no Dask scheduler at {address} ({error}); start one with `dask scheduler`") from error
-    with client:
+    with _quiet(), client:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")

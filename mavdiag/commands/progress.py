@@ -43,11 +43,11 @@ class Shown:
     def __init__(self, text: str, sizes: Sequence[float], quiet: bool) -> None:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
         self._done, self._finished = 0, 0.0
-        self._started = self._drawn = time.monotonic()
+        self._started = self._drawn = self._shown = time.monotonic()
         self._terminal = sys.stderr.isatty()
-        self._mixed = self._terminal and sys.stdout.isatty()
         self._next_s = float("inf") if quiet or self._terminal else FIRST_LINE_S
         self._terminal &= len(sizes) > 1  # nothing to count
+        self._mixed = self._terminal and sys.stdout.isatty()
         if self._terminal:
             self._draw(self._started)
 
@@ -63,10 +63,16 @@ class Shown:
             self._next_s = now - self._started + LINE_S
             say(f"{self._text}: {self._words(now)}", err=True)
 
-    def clear(self) -> None:
-        """Take the bar away, before lines are printed on the same terminal."""
+    @contextmanager
+    def cleared(self) -> Iterator[None]:
+        """Take the bar away while lines are printed on the same terminal."""
         if self._mixed:
             self._erase()
+        yield
+        now = time.monotonic()
+        if self._mixed and now - self._shown >= REDRAW_S:
+            self._shown = now
+            self._draw(now)
 
     def end(self) -> None:
         """Take the bar away for good."""

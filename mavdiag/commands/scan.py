@@ -103,8 +103,8 @@ def _answered(
     with shown("judged", sizes, quiet=as_json) as progress:
 
         def warn(text: str) -> None:
-            progress.clear()
-            say(text, err=True)
+            with progress.cleared():
+                say(text, err=True)
 
         def counted() -> Any:
             for answer in run:
@@ -118,8 +118,8 @@ def _answered(
                 before += not answer.fresh
                 verdicts.append(answer.record.verdict.verdict)
                 rows += rows_of(answer) if tabled else ()
-                progress.clear()
-                say(_json_line(answer) if as_json else _lines(answer))
+                with progress.cleared():
+                    say(_json_line(answer) if as_json else _lines(answer))
     if before and not as_json:
         say(f"{before} of {len(verdicts)} answers were known already; --no-cache judges anew", err=True)
     return verdicts, rows

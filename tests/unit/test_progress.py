@@ -76,13 +76,27 @@ def test_a_bar_on_a_terminal_is_one_line_and_goes_away(clock: list[float], monke
     assert sys.stdout is not terminal
 
 
+def test_the_bar_makes_room_for_lines_on_the_same_terminal(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(sys, "stdout", terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    with shown("judged", [1.0] * 3) as one:
+        clock[0] = 5.0
+        one.add(1.0)
+        with one.cleared():
+            terminal.write("an answer\n")
+    before, after = terminal.getvalue().split("an answer\n")
+    assert before.endswith("\r\x1b[2K")
+    assert "1 of 3, 0.2 a second, 10 s left" in after
+
+
 def test_one_item_needs_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     assert list(each([1], "read")) == [1]
-    with shown("judged", [1.0]) as one:
+    with shown("judged", [1.0]) as one, one.cleared():
         one.add(1.0)
-        one.clear()
     assert terminal.getvalue() == ""
     assert list(each([1, 2], "read", [5.0, 6.0])) == [1, 2]
     assert terminal.getvalue() != ""
