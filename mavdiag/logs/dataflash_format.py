@@ -15,10 +15,11 @@ from mavdiag.logs.records import as_floats
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US
 
-__all__ = ["FMT_BYTES", "FMT_TYPE", "HEADER", "HEADER_BYTES", "INTEGERS", "Format", "Table", "declared", "first_instance"]
+__all__ = ["FMT_BYTES", "FMT_TYPE", "HEADER", "HEADER_BYTES", "INTEGERS", "MAX_RECORD", "Format", "Table", "declared", "first_instance"]
 
 HEADER = b"\xa3\x95"
 HEADER_BYTES = 3
+MAX_RECORD = 255  # the length of a record is a byte
 FMT_TYPE = 0x80
 FMT_BODY = struct.Struct("<BB4s16s64s")  # type, length, name, format, labels
 FMT_BYTES = HEADER_BYTES + FMT_BODY.size
@@ -29,6 +30,7 @@ _LAYOUTS = {
     "f": "<f4", "d": "<f8", "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "M": "u1",
     "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
 }  # fmt: skip
+_SIZES = {character: np.dtype(layout).itemsize for character, layout in _LAYOUTS.items()}
 _MULTIPLIERS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
 INTEGERS = "bBhHiIqQ"
 _NUMBERS = INTEGERS + "fdgMcCeEL"  # the rest are texts and arrays
@@ -44,14 +46,19 @@ class Format:
     name: of the message.
     characters: one per field.
     labels: one per field.
-    layout: None where the characters do not add up to the length: such records are stepped over, not read.
+    sound: whether the characters add up to the length. Records of a type that is not are stepped over, not read.
     """
 
     length: int
     name: str
     characters: str
     labels: tuple[str, ...]
-    layout: np.dtype[np.void] | None
+    sound: bool
+
+    def layout(self) -> np.dtype[np.void]:
+        """A record as numpy has it, fields f0, f1, … by label. Only of a sound type."""
+        fields = [(f"f{i}", _LAYOUTS[c]) for i, c in enumerate(self.characters)]
+        return np.dtype([("header", f"V{HEADER_BYTES}"), *fields])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +110,8 @@ def declared(data: bytes, position: int) -> tuple[int, Format]:
 def _format(length: int, name: str, characters: str, labels: str) -> Format:
     """A message type as its FMT record declares it."""
     names = tuple(labels.split(","))
-    layout = None
-    if len(names) == len(characters) and all(c in _LAYOUTS for c in characters):
-        header = [("header", f"V{HEADER_BYTES}")]
-        fields = np.dtype(header + [(f"f{i}", _LAYOUTS[c]) for i, c in enumerate(characters)])
-        layout = fields if fields.itemsize == length else None
-    return Format(length, name, characters, names, layout)
+    sizes = [_SIZES.get(c, MAX_RECORD + 1) for c in characters]
+    return Format(length, name, characters, names, len(names) == len(sizes) and HEADER_BYTES + sum(sizes) == length)
 
 
 def _text(raw: bytes) -> str:
@@ -123,4 +126,4 @@ def first_instance(table: Table) -> Table:
         return table
     instance = table.raw(label)
     first = instance == instance.min()
-    return Table(table.format, table.starts[first], table.records[first])
+    return table if first.all() else Table(table.format, table.starts[first], table.records[first])

@@ -10,7 +10,8 @@ A record means what its type was declared to be before it. So where types are be
 the records are followed one by one, and arrays are used from there on, up to the next declaration that is new.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from mavdiag.logs.dataflash_format import (
     FMT_TYPE,
     HEADER,
     HEADER_BYTES,
+    MAX_RECORD,
     Format,
     Table,
     declared,
@@ -29,11 +31,13 @@ from mavdiag.logs.records import gather
 
 __all__ = ["Walk"]
 
-MAX_RECORD = 255  # a record's length is a byte
 PATIENCE = 64  # this many records without a new type: the head of the file is over (our choice)
 FIRST_SPAN, MAX_SPAN = 1024, 1 << 18  # places taken at once: few behind a declaration, then more each time (our choice)
 
+HEADER_WORD = int.from_bytes(HEADER, "little")
+
 Places = NDArray[np.intp]
+Column = TypeVar("Column", NDArray[np.void], NDArray[np.uint8])
 
 
 class Walk:
@@ -48,9 +52,8 @@ class Walk:
         self._patience = patience
         self._first_span = first_span
         self._formats: dict[int, Format] = {}
-        self._lengths = np.zeros(256, np.intp)  # by type; 0 for unknown
-        self._lengths[FMT_TYPE] = FMT_BYTES
-        self._length_list: list[int] = self._lengths.tolist()
+        self._lengths = [FMT_BYTES if kind == FMT_TYPE else 0 for kind in range(256)]  # by type; 0 for unknown
+        self._steps = np.maximum(np.array(self._lengths, np.intp), 1)  # to where the next record may begin
         self._taken = np.zeros(256, np.bool_)  # whether records of a type are gathered
         self._parts: dict[int, list[tuple[Places, NDArray[np.void]]]] = {}  # by type, in the order of their declaration
         self._found: list[tuple[Places, NDArray[np.uint8]]] = []  # within the present piece: places and types
@@ -81,8 +84,7 @@ class Walk:
         for kind, parts in self._parts.items():
             form = self._formats[kind]
             if parts and form.name not in found:
-                starts, records = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-                found[form.name] = first_instance(Table(form, starts, records))
+                found[form.name] = first_instance(Table(form, *_joined(parts)))
             parts.clear()
         lost = self._base + len(self._carry) - self._sound_end
         cut = f"it ends within a record, {lost} bytes are lost: the recording was cut off"
@@ -90,8 +92,10 @@ class Walk:
 
     def _follow(self, data: bytes) -> int:
         """Follow the chain through a piece. Returns where a record begins, or may begin, that it does not hold whole."""
+        if len(data) <= MAX_RECORD:
+            return self._one_by_one(data, _next_header(data, 0), len(data))
         octets = np.frombuffer(data, np.uint8)
-        places = np.flatnonzero((octets[:-1] == HEADER[0]) & (octets[1:] == HEADER[1]))
+        places = _headers(data, octets)
         whole = int(np.searchsorted(places, len(data) - MAX_RECORD, "right"))  # records from these places are
         position = _next_header(data, 0)
         first = 0
@@ -113,7 +117,7 @@ class Walk:
         left = patience
         while left > 0 and position <= len(data) - HEADER_BYTES:
             kind = data[position + 2]
-            length = self._length_list[kind]
+            length = self._lengths[kind]
             if position + length > len(data):
                 break
             if length:
@@ -136,24 +140,22 @@ class Walk:
         places may mean something else.
         """
         kinds = octets[places + 2]
-        lengths = self._lengths[kinds]
-        ends = places + np.maximum(lengths, 1)
+        ends = places + self._steps.take(kinds)
+        kept = np.ones(len(places), np.bool_)
         holding = np.flatnonzero(ends[:-1] > places[1:])
         if len(holding):
             kept = _reached(len(places), holding, np.searchsorted(places, ends[holding]))
-            places, kinds, lengths, ends = places[kept], kinds[kept], lengths[kept], ends[kept]
-        taken = self._taken[kinds]
-        learnt = False
-        for index in np.flatnonzero(kinds == FMT_TYPE).tolist():
-            if self._learn(data, int(places[index])):
-                places, kinds, lengths, ends, taken = (c[: index + 1] for c in (places, kinds, lengths, ends, taken))
-                learnt = True
-                break
+        taken = self._taken.take(kinds) & kept
+        declarations = np.flatnonzero((kinds == FMT_TYPE) & kept).tolist()
+        new = next((index for index in declarations if self._learn(data, int(places[index]))), None)
+        if new is not None:
+            kept[new + 1 :] = taken[new + 1 :] = False
         self._found.append((places[taken], kinds[taken]))
-        sound = np.flatnonzero(lengths)
+        reached = np.flatnonzero(kept)
+        sound = np.flatnonzero((ends > places + 1) & kept)
         if len(sound):
             self._sound_end = self._base + int(ends[sound[-1]])
-        return int(ends[-1]), learnt
+        return int(ends[reached[-1]]), new is not None
 
     def _learn(self, data: bytes, position: int) -> bool:
         """Take in the FMT record at `position`. Returns whether records behind it mean something else than before.
@@ -162,12 +164,12 @@ class Walk:
         """
         kind, found = declared(data, position)
         known = self._formats.get(kind)
-        if kind == FMT_TYPE or found.length < HEADER_BYTES or (known is not None and known.layout is not None):
+        if kind == FMT_TYPE or found.length < HEADER_BYTES or (known is not None and known.sound):
             return False
         self._formats[kind] = found
-        taken = found.name in self._wanted and found.layout is not None
-        changed = taken or found.length != self._length_list[kind]
-        self._lengths[kind] = self._length_list[kind] = found.length
+        taken = found.name in self._wanted and found.sound
+        changed = taken or found.length != self._lengths[kind]
+        self._lengths[kind] = self._steps[kind] = found.length
         if taken:
             self._taken[kind] = True
             self._parts[kind] = []
@@ -177,13 +179,30 @@ class Walk:
         """Copy the records that were found in a piece out of it."""
         if not self._found:
             return
-        places, kinds = (np.concatenate(columns) for columns in zip(*self._found, strict=True))
+        places, kinds = _joined(self._found)
         self._found.clear()
         for kind, parts in self._parts.items():
-            layout = self._formats[kind].layout
             at = places[kinds == kind]
-            if layout is not None and len(at):
-                parts.append((at + self._base, gather(data, layout, at)))
+            if len(at):
+                parts.append((at + self._base, gather(data, self._formats[kind].layout(), at)))
+
+
+def _joined(parts: Sequence[tuple[Places, Column]]) -> tuple[Places, Column]:
+    """Places and what belongs to them, (n,) each, from pieces of both."""
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([places for places, _ in parts]), np.concatenate([column for _, column in parts])
+
+
+def _headers(data: bytes, octets: NDArray[np.uint8]) -> Places:
+    """Where the bytes A3 95 are, except perhaps the last two. Of a pair of places only one can have them."""
+    pairs = (len(data) - 1) // 2
+    either = np.frombuffer(data, "<u2", pairs) == HEADER_WORD
+    either |= np.frombuffer(data, "<u2", pairs, 1) == HEADER_WORD
+    places: Places = np.flatnonzero(either)
+    places *= 2
+    places += octets[places + 1] == HEADER[0]
+    return places
 
 
 def _next_header(data: bytes, position: int) -> int:
@@ -204,4 +223,5 @@ def _reached(count: int, holding: Places, after: Places) -> NDArray[np.bool_]:
             change[one + 1] += 1
             change[next_one] -= 1
             reached = next_one
-    return np.cumsum(change[:count], dtype=np.int8) == 0
+    kept: NDArray[np.bool_] = np.cumsum(change[:count], dtype=np.int8) == 0
+    return kept
