@@ -37,6 +37,7 @@ READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, c
 HEAD_BYTES = 16  # of the file
 HEADER_BYTES = 3  # of a message
 DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, text with a tag
+COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
 
@@ -172,6 +173,7 @@ class _Metered(io.BytesIO):
         self._data = data
         self._log = log
         self._left = READ_ALLOWANCE * len(data)
+        self._checked: list[ULog.MessageFormat] = []
         self.since = HEAD_BYTES
 
     def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
@@ -182,12 +184,18 @@ class _Metered(io.BytesIO):
         self._left -= self.tell() - self.since + 1
         self.since = super().seek(offset, whence)
         if self._data[self.since + 2 : self.since + 3] in DEFINITIONS_END:
-            formats = self._log.message_formats.values()
-            self._left -= sum(1 + len(message.fields) for message in formats)
-            _check_definitions(self._log)
+            self._check(list(self._log.message_formats.values()))
         if self._left < 0:
             raise InputError("it is damaged beyond use; download the log again")
         return self.since
+
+    def _check(self, formats: list[ULog.MessageFormat]) -> None:
+        """Check the definitions, if there are others than at the last check, for what that costs of the allowance."""
+        self._left -= len(formats) // COMPARED_AT_ONCE
+        if formats != self._checked:
+            self._checked = formats
+            self._left -= sum(len(message.fields) for message in formats)
+            _check_definitions(self._log)
 
 
 class _Reading(ULog):
