@@ -21,7 +21,7 @@ from mavdiag.logs.records import recorded
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
 
-__all__ = ["KIND", "read_dataflash"]
+__all__ = ["KIND", "WANTED", "read_dataflash"]
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
@@ -66,7 +66,7 @@ _ROWS = (
     _Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     _Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-_WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
+WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
 
 
 def read_dataflash(path: Path) -> Log:
@@ -77,7 +77,7 @@ def read_dataflash(path: Path) -> Log:
     use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
     known signal.
     """
-    walk, digest = Walk(_WANTED), hashlib.sha256()
+    walk, digest = Walk(WANTED), hashlib.sha256()
     for window in windows_of(path):
         digest.update(window)
         walk.feed(window)
