@@ -1,4 +1,4 @@
-"""How much of the time of reading a ULog is the reader's own, beside that of pyulog for the same topics in the same run.
+"""How much of the time of reading a ULog is the reader's own, beside pyulog's for the same topics in the same run.
 
 Usage: python benchmarks/ulog_reader.py LOG.ulg [...]
 """

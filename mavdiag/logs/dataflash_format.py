@@ -15,7 +15,18 @@ from mavdiag.logs.records import as_floats
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US
 
-__all__ = ["FMT_BYTES", "FMT_TYPE", "HEADER", "HEADER_BYTES", "INTEGERS", "MAX_RECORD", "Format", "Table", "declared", "first_instance"]
+__all__ = [
+    "FMT_BYTES",
+    "FMT_TYPE",
+    "HEADER",
+    "HEADER_BYTES",
+    "INTEGERS",
+    "MAX_RECORD",
+    "Format",
+    "Table",
+    "declared",
+    "first_instance",
+]
 
 HEADER = b"\xa3\x95"
 HEADER_BYTES = 3
@@ -45,15 +56,20 @@ class Format:
     length: of a record, with its header.
     name: of the message.
     characters: one per field.
-    labels: one per field.
+    label_list: one label per field, with commas between them.
     sound: whether the characters add up to the length. Records of a type that is not are stepped over, not read.
     """
 
     length: int
     name: str
     characters: str
-    labels: tuple[str, ...]
+    label_list: str
     sound: bool
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One per field."""
+        return tuple(self.label_list.split(","))
 
     def layout(self) -> np.dtype[np.void]:
         """A record as numpy has it, fields f0, f1, … by label. Only of a sound type."""
@@ -104,14 +120,10 @@ class Table:
 def declared(data: bytes, position: int) -> tuple[int, Format]:
     """The type that the FMT record at this place declares, and how it is laid out. The record must be whole."""
     kind, length, name, characters, labels = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
-    return kind, _format(length, _text(name), _text(characters), _text(labels))
-
-
-def _format(length: int, name: str, characters: str, labels: str) -> Format:
-    """A message type as its FMT record declares it."""
-    names = tuple(labels.split(","))
-    sizes = [_SIZES.get(c, MAX_RECORD + 1) for c in characters]
-    return Format(length, name, characters, names, len(names) == len(sizes) and HEADER_BYTES + sum(sizes) == length)
+    fields, label_list = _text(characters), _text(labels)
+    needed = HEADER_BYTES + sum([_SIZES.get(character, MAX_RECORD) for character in fields])  # too much if unknown
+    sound = needed == length and label_list.count(",") + 1 == len(fields)
+    return kind, Format(length, _text(name), fields, label_list, sound)
 
 
 def _text(raw: bytes) -> str:
@@ -126,4 +138,7 @@ def first_instance(table: Table) -> Table:
         return table
     instance = table.raw(label)
     first = instance == instance.min()
-    return table if first.all() else Table(table.format, table.starts[first], table.records[first])
+    if first.all():
+        return table
+    whole = table.records.view(f"V{table.records.itemsize}")  # copied in one piece each, not field by field
+    return Table(table.format, table.starts[first], whole[first].view(table.records.dtype))

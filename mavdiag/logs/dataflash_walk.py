@@ -3,8 +3,8 @@
 A record begins with A3 95 and its type, and the type's length tells where the next one begins. All places with A3 95
 are found at once. In a sound file nearly every record ends where the next of these places is, or before it, so only the
 records that hold an A3 95 within themselves are gone through one by one. After damage the chain resumes at the next
-A3 95 of a known type; a last record that is cut short is dropped. Records carry no checksum: a flipped bit in a value is
-a wrong value.
+A3 95 of a known type; a last record that is cut short is dropped. Records carry no checksum: a flipped bit in a value
+is a wrong value.
 
 A record means what its type was declared to be before it. So where types are being declared, at the head of every log,
 the records are followed one by one, and arrays are used from there on, up to the next declaration that is new.
@@ -34,6 +34,7 @@ __all__ = ["Walk"]
 PATIENCE = 64  # this many records without a new type: the head of the file is over (our choice)
 FIRST_SPAN, MAX_SPAN = 1024, 1 << 18  # places taken at once: few behind a declaration, then more each time (our choice)
 
+PAIRS_AT_ONCE = 1 << 17  # bytes compared at once stay in the processor's cache (our choice)
 HEADER_WORD = int.from_bytes(HEADER, "little")
 
 Places = NDArray[np.intp]
@@ -91,7 +92,7 @@ class Walk:
         return found, (cut,) if self._lost else ()
 
     def _follow(self, data: bytes) -> int:
-        """Follow the chain through a piece. Returns where a record begins, or may begin, that it does not hold whole."""
+        """Follow the chain through a piece. Returns where a record may begin that it does not hold whole."""
         if len(data) <= MAX_RECORD:
             return self._one_by_one(data, _next_header(data, 0), len(data))
         octets = np.frombuffer(data, np.uint8)
@@ -151,11 +152,10 @@ class Walk:
         if new is not None:
             kept[new + 1 :] = taken[new + 1 :] = False
         self._found.append((places[taken], kinds[taken]))
-        reached = np.flatnonzero(kept)
-        sound = np.flatnonzero((ends > places + 1) & kept)
-        if len(sound):
-            self._sound_end = self._base + int(ends[sound[-1]])
-        return int(ends[reached[-1]]), new is not None
+        sound = kept & (ends > places + 1)
+        if sound.any():
+            self._sound_end = self._base + int(ends[_last(sound)])
+        return int(ends[_last(kept)]), new is not None
 
     def _learn(self, data: bytes, position: int) -> bool:
         """Take in the FMT record at `position`. Returns whether records behind it mean something else than before.
@@ -194,13 +194,21 @@ def _joined(parts: Sequence[tuple[Places, Column]]) -> tuple[Places, Column]:
     return np.concatenate([places for places, _ in parts]), np.concatenate([column for _, column in parts])
 
 
+def _last(flags: NDArray[np.bool_]) -> int:
+    """The last place that is set; at least one is."""
+    return len(flags) - 1 - int(flags[::-1].argmax())
+
+
 def _headers(data: bytes, octets: NDArray[np.uint8]) -> Places:
     """Where the bytes A3 95 are, except perhaps the last two. Of a pair of places only one can have them."""
     pairs = (len(data) - 1) // 2
-    either = np.frombuffer(data, "<u2", pairs) == HEADER_WORD
-    either |= np.frombuffer(data, "<u2", pairs, 1) == HEADER_WORD
-    places: Places = np.flatnonzero(either)
-    places *= 2
+    even, odd = np.frombuffer(data, "<u2", pairs), np.frombuffer(data, "<u2", pairs, 1)
+    parts = []
+    for first in range(0, pairs, PAIRS_AT_ONCE):
+        either = even[first : first + PAIRS_AT_ONCE] == HEADER_WORD
+        either |= odd[first : first + PAIRS_AT_ONCE] == HEADER_WORD
+        parts.append(np.flatnonzero(either) + first)
+    places = 2 * np.concatenate(parts)
     places += octets[places + 1] == HEADER[0]
     return places
 

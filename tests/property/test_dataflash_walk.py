@@ -1,6 +1,7 @@
 """The walk in arrays finds what a walk from record to record finds, in any pieces, whatever happened to the file."""
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
@@ -49,14 +50,18 @@ DAMAGE = st.one_of(
 FILES = st.builds(
     lambda head, pieces: b"".join([dataflash(head, []), *(piece * times for piece, times in pieces)]),
     st.lists(st.sampled_from(MESSAGES), max_size=5, unique=True),
-    st.lists(st.tuples(st.one_of(RECORDS, RECORDS, DEFINITIONS, DAMAGE), st.sampled_from([1, 1, 3, 40])), min_size=10, max_size=60),
+    st.lists(
+        st.tuples(st.one_of(RECORDS, RECORDS, DEFINITIONS, DAMAGE), st.sampled_from([1, 1, 3, 40])),
+        min_size=10,
+        max_size=60,
+    ),
 )
 
 
 def cut(data: bytes, sizes: Iterable[int]) -> list[bytes]:
     """The file in pieces of these sizes, and the rest."""
     places = [0, *np.minimum(np.cumsum([0, *sizes]), len(data)).tolist(), len(data)]
-    return [data[start:stop] for start, stop in zip(places, places[1:], strict=False)]
+    return [data[start:stop] for start, stop in pairwise(places)]
 
 
 @settings(max_examples=200)
