@@ -10,8 +10,8 @@ A record means what its type was declared to be before it. So where types are be
 the records are followed one by one, and arrays are used from there on, up to the next declaration that is new.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,15 @@ FIRST_SPAN, MAX_SPAN = 1024, 1 << 18  # places taken at once: few behind a decla
 PAIRS_AT_ONCE = 1 << 17  # bytes compared at once stay in the processor's cache (our choice)
 HEADER_WORD = int.from_bytes(HEADER, "little")
 
-Places = NDArray[np.intp]
-Column = TypeVar("Column", NDArray[np.void], NDArray[np.uint8])
+Places = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class _Gathered:
+    """The records of one type so far, and their places in the file (int64). Arrays that grow would be held twice."""
+
+    starts: bytearray = field(default_factory=bytearray)
+    records: bytearray = field(default_factory=bytearray)
 
 
 class Walk:
@@ -52,11 +59,12 @@ class Walk:
         self._wanted = wanted
         self._patience = patience
         self._first_span = first_span
+        self._span = 0  # how many places are taken at once; 0 where types are being declared
         self._formats: dict[int, Format] = {}
         self._lengths = [FMT_BYTES if kind == FMT_TYPE else 0 for kind in range(256)]  # by type; 0 for unknown
-        self._steps = np.maximum(np.array(self._lengths, np.intp), 1)  # to where the next record may begin
+        self._steps = np.maximum(np.array(self._lengths, np.int64), 1)  # to where the next record may begin
         self._taken = np.zeros(256, np.bool_)  # whether records of a type are gathered
-        self._parts: dict[int, list[tuple[Places, NDArray[np.void]]]] = {}  # by type, in the order of their declaration
+        self._gathered: dict[int, _Gathered] = {}  # by type, in the order of their declaration
         self._found: list[tuple[Places, NDArray[np.uint8]]] = []  # within the present piece: places and types
         self._base = 0  # place in the file where the present piece starts
         self._carry = b""  # the end of the last piece, where a record may have begun
@@ -82,11 +90,11 @@ class Walk:
         the same name, the one that was declared first and has records.
         """
         found: dict[str, Table] = {}
-        for kind, parts in self._parts.items():
+        for kind, gathered in self._gathered.items():
             form = self._formats[kind]
-            if parts and form.name not in found:
-                found[form.name] = first_instance(Table(form, *_joined(parts)))
-            parts.clear()
+            if gathered.starts and form.name not in found:
+                records = np.frombuffer(gathered.records, form.layout())
+                found[form.name] = first_instance(Table(form, np.frombuffer(gathered.starts, np.int64), records))
         lost = self._base + len(self._carry) - self._sound_end
         cut = f"it ends within a record, {lost} bytes are lost: the recording was cut off"
         return found, (cut,) if self._lost else ()
@@ -99,14 +107,14 @@ class Walk:
         places = _headers(data, octets)
         whole = int(np.searchsorted(places, len(data) - MAX_RECORD, "right"))  # records from these places are
         position = _next_header(data, 0)
-        first = 0
-        while first < whole:
-            position = self._one_by_one(data, position, self._patience)
-            first, span, learnt = int(np.searchsorted(places, position)), self._first_span, False
-            while first < whole and not learnt:
-                position, learnt = self._at_once(data, octets, places[first : min(first + span, whole)])
-                first, span = int(np.searchsorted(places, position)), min(2 * span, MAX_SPAN)
-            position = _next_header(data, position)
+        while (first := int(np.searchsorted(places, position))) < whole:
+            if self._span == 0:
+                position = self._one_by_one(data, position, self._patience)
+                self._span = self._first_span
+            else:
+                end, learnt = self._at_once(data, octets, places[first : min(first + self._span, whole)])
+                position = _next_header(data, end)
+                self._span = 0 if learnt else min(2 * self._span, MAX_SPAN)
         return self._one_by_one(data, position, len(data))
 
     def _one_by_one(self, data: bytes, position: int, patience: int) -> int:
@@ -130,7 +138,7 @@ class Walk:
                 places.append(position)
             position = _next_header(data, position + (length or 1))
         if places:
-            at = np.array(places, np.intp)
+            at = np.array(places, np.int64)
             self._found.append((at, np.frombuffer(data, np.uint8)[at + 2]))
         return position
 
@@ -172,26 +180,21 @@ class Walk:
         self._lengths[kind] = self._steps[kind] = found.length
         if taken:
             self._taken[kind] = True
-            self._parts[kind] = []
+            self._gathered[kind] = _Gathered()
         return changed
 
     def _gather(self, data: bytes) -> None:
         """Copy the records that were found in a piece out of it."""
         if not self._found:
             return
-        places, kinds = _joined(self._found)
+        places = np.concatenate([places for places, _ in self._found])
+        kinds = np.concatenate([kinds for _, kinds in self._found])
         self._found.clear()
-        for kind, parts in self._parts.items():
+        for kind, gathered in self._gathered.items():
             at = places[kinds == kind]
             if len(at):
-                parts.append((at + self._base, gather(data, self._formats[kind].layout(), at)))
-
-
-def _joined(parts: Sequence[tuple[Places, Column]]) -> tuple[Places, Column]:
-    """Places and what belongs to them, (n,) each, from pieces of both."""
-    if len(parts) == 1:
-        return parts[0]
-    return np.concatenate([places for places, _ in parts]), np.concatenate([column for _, column in parts])
+                gathered.starts += (at + self._base).tobytes()
+                gathered.records += gather(data, self._formats[kind].layout(), at).tobytes()
 
 
 def _last(flags: NDArray[np.bool_]) -> int:
