@@ -56,20 +56,15 @@ class Format:
     length: of a record, with its header.
     name: of the message.
     characters: one per field.
-    label_list: one label per field, with commas between them.
+    labels: one per field.
     sound: whether the characters add up to the length. Records of a type that is not are stepped over, not read.
     """
 
     length: int
     name: str
     characters: str
-    label_list: str
+    labels: tuple[str, ...]
     sound: bool
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """One per field."""
-        return tuple(self.label_list.split(","))
 
     def layout(self) -> np.dtype[np.void]:
         """A record as numpy has it, fields f0, f1, … by label. Only of a sound type."""
@@ -120,10 +115,9 @@ class Table:
 def declared(data: bytes, position: int) -> tuple[int, Format]:
     """The type that the FMT record at this place declares, and how it is laid out. The record must be whole."""
     kind, length, name, characters, labels = FMT_BODY.unpack_from(data, position + HEADER_BYTES)
-    fields, label_list = _text(characters), _text(labels)
+    fields, names = _text(characters), tuple(_text(labels).split(","))
     needed = HEADER_BYTES + sum([_SIZES.get(character, MAX_RECORD) for character in fields])  # too much if unknown
-    sound = needed == length and label_list.count(",") + 1 == len(fields)
-    return kind, Format(length, _text(name), fields, label_list, sound)
+    return kind, Format(length, _text(name), fields, names, needed == length and len(names) == len(fields))
 
 
 def _text(raw: bytes) -> str:

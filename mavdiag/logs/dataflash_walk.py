@@ -193,8 +193,8 @@ class Walk:
         for kind, gathered in self._gathered.items():
             at = places[kinds == kind]
             if len(at):
-                gathered.starts += (at + self._base).tobytes()
-                gathered.records += gather(data, self._formats[kind].layout(), at).tobytes()
+                gathered.starts += (at + self._base).data
+                gathered.records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
 
 
 def _last(flags: NDArray[np.bool_]) -> int:
