@@ -19,7 +19,14 @@ from mavdiag.telemetry import Log
 __all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
-_READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "csv_log", "tlog")  # tlog has the weakest signature
+_READERS = (
+    "dataflash",
+    "ulog",
+    "crazyflie",
+    "dronepropa",
+    "tlog",
+    "csv_log",
+)  # of those with a signature tlog has the weakest
 
 
 @cache
