@@ -26,7 +26,7 @@ _READERS = (
     "dronepropa",
     "tlog",
     "csv_log",
-)  # of those with a signature tlog has the weakest
+)  # tlog: a weak signature
 
 
 @cache
