@@ -23,12 +23,14 @@ class Options:
     vehicle: MAVLink system id, where a log holds several.
     from_s, to_s: the part of the log to judge, of the vehicle's clock [s].
     windows_s: length of windows to judge besides [s]; None for none.
+    columns: the text of a column map, where the logs are CSV recordings (`mavdiag.logs.csv_columns`).
     """
 
     vehicle: int | None = None
     from_s: float | None = None
     to_s: float | None = None
     windows_s: float | None = None
+    columns: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

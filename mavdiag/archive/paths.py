@@ -1,6 +1,6 @@
 """Which logs a list of arguments names (edge): files, folders with all that is below them, and patterns."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,21 +46,21 @@ class Found:
         return tuple(one.path for one in self.logs)
 
 
-def logs_named(arguments: Iterable[str | Path]) -> Found:
+def logs_named(arguments: Iterable[str | Path], is_log: Callable[[Path], bool] = is_log) -> Found:
     """The logs that arguments name. Nothing is raised: what is wrong with an argument is in its `Named.trouble`.
 
     A file is taken as it is. Of a folder, and of what a pattern like "flights/**/*.tlog" matches, all flight logs are
     taken by their content; hidden files and folders are not looked at, and a folder that is reached twice within one
-    argument (by symbolic links) is looked at once.
+    argument (by symbolic links) is looked at once. is_log: whether a file that was not named itself is one.
     """
     logs: list[Named] = []
     skipped = 0
     for argument in arguments:
         path = Path(argument)
         if path.is_dir():
-            found = list(_below(path, set()))
+            found = list(_below(path, set(), is_log))
         elif not _exists(path) and any(sign in str(path) for sign in PATTERN_SIGNS):
-            found = list(_matching(path))
+            found = list(_matching(path, is_log))
         else:
             found = [Named(path)]
         taken = [one for one in found if one is not None]
@@ -76,7 +76,7 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _matching(pattern: Path) -> Iterator[Named | None]:
+def _matching(pattern: Path, is_log: Callable[[Path], bool]) -> Iterator[Named | None]:
     """What a pattern matches, by name; None for a file that is no log."""
     try:
         matches = sorted(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
@@ -85,12 +85,12 @@ def _matching(pattern: Path) -> Iterator[Named | None]:
         return
     for path in matches:
         if path.is_dir():
-            yield from _below(path, set())
+            yield from _below(path, set(), is_log)
         else:
-            yield _file(path)
+            yield _file(path, is_log)
 
 
-def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Named | None]:
+def _below(folder: Path, seen: set[tuple[int, int]], is_log: Callable[[Path], bool]) -> Iterator[Named | None]:
     """The logs below a folder, by name; None for a file that is no log. seen: device and number of folders so far."""
     try:
         about = folder.stat()
@@ -103,12 +103,12 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Named | None]:
         return
     for path in inside:
         if path.is_dir():
-            yield from _below(path, seen)
+            yield from _below(path, seen, is_log)
         else:
-            yield _file(path)
+            yield _file(path, is_log)
 
 
-def _file(path: Path) -> Named | None:
+def _file(path: Path, is_log: Callable[[Path], bool]) -> Named | None:
     """A file that was not named itself: None if it is no log. One that cannot be read may be one."""
     try:
         if not path.is_file() or path.stat().st_size == 0:

@@ -11,6 +11,7 @@ from mavdiag.archive.windows import windows_of
 from mavdiag.baseline import parse
 from mavdiag.errors import InputError, LinkError
 from mavdiag.judging import judge, judge_in_full
+from mavdiag.logs.csv_columns import parse_column_map
 from mavdiag.logs.log import LOG_BYTES
 from mavdiag.logs.part import read_part
 from mavdiag.storage import open_regular
@@ -41,7 +42,8 @@ def judge_file(path: str, question: Question) -> Record:
     if judging_version() != question.version:
         raise LinkError("a worker has another version of mavdiag; install the same one everywhere")
     options, baseline = question.options, _parsed(question.baseline)
-    log = read_part(Path(path), options.vehicle, options.from_s, options.to_s)
+    columns = None if options.columns is None else parse_column_map(options.columns)
+    log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
     if options.windows_s is None:
         return Record(log.sha256, replace(judge(log, baseline), log=""))
     flight = judge_in_full(log, baseline)

@@ -1,6 +1,7 @@
 """Options that several commands share, and how they become values."""
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
@@ -10,7 +11,18 @@ from mavdiag.identify import Order
 from mavdiag.logs.part import between, read_part
 from mavdiag.telemetry import Axis
 
-__all__ = ["AsJson", "AxisChoice", "FromS", "MethodChoice", "ToS", "Vehicle", "between", "parse_order", "read_part"]
+__all__ = [
+    "AsJson",
+    "AxisChoice",
+    "Columns",
+    "FromS",
+    "MethodChoice",
+    "ToS",
+    "Vehicle",
+    "between",
+    "parse_order",
+    "read_part",
+]
 
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON, one object a line.")]
 Vehicle: TypeAlias = Annotated[
@@ -21,6 +33,11 @@ FromS: TypeAlias = Annotated[
 ]
 ToS: TypeAlias = Annotated[
     float | None, typer.Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")
+]
+
+Columns: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(metavar="MAP.toml", help="The logs are CSV recordings; the file says which column is what."),
 ]
 
 

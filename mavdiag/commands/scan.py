@@ -23,10 +23,11 @@ from mavdiag.archive.windows import Window
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle
+from mavdiag.commands.options import AsJson, Columns, FromS, ToS, Vehicle
 from mavdiag.commands.progress import shown, sizes_of
 from mavdiag.errors import UsageError
 from mavdiag.judging import LogVerdict, Verdict, exit_code
+from mavdiag.logs.csv_columns import column_map_text, is_csv
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
 
@@ -45,6 +46,7 @@ def scan(
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
+    columns: Columns = None,
     windows: Annotated[
         float | None, typer.Option(metavar="S", min=1.0, help="Judge each log in windows of this length besides.")
     ] = None,
@@ -72,9 +74,10 @@ def scan(
             check_output(path)
     if parquet is not None:
         check_parquet()
-    question = Question.of(reference, Options(vehicle, from_s, to_s, windows), judging_version())
+    mapped = None if columns is None else column_map_text(columns)
+    question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped), judging_version())
     kept = None if no_cache else _cache(cache, question.scope)
-    found = logs_named(logs)
+    found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     opened = _opened(scheduler, min(jobs or _processors(), len(found.logs)))
     verdicts, rows = _answered(found, question, opened, kept, as_json, csv is not None or parquet is not None)
     if csv is not None:

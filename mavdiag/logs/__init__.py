@@ -10,14 +10,23 @@ from importlib import import_module
 from pathlib import Path
 
 from mavdiag.errors import InputError, UsageError
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.logs.csv_log import read_csv
 from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log
 
-__all__ = ["Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
+__all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
-_READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog")  # in this order; tlog has the weakest signature
+_READERS = (
+    "dataflash",
+    "ulog",
+    "crazyflie",
+    "dronepropa",
+    "tlog",
+    "csv_log",
+)  # tlog: a weak signature
 
 
 @cache
@@ -27,7 +36,11 @@ def kinds() -> tuple[LogKind, ...]:
 
 
 def read_log(
-    path: Path, vehicle: int | None = None, profile: str | None = None, among: Sequence[LogKind] | None = None
+    path: Path,
+    vehicle: int | None = None,
+    profile: str | None = None,
+    among: Sequence[LogKind] | None = None,
+    columns: ColumnMap | None = None,
 ) -> Log:
     """Read a flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log, chosen by its content.
 
@@ -35,8 +48,11 @@ def read_log(
     profile: link profile of a .tlog where its messages do not show it, or one of the variants of another kind, which
         know their own.
     among: the kinds of logs, None for all.
+    columns: the file is a CSV recording with these columns; None for any other log.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
     """
+    if columns is not None:
+        return read_csv(path, columns)
     known = kinds() if among is None else among
     kind = _kind_of(path, known)
     if kind is None:

@@ -7,16 +7,21 @@ from pathlib import Path
 import numpy as np
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.logs import Log, read_log
+from mavdiag.logs import ColumnMap, Log, read_log
 from mavdiag.telemetry import Series, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["between", "check_times", "read_part"]
 
 
-def read_part(path: Path, vehicle: int | None, from_s: float | None, to_s: float | None) -> Log:
-    """A log, or the part of it between two times [s], under the path as given. Raises InputError or UsageError."""
-    log = read_log(path, vehicle)
+def read_part(
+    path: Path, vehicle: int | None, from_s: float | None, to_s: float | None, columns: ColumnMap | None = None
+) -> Log:
+    """A log, or the part of it between two times [s], under the path as given. Raises InputError or UsageError.
+
+    columns: the file is a CSV recording with these columns; None for any other log.
+    """
+    log = read_log(path, vehicle, columns=columns)
     try:
         return dataclasses.replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
     except InputError as error:
