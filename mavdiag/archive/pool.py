@@ -37,7 +37,7 @@ class TaskExecutor:
 def local_executor(workers: int) -> Iterator[TaskExecutor]:
     """Worker processes of this machine, each with one thread of arithmetic, so that results do not depend on it.
 
-    They end at once if the block is left by an exception or if this process dies, and take no Ctrl-C themselves.
+    They end at once if the block is left by an exception or if this process dies. Ctrl-C is for this process alone.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     others = set(multiprocessing.active_children())
@@ -45,6 +45,7 @@ def local_executor(workers: int) -> Iterator[TaskExecutor]:
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_settle)
     whole = False
     try:
+        _start(pool, workers)
         yield TaskExecutor(pool, 2 * workers)
         whole = True
     finally:
@@ -59,8 +60,18 @@ def local_executor(workers: int) -> Iterator[TaskExecutor]:
                 os.environ[name] = value
 
 
+def _start(pool: Executor, workers: int) -> None:
+    """Start the workers with SIGINT blocked, which they inherit: Ctrl-C goes to the whole group of processes."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        for _ in range(workers):  # a pool starts one more with each task, while none is idle
+            pool.submit(os.getpid)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _settle() -> None:
-    """Ctrl-C goes to the whole group of processes, and the first of them decides; no worker outlives it."""
+    """Leave Ctrl-C to the process that started this one, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

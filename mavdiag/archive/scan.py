@@ -22,6 +22,7 @@ from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 __all__ = ["in_order", "scan"]
 
 Opened = Callable[[], AbstractContextManager[TaskExecutor]]
+MOST_IDLE = 3  # times that workers may die without work (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
 
 
@@ -49,12 +50,16 @@ def scan(
     """
     run = _Run(logs, question, cache, warn)
     yield from run.refused()
+    idle = 0
     while run.left:
-        with opened() as executor:
-            try:
+        try:
+            with opened() as executor:
                 yield from run.work(executor)
-            except BrokenExecutor:
-                yield from run.broken()
+        except BrokenExecutor as error:
+            idle = 0 if run.busy else idle + 1
+            if idle == MOST_IDLE:
+                raise UsageError("the worker processes end before they have anything to do; use --jobs 1") from error
+            yield from run.broken()
 
 
 def in_order(answers: Iterable[Answer]) -> Iterator[Answer]:
@@ -87,6 +92,11 @@ class _Run:
     def left(self) -> bool:
         """Whether anything is still to be done."""
         return bool(self._unread or self._unjudged or self._suspected or self._running)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a worker has something to do."""
+        return bool(self._running)
 
     def refused(self) -> Iterator[Answer]:
         """The answers for what could not even be looked for."""

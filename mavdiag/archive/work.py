@@ -9,12 +9,11 @@ from mavdiag.archive.job import Question, Record
 from mavdiag.archive.sources import judging_version
 from mavdiag.archive.windows import windows_of
 from mavdiag.baseline import parse
-from mavdiag.errors import InputError, LinkError
+from mavdiag.errors import LinkError
 from mavdiag.judging import judge, judge_in_full
 from mavdiag.logs.csv_columns import parse_column_map
-from mavdiag.logs.log import LOG_BYTES
+from mavdiag.logs.log import windows_of as pieces_of
 from mavdiag.logs.part import read_part
-from mavdiag.storage import open_regular
 
 __all__ = ["answer_of", "digest_of_file", "judge_file"]
 
@@ -23,15 +22,11 @@ _parsed = lru_cache(maxsize=2)(parse)  # a worker gets the same baseline with ev
 
 
 def digest_of_file(path: str) -> str:
-    """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
-    try:
-        with open_regular(Path(path), LOG_BYTES) as file:
-            digest = hashlib.sha256()
-            while part := file.read(CHUNK_BYTES):
-                digest.update(part)
-            return digest.hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    """SHA-256 of a log's content, hexadecimal. Raises InputError if it cannot be read."""
+    digest = hashlib.sha256()
+    for part in pieces_of(Path(path), CHUNK_BYTES):
+        digest.update(part)
+    return digest.hexdigest()
 
 
 def judge_file(path: str, question: Question) -> Record:

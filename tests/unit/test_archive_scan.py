@@ -20,7 +20,7 @@ from mavdiag.archive.paths import Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
 from mavdiag.archive.scan import in_order, scan
 from mavdiag.archive.work import answer_of
-from mavdiag.errors import LinkError
+from mavdiag.errors import LinkError, UsageError
 from mavdiag.judging import LogVerdict, Verdict
 
 HERE = in_this_process
@@ -216,6 +216,16 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(tmp_path: Path, error: Ex
     answers = list(scan(logs_named(paths).logs, asked(), failing(error)))
     assert len(answers) == 2
     assert all(words in one.verdict.reason for one in answers)
+
+
+def test_workers_that_never_live_are_told(tmp_path: Path) -> None:
+    @contextmanager
+    def opened() -> Iterator[TaskExecutor]:
+        raise BrokenExecutor("no process")
+        yield
+
+    with pytest.raises(UsageError, match="use --jobs 1"):
+        list(scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), opened))
 
 
 def test_a_scheduler_that_goes_away_ends_the_scan(tmp_path: Path) -> None:
