@@ -95,6 +95,11 @@ class ServerProcess:
         self.place = Place(self.place.host, int(rest), self.place.token)
 
     @property
+    def pid(self) -> int | None:
+        """Of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
+    @property
     def where(self) -> str:
         """As `Child`; the token itself is not shown."""
         return self.place.url if self.place.token is None else f"{self.place.url}?token=TOKEN"

@@ -84,9 +84,9 @@ class Feed:
         self._child.close()
 
     def _heard(self, line: str) -> None:
-        word, *rest = line.split()
+        word, _, rest = line.partition(" ")
         if word == "watch":
-            self._watched = tuple(int(one) for one in rest if one.isdecimal())[:WATCHED_MOST]
+            self._watched = tuple(int(one) for one in rest.split() if one.isdecimal() and len(one) < 4)[:WATCHED_MOST]
             self._pieces = {sysid: pieces for sysid, pieces in self._pieces.items() if sysid in self._watched}
             self._memory = {sysid: memory for sysid, memory in self._memory.items() if sysid in self._watched}
 

@@ -195,10 +195,10 @@ function renderFleet() {
     ["Running for", span(uptime_s)],
     ["Processor", uptime_s > 0 ? `${(100 * cpu_s / uptime_s).toFixed(1)} % of a core` : "–"],
     ["Looks that came late", String(late), late ? "warn" : ""],
-    ...links.map((one, i) => [i ? `Behind: ${one.address}` : `Link ${one.address}`,
-      `${one.connected ? "connected" : "nobody there"}, ${one.sent} sent`
-      + (one.dropped ? `, ${one.dropped} dropped` : "") + (one.overflowed ? `, ${one.overflowed} overflowed` : ""),
-      one.connected ? "" : "warn"]),
+    ...links.flatMap((one, i) => [[i ? "Link behind" : "Vehicles' link", one.address],
+      ["", `${one.connected ? "connected" : "nobody there"}, ${one.sent} sent`
+        + (one.dropped ? `, ${one.dropped} dropped` : "") + (one.overflowed ? `, ${one.overflowed} overflowed` : ""),
+      one.connected ? "" : "warn"]]),
     ...refused.map(([cause, count]) => [`Refused: ${cause}`, String(count), "warn"]),
   ]);
 }
@@ -241,7 +241,7 @@ function renderNow() {
   figures("session", now ? [
     ["State", now.state],
     ...([now.state, now.sentence].includes(now.reason) ? [] : [["", now.reason]]),
-    ["Judged", `${span(now.judged_s)} of ${span(now.flight_s)} in flight`],
+    ["Flight judged", `${span(now.judged_s)} of ${span(now.flight_s)}`],
     ["Alarms of monitors", String(now.events)],
   ] : []);
   const alarm = now && (level === "fault" || level === "suspected");
@@ -288,7 +288,8 @@ function renderBars(now) {
     const [, figure, bar, reason] = item.children, judged = slot.value !== null;
     const ratio = judged ? slot.value / about.threshold : 0;
     item.dataset.state = !judged ? "idle" : ratio > 1 ? "over" : "under";
-    text(figure, judged ? `${shown(slot.value)} of ${shown(about.threshold)} ${about.unit}` : `threshold ${shown(about.threshold)} ${about.unit}`);
+    const limit = `${shown(about.threshold)} ${about.unit.replace("^2", "²").replace(/^x /, "× ")}`;
+    text(figure, judged ? `${shown(slot.value)} of ${limit}` : `threshold ${limit}`);
     text(reason, judged ? (ratio > 1 ? "above its threshold" : "") : `not judged: ${slot.reason}`);
     bar.firstChild.style.width = `${(66.7 * Math.min(1.5, Math.max(0, ratio))).toFixed(1)}%`;
     bar.setAttribute("aria-valuenow", String(judged ? slot.value : 0));

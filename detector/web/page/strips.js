@@ -119,7 +119,7 @@ function drawResidual(canvas, trace, margin) {
     const top = y(joined ? Math.max(high, before[1]) : high);
     const tall = Math.max(1.5, y(joined ? Math.min(low, before[2]) : low) - top);
     before = point;
-    context.fillRect(x((newest - bin) * BIN_S) - wide, top, wide, tall);
+    context.fillRect(x((newest - bin) * BIN_S) - wide, top, wide + 0.6, tall);
   }
   limitLine(context, width, y(margin), colour);
   limitLine(context, width, y(-margin), colour);
@@ -135,7 +135,7 @@ function drawRun(canvas, trace, limit) {
   for (const [bin, , , fsd, judged] of trace.points) {
     context.fillStyle = !judged ? colour.idle : fsd > limit ? colour.over : colour.residual;
     const wide = Math.max(1.5, (width - LEFT - RIGHT) * BIN_S / SPAN_S);
-    context.fillRect(x((newest - bin) * BIN_S) - wide, y(fsd), wide, Math.max(1, y(0) - y(fsd)));
+    context.fillRect(x((newest - bin) * BIN_S) - wide, y(fsd), wide + 0.6, Math.max(1, y(0) - y(fsd)));
   }
   limitLine(context, width, y(limit), colour);
 }
