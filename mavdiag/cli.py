@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim
+from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -14,6 +14,7 @@ app.command("scan")(scan.scan)
 app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
+app.command("watch")(watch.watch)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

@@ -7,7 +7,7 @@ from detector.figures import DaemonFigures
 from detector.states import State
 from detector.web.snapshot import Level
 
-__all__ = ["FleetNow", "fleet_now"]
+__all__ = ["FleetNow", "LinkLine", "VehicleLine", "fleet_now"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from aiohttp import web
 from detector.web.access import HEADERS, Access, Answer
 from detector.web.board import Board, Reader, parse_last
 
-__all__ = ["main"]
+__all__ = ["Server", "main"]
 
 PAGES = 32  # streams at a time
 LINE_BYTES = 4_000_000  # of a line on stdin, at most

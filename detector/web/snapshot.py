@@ -25,7 +25,20 @@ from mavdiag.monitors.base import Feature
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Instant, Signal
 
-__all__ = ["About", "Level", "Memory", "Now", "about", "as_line", "level_of", "snapshot"]
+__all__ = [
+    "About",
+    "Level",
+    "LinkNow",
+    "Memory",
+    "Now",
+    "Seen",
+    "SlotAbout",
+    "SlotNow",
+    "about",
+    "as_line",
+    "level_of",
+    "snapshot",
+]
 
 STALE_S = 1.5  # without rows for so long, nothing is judged now (our choice)
 HELD = 3.0  # periods that the value of a slow monitor stays on the page (our choice)
