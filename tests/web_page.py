@@ -101,9 +101,10 @@ class Reader:
 def give(process: ServerProcess, *lines: str) -> list[str]:
     """Hand lines over, as the daemon does; what the server said meanwhile."""
     said: list[str] = []
-    for line in lines:
-        while not process.put(f"{line}\n".encode()):
+    for data in (*(f"{line}\n".encode() for line in lines), b""):  # the last one: all before it was written
+        while not process.put(data):
             said += process.look(Instant(time.monotonic_ns()))[1]
+            time.sleep(0.001)
     return said + process.look(Instant(time.monotonic_ns()))[1]
 
 

@@ -318,7 +318,9 @@ function renderStrips() {
 
 function renderEvents() {
   const fresh = page.fresh.splice(0).filter(wanted).slice(-ROWS_MOST);
-  byId("list").prepend(...fresh.reverse().map(row));
+  const added = fresh.reverse().map(row);
+  byId("list").prepend(...added);
+  setTimeout(() => { for (const one of added) one.dataset.painted = String(Date.now()); }); // after this frame
   const rows = byId("list").children;
   while (rows.length > ROWS_MOST) rows[rows.length - 1].remove();
   count();
