@@ -137,8 +137,8 @@ def fly(far: Any, vehicle: MadeVehicle, done: Callable[[str], bool], limit_s: fl
     """Fly in real time until a text will do: the text, and when it came [ms, wall clock]."""
     decoder, give_up = Decoder({MessageId.STATUSTEXT}), time.monotonic() + limit_s
     while time.monotonic() < give_up:
-        for frame in vehicle.samples(2):
-            far.send(frame)
+        for sent in vehicle.samples(2):
+            far.send(sent)
         until = time.monotonic() + 0.02
         while (left_s := until - time.monotonic()) > 0:
             for data, host_ns in far.receive(left_s):
