@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,7 +101,8 @@ class Reader:
 def give(process: ServerProcess, *lines: str) -> list[str]:
     """Hand lines over, as the daemon does; what the server said meanwhile."""
     said: list[str] = []
-    for data in (*(f"{line}\n".encode() for line in lines), b""):  # the last one: all before it was written
+    parts = ["".join(f"{line}\n" for line in lines[i : i + 200]).encode() for i in range(0, len(lines), 200)]
+    for data in (*parts, b""):  # the last one: all before it was written
         while not process.put(data):
             said += process.look(Instant(time.monotonic_ns()))[1]
             time.sleep(0.001)
@@ -109,7 +110,7 @@ def give(process: ServerProcess, *lines: str) -> list[str]:
 
 
 @contextmanager
-def browser(profile: Path, size: str = "1400,1150", preferences: Mapping[str, str] | None = None) -> Iterator[Any]:
+def browser(profile: Path) -> Iterator[Any]:
     """Debian's Chromium, headless, with a profile of its own; skips where it is not installed."""
     if not CHROMIUM.exists() or not DRIVER.exists():
         pytest.skip("no Chromium here: `apt-get install chromium chromium-driver` (`make system`)")
@@ -118,16 +119,13 @@ def browser(profile: Path, size: str = "1400,1150", preferences: Mapping[str, st
 
     options = webdriver.ChromeOptions()
     options.binary_location = str(CHROMIUM)
-    for flag in (*FLAGS, f"--user-data-dir={profile}", f"--window-size={size}"):
+    for flag in (*FLAGS, f"--user-data-dir={profile}", "--window-size=1400,1150"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     environ = {**os.environ, "HOME": str(profile.parent)}
     driver = webdriver.Chrome(options=options, service=Service(str(DRIVER), env=environ))
     try:
         driver.set_script_timeout(PATIENCE_S)
-        for feature, value in (preferences or {}).items():
-            features = [{"name": feature, "value": value}]
-            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
         yield driver
     finally:
         driver.quit()

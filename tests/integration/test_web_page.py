@@ -210,24 +210,30 @@ def test_tabs_are_reached_by_the_keyboard(chromium: Any, process: ServerProcess)
     assert chromium.title == "No fault found – vehicle 9 – mavdiag"
 
 
-@pytest.mark.parametrize(("name", "size", "scheme"), [("dark", "1400,1150", "dark"), ("phone", "500,1400", "light")])
+@pytest.mark.parametrize(("name", "width", "scheme"), [("dark", 1400, "dark"), ("phone", 390, "light")])
 def test_it_fits_a_phone_and_follows_the_scheme(
-    tmp_path: Path, process: ServerProcess, name: str, size: str, scheme: str
+    chromium: Any, process: ServerProcess, name: str, width: int, scheme: str
 ) -> None:
-    with browser(tmp_path / "profile", size, {"prefers-color-scheme": scheme}) as chromium:
-        open_page(chromium, process)
-        give(process, fleet(1, 2))
-        wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
-        parts = [now(1, 4 * k, Level.SUSPECTED, 2, "PROP suspect motor 2 weak 11%") for k in range(100)]
-        give(process, about(1), *parts, *(entry(k, f"PROP note {k}") for k in range(1, 30)))
-        wait_for(lambda: text(chromium, "#level-text") == "Suspected")
-        wait_for(lambda: len(rows(chromium)) == 29)
-        picture(chromium, name)
-        wide = "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
-        assert chromium.execute_script(wide)
-        ground = chromium.execute_script("return getComputedStyle(document.body).backgroundColor")
-        assert (sum(int(one) for one in ground[4:-1].split(",")) < 380) == (scheme == "dark")
-        assert complaints(chromium, process) == []
+    look = {"width": width, "height": 1150, "deviceScaleFactor": 1, "mobile": False}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", look)
+    wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+    open_page(chromium, process)
+    give(process, fleet(1, 2))
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
+    parts = [now(1, 4 * k, Level.SUSPECTED, 2, "PROP suspect motor 2 weak 11%") for k in range(100)]
+    give(process, about(1), *parts, *(entry(k, f"PROP note {k}") for k in range(1, 30)))
+    wait_for(lambda: text(chromium, "#level-text") == "Suspected")
+    wait_for(lambda: len(rows(chromium)) == 29)
+    wide = "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+    fits, ground = chromium.execute_script(wide), "return getComputedStyle(document.body).backgroundColor"
+    shades = [int(one) for one in chromium.execute_script(ground)[4:-1].split(",")]
+    picture(chromium, name)
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert fits
+    assert (sum(shades) < 380) == (scheme == "dark")
+    assert complaints(chromium, process) == []
 
 
 def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) -> None:
