@@ -54,6 +54,8 @@ class Board:
             return
         number = int(head)
         if kind == "J" and number > self.newest:
+            if number != self.newest + 1:  # the daemon kept no more: numbers that are kept have no hole
+                self.entries.clear()
             self.entries.append((number, content))
         elif kind == "A":
             self.about[number] = content
@@ -72,11 +74,7 @@ class Board:
         """A page begins to read. last: number of the last entry that it has; None for a page that is new."""
         sent = max(0, self.newest - FIRST) if last is None else last
         reader = Reader(self, vehicle, sent)
-        oldest = self.entries[0][0] if self.entries else 1
-        lost = max(0, oldest - 1 - sent) if last is not None else 0
-        hello = (
-            f'{{"run":"{self.run}","newest":{self.newest},"lost":{lost},"fresh":{"true" if last is None else "false"}}}'
-        )
+        hello = f'{{"run":"{self.run}","newest":{self.newest},"fresh":{"true" if last is None else "false"}}}'
         reader.waiting.append(("hello", hello))
         if self.fleet:
             reader.waiting.append(("fleet", self.fleet))

@@ -25,7 +25,7 @@ AGAIN_S, AGAIN_MOST_S = 1.0, 60.0  # pause before it is started again, the first
 STEADY_S = 60.0  # after so long the pause begins anew
 END_S = 1.0
 READ_BYTES = 65_536
-COMMAND = ("-m", "detector.web.server")
+COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the present folder
 
 
 class Child(Protocol):
@@ -109,7 +109,11 @@ class ServerProcess:
         if self._process is None:
             if now - self._again < 0:
                 return False, []
-            self._spawn()
+            try:
+                self._spawn()
+            except LinkError:  # no memory, no process: later
+                self._ended(now)
+                return False, []
         self._begun = self._begun or now
         lines = self._read()
         if self._process is not None and self._process.stdin is not None:

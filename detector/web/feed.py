@@ -74,7 +74,7 @@ class Feed:
 
     def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
         """The vehicles and links, once a second."""
-        levels = {sysid: level_of(vehicle.session.state) for sysid, vehicle in fleet.vehicles.items()}
+        levels = {sysid: level_of(vehicle.session.state, now) for sysid, vehicle in fleet.vehicles.items()}
         self._fleet = as_line(fleet_now(figures, levels, now - self._began))
         self._put("F", self._fleet)
 

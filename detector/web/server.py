@@ -27,6 +27,7 @@ PAGES = 32  # streams at a time
 LINE_BYTES = 4_000_000  # of a line on stdin, at most
 ALIVE_S = 5.0  # a comment after so much silence, so that a reader that is gone is noticed
 STUCK_S = 20.0  # a reader that takes nothing for so long is given up
+LAST_S = 0.1  # for the last entries to reach the pages
 NICENESS = 5  # the receive loop comes first
 FILES = {
     "/": ("index.html", "text/html"),
@@ -166,6 +167,7 @@ async def _serve() -> None:
     server.access = Access(told["host"], port, told["token"])
     _to_daemon(f"listening {port}")
     await server.feed(lines)
+    await asyncio.sleep(LAST_S)
     await runner.cleanup()
 
 

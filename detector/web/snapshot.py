@@ -272,19 +272,20 @@ def _verdict(state: SessionState, judging: bool) -> tuple[Level, str, int | None
     return Level.NOT_JUDGED, state.reason, None
 
 
-def level_of(state: SessionState) -> tuple[Level, str]:
-    """Level and sentence of a vehicle that nobody looks at: quiet where the latest figures were valid."""
+def level_of(state: SessionState, now: Instant) -> tuple[Level, str]:
+    """Level and sentence of a vehicle that nobody may look at."""
     judge = state.judge
-    level, sentence, _ = _verdict(state, judge is not None and any(one.valid for one in judge.gauges))
+    level, sentence, _ = _verdict(state, judge is not None and now - judge.judged <= STALE_S)
     return level, sentence
 
 
 def as_line(value: object) -> str:
-    """The JSON of a dataclass of figures, in one line of ASCII. Raises ValueError for a number that is not finite."""
+    """The JSON of a dataclass of figures, in one line of ASCII; a number that is not finite becomes null."""
     return json.dumps(value, default=_plain, allow_nan=False)
 
 
 def _plain(value: object) -> object:
     if is_dataclass(value) and not isinstance(value, type):
-        return {one.name: getattr(value, one.name) for one in fields(value)}
+        found = {one.name: getattr(value, one.name) for one in fields(value)}
+        return {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in found.items()}
     raise TypeError(f"{type(value).__name__} has no JSON")

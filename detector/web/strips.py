@@ -8,13 +8,14 @@ import numpy as np
 from mavdiag.chain import Chain, Piece
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, IntArray
+from mavdiag.telemetry import Axis, FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
 __all__ = ["BIN_NS", "Strip", "strips_of"]
 
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point stands for (our choice)
 DIGITS = 5
+MOST = 1e6  # that a point may show: what is not finite, or beyond it, is no figure for a strip
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +49,10 @@ def _strip(axis: Axis, found: Sequence[Statistic]) -> Strip:
     if not found:
         return Strip(axis, (), (), (), (), ())
     bins: IntArray = np.concatenate([one.t_ns for one in found]) // BIN_NS
-    signal = np.nan_to_num(np.concatenate([one.signal for one in found]))
+    signal = _bounded([one.signal for one in found])
     starts = np.concatenate(([0], np.flatnonzero(np.diff(bins)) + 1))
     low, high = np.minimum.reduceat(signal, starts), np.maximum.reduceat(signal, starts)
-    fsd_s = np.maximum.reduceat(np.nan_to_num(np.concatenate([one.value for one in found])), starts)
+    fsd_s = np.maximum.reduceat(_bounded([one.value for one in found]), starts)
     judged = np.logical_or.reduceat(np.concatenate([one.valid for one in found]), starts)
     return Strip(
         axis,
@@ -61,3 +62,7 @@ def _strip(axis: Axis, found: Sequence[Statistic]) -> Strip:
         tuple(fsd_s.round(DIGITS).tolist()),
         tuple(judged.tolist()),
     )
+
+
+def _bounded(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.clip(np.nan_to_num(np.concatenate(parts)), -MOST, MOST)

@@ -264,3 +264,4 @@ def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) 
         code, _ = ended(child, signal.SIGTERM)
     assert code == 0
     wait_for(lambda: "no connection" in text(chromium, "#connection"))
+    assert text(chromium, "#list li:first-child .kind") == "stop"

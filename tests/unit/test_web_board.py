@@ -47,13 +47,14 @@ def test_a_page_that_comes_and_goes_gets_every_entry_once(steps: list[tuple[int,
     assert got == list(range(1, total + 1))
 
 
-def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_is_told_what_it_lost() -> None:
+def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_that_are_kept() -> None:
     board = filled(KEPT + 300)
     new = board.enter(None, None)
     assert drained(new) == list(range(KEPT + 301 - FIRST, KEPT + 301))
     away = board.enter(None, 100)
     hello = json.loads(events(away.next())[0]["data"])
-    assert hello == {"run": "r", "newest": KEPT + 300, "lost": 200, "fresh": False}
+    assert hello == {"run": "r", "newest": KEPT + 300, "fresh": False}
+    assert drained(board.enter(None, 100)) == list(range(301, KEPT + 301))
     assert len(board.entries) == KEPT
     assert len(numbers(board.enter(None, 0).next())) == BATCH
 
@@ -63,6 +64,15 @@ def test_entries_that_come_again_are_known() -> None:
     board = filled(5)
     board.take("J 3 again")
     assert [number for number, _ in board.entries] == [1, 2, 3, 4, 5]
+
+
+def test_a_hole_in_the_numbers_loses_nothing_that_came() -> None:
+    board = filled(5)
+    reader, late = board.enter(None, 0), board.enter(None, 3)
+    assert drained(reader) == [1, 2, 3, 4, 5]
+    for number in range(50, 60):
+        board.take(f"J {number} x")
+    assert drained(reader) == drained(late) == list(range(50, 60))
 
 
 def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_oldest() -> None:

@@ -1,5 +1,6 @@
 """What the live page is told on a virtual clock: entries always, figures while somebody looks."""
 
+import importlib.util
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -14,10 +15,12 @@ from detector.config import SessionSettings, Settings
 from detector.fleet import VehicleFigures
 from detector.values import SessionSpec
 from detector.web.board import KEPT
+from detector.web.child import Place, ServerProcess
 from detector.web.feed import Feed
 from detector.web.snapshot import Level, Memory, about, as_line, snapshot
 from mavdiag.airframe.layout import layout_named
 from mavdiag.chain import Piece
+from mavdiag.errors import UsageError
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Instant, Signal
 
@@ -144,6 +147,13 @@ def test_a_child_that_began_anew_gets_everything_that_is_kept(bench: Bench, chil
     child.says = ["watch 1"]
     bench.run(1.0)
     assert child.of("A")
+
+
+def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
+    with pytest.raises(UsageError, match=r"^--web needs aiohttp; run `pip install 'mavdiag\[web\]'`$"):
+        process.start()
 
 
 def test_only_so_many_entries_are_kept() -> None:

@@ -1,5 +1,7 @@
 """The strips of the live page: the same points however the flight is cut, and no peak is lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made_baselines import thesis
@@ -57,3 +59,10 @@ def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piec
 def test_without_rows_there_are_no_points(judged: tuple[Chain, list[Piece]]) -> None:
     chain, _ = judged
     assert [one.bins for one in strips_of(chain, [])] == [(), ()]
+
+
+def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
+    chain, pieces = judged
+    wild = [replace(one, signal=np.where(one.signal > 0, np.inf, np.nan)) for one in pieces[0].found]
+    for strip in strips_of(chain, [Piece(pieces[0].rows, tuple(wild))]):
+        assert np.isfinite([*strip.low, *strip.high]).all()

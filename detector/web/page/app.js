@@ -69,13 +69,13 @@ function hello(told) {
     draw("about", "now", "strips", "events");
   }
   page.run = told.run;
-  page.lost += told.lost;
   if (told.fresh) page.last = 0;
 }
 
 function entry(event) {
   const number = Number(event.lastEventId.split("-").pop());
   if (number <= page.last) return;
+  if (page.last) page.lost += number - page.last - 1;
   page.last = number;
   let content;
   try { content = JSON.parse(event.data); } catch { return; }
