@@ -4,6 +4,7 @@ Pictures of it are left in build/screenshots.
 """
 
 import json
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -16,14 +17,17 @@ from made_session import baseline_for
 from made_vehicle import MadeVehicle
 from web_page import SCREENSHOTS, browser, give, serving, wait_for
 
+from detector.fleet import Fleet
 from detector.states import State
+from detector.values import SessionSpec
 from detector.web.child import ServerProcess
+from detector.web.feed import Feed
 from detector.web.snapshot import About, Level, LinkNow, Now, SlotAbout, SlotNow, as_line
 from detector.web.strips import Strip
 from mavdiag.airframe.layout import layout_named
 from mavdiag.drawing import airframe_svg
 from mavdiag.link.ports import open_endpoint
-from mavdiag.telemetry import Axis
+from mavdiag.telemetry import Axis, Instant
 
 pytestmark = pytest.mark.realtime
 ARROW_LEFT = "\ue012"  # WebDriver 17.4.2
@@ -174,18 +178,32 @@ def test_a_thousand_events_are_shown_in_a_bounded_list_at_once(chromium: Any, pr
     assert complaints(chromium, process) == []
 
 
-def test_a_reconnect_of_the_browser_loses_nothing(chromium: Any, process: ServerProcess) -> None:
+def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
+    """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
+    feed, nobody = Feed(process, host_now()), Fleet(SessionSpec, profile=None, only=None, datagrams=True)
+
+    def write(first: int, last: int) -> None:
+        for number in range(first, last + 1):
+            feed.write(entry(number).split(" ", 2)[2])
+
+    def shown(newest: int) -> bool:
+        feed.look(nobody, (), host_now())
+        return rows(chromium)[:1] == [newest]
+
     open_page(chromium, process)
-    give(process, fleet(1), *(entry(k) for k in range(1, 301)))
-    wait_for(lambda: rows(chromium)[:1] == [300])
-    chromium.execute_cdp_cmd("Network.enable", {})
-    chromium.execute_script("mavdiag.source.close(); mavdiag.source.onerror()")  # as a connection that broke
+    write(1, 300)
+    wait_for(lambda: shown(300))
+    os.kill(process.pid or 0, signal.SIGKILL)
     wait_for(lambda: "no connection" in text(chromium, "#connection"))
-    give(process, *(entry(k) for k in range(301, 1501)))
-    wait_for(lambda: rows(chromium)[:1] == [1500])
-    numbers = chromium.execute_script("return mavdiag.entries.map((one) => one.number)")
-    assert numbers == list(range(1, 1501))
+    write(301, 1500)
+    wait_for(lambda: shown(1500))
+    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 1501))
     assert text(chromium, "#connection") == "live"
+    assert "not kept" not in text(chromium, "#events-count")
+
+
+def host_now() -> Instant:
+    return Instant(time.monotonic_ns())
 
 
 def test_a_detector_that_falls_silent_or_is_gone_is_not_shown_as_live(chromium: Any, process: ServerProcess) -> None:
