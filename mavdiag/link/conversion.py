@@ -7,11 +7,11 @@ for each signal in them. Everything is in the body frame FRD already: MAVLink ha
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32, US_32, US_64, Counter
 from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
@@ -20,8 +20,6 @@ from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.units import RPM
 
 __all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "source", "sources"]
-
-Record: TypeAlias = NDArray[Any]
 
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
