@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mavdiag.baseline import Baseline
     from mavdiag.face import Watch, judge, learn, rates, read_log
     from mavdiag.link.link import open_link
+    from mavdiag.logs.tlog import vehicle_stream
     from mavdiag.telemetry import Log
 
 try:
@@ -43,6 +44,7 @@ __all__ = [
     "open_link",
     "rates",
     "read_log",
+    "vehicle_stream",
 ]
 
 _HOME = {
@@ -55,6 +57,7 @@ _HOME = {
     "open_link": "mavdiag.link.link",
     "rates": "mavdiag.face",
     "read_log": "mavdiag.face",
+    "vehicle_stream": "mavdiag.logs.tlog",
 }
 
 

@@ -1,7 +1,7 @@
 """Frames of one vehicle in order of arrival, seen message by message: what the conversion to samples reads.
 
-A live link brings frames one by one (`FrameBatch`), a recording whole columns of them (`ColumnBatch`). Of both only what
-the autopilot itself sends (component 1) is in the columns.
+A live link brings frames one by one (`FrameBatch`), a recording whole columns of them (`ColumnBatch`). Of both, only
+what the autopilot itself sends (component 1) is in the columns.
 """
 
 from collections import Counter, defaultdict

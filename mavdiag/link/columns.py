@@ -87,7 +87,9 @@ class Decoded:
 
 def known_ids(frames: Frames, known: Dialect) -> IntArray:
     """(n,) message ids as `LinkCount` has them: those outside the dialect are `codec.UNKNOWN`."""
-    return np.where(known.seeds[known.row(frames.msgid)] < 0, UNKNOWN, frames.msgid)
+    ids = known.row(frames.msgid)
+    ids[known.seeds[ids] < 0] = UNKNOWN
+    return ids
 
 
 def decoded(piece: Piece, frames: Frames, known: Dialect, wanted: Collection[int]) -> Decoded:

@@ -9,14 +9,14 @@ A piece that is not the last ends before the first frame that may go beyond it; 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.link.codec import known_messages
 from mavdiag.link.crc_columns import Bytes, rows_at, sound_frames
-from mavdiag.link.signing import SEAL_BYTES
+from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG
 from mavdiag.telemetry import BoolArray, IntArray
 
 __all__ = [
@@ -140,20 +140,18 @@ def walk(piece: Piece, known: Dialect, find: Finder | None = None) -> Walk:
 
 def by_arrays(piece: Piece, known: Dialect) -> IntArray:
     """Where the sound frames of a piece begin."""
-    frames = frames_at(piece.data, _seeming(piece))
-    rows = known.row(frames.msgid)
-    outside = known.seeds[rows] < 0
-    may = _complete(frames, piece, outside)
-    begin, following, rows = frames.begin[may], frames.after[may] + GAP, rows[may]
-    start, length = begin + 1, frames.stop[may] - begin - 1
-    untested = ~outside[may]
-    left = np.arange(len(begin))
+    begin = _seeming(piece)
+    spans = _spans(piece.data, begin)
+    row = known.row(spans.msgid)
+    outside = known.seeds[row] < 0
+    left = np.flatnonzero(_complete(begin, spans, piece, outside))
+    untested = ~outside
     while True:
-        path = left[_path(begin[left], following[left])]
+        path = left[_path(begin[left], spans.after[left] + GAP)]
         tested = path[untested[path]]
         untested[tested] = False
-        seeds = known.seeds[rows[tested]].astype(np.uint8)
-        wrong = tested[~sound_frames(piece.data, start[tested], length[tested], seeds)]
+        start, seeds = begin[tested] + 1, known.seeds[row[tested]].astype(np.uint8)
+        wrong = tested[~sound_frames(piece.data, start, spans.stop[tested] - start, seeds)]
         if len(wrong) == 0:
             return begin[path]
         left = np.setdiff1d(left, wrong, assume_unique=True)
@@ -171,37 +169,50 @@ def _seeming(piece: Piece) -> IntArray:
     return np.concatenate(found) if found else np.empty(0, np.int64)
 
 
+class _Spans(NamedTuple):
+    """How far seeming frames go, (n,) each; the words are those of `Frames`."""
+
+    body: IntArray
+    stop: IntArray
+    after: IntArray
+    msgid: IntArray
+
+
+def _spans(data: Bytes, begin: IntArray) -> _Spans:
+    head = rows_at(data, begin, _HEADER)
+    length, flags = head[:, 1].astype(np.int64), head[:, 2]
+    msgid = head[:, 7] | head[:, 8].astype(np.int64) << 8 | head[:, 9].astype(np.int64) << 16
+    body = begin + _HEADER
+    old = np.flatnonzero(head[:, 0] == V1)
+    msgid[old], body[old] = head[old, 5], begin[old] + 6
+    stop = body + length
+    after = stop + 2
+    after[flags == SIGNED_FLAG] += SEAL_BYTES
+    after[old] = stop[old] + 2
+    return _Spans(body, stop, after, msgid)
+
+
 def frames_at(data: Bytes, begin: IntArray) -> Frames:
     """What the headers behind these markers say."""
-    rows = rows_at(data, begin - GAP, GAP + _HEADER)
-    head = rows[:, GAP:]
-    marker, length, flags = head[:, 0], head[:, 1].astype(np.int64), head[:, 2]
-    time_us = np.ascontiguousarray(rows[:, :GAP]).view(">u8")[:, 0].astype(np.int64)
-    msgid = head[:, 7] | head[:, 8].astype(np.int64) << 8 | head[:, 9].astype(np.int64) << 16
-    seq, sysid, compid = head[:, 4].copy(), head[:, 5].astype(np.uint16), head[:, 6]
-    body = begin + _HEADER
-    signature = np.where(flags == 1, SEAL_BYTES, 0)
-    old = np.flatnonzero(marker == V1)
-    if len(old):
-        seq[old], sysid[old], msgid[old] = head[old, 2], head[old, 3], head[old, 5]
-        body[old], signature[old] = begin[old] + 6, 0
-        compid = compid.copy()
-        compid[old] = head[old, 4]
-    stop = body + length
-    return Frames(begin, body, stop, stop + 2 + signature, msgid, sysid << np.uint16(8) | compid, seq, time_us)
+    head = rows_at(data, begin, _HEADER)
+    time_us = rows_at(data, begin - GAP, GAP).view(">u8")[:, 0].astype(np.int64)
+    old = np.flatnonzero(head[:, 0] == V1)
+    head[old, 4:7] = head[old, 2:5]
+    sender = head[:, 5].astype(np.uint16) << np.uint16(8) | head[:, 6]
+    return Frames(begin, *_spans(data, begin), sender, head[:, 4].copy(), time_us)
 
 
-def _complete(frames: Frames, piece: Piece, outside: BoolArray) -> BoolArray:
+def _complete(begin: IntArray, spans: _Spans, piece: Piece, outside: BoolArray) -> BoolArray:
     """Which seeming frames may be one: all there, no flags that we do not know, and the next one behind an unknown."""
-    flags = piece.data[frames.begin + 2]
-    may: BoolArray = (frames.after <= piece.size) & ((flags <= 1) | (piece.data[frames.begin] == V1))
+    flags = piece.data[begin + 2]
+    may: BoolArray = (spans.after <= piece.size) & ((flags <= SIGNED_FLAG) | (piece.data[begin] == V1))
     at = np.flatnonzero(outside & may)
     if len(at):
-        following = frames.after[at] + GAP
+        following = spans.after[at] + GAP
         inside = following < piece.size
         after = piece.data[np.where(inside, following, 0)]
         goes_on = inside & ((after == V1) | (after == V2))
-        may[at] = goes_on | (frames.after[at] == piece.size) if piece.last else goes_on
+        may[at] = goes_on | (spans.after[at] == piece.size) if piece.last else goes_on
     return may
 
 
@@ -215,12 +226,12 @@ def _path(begin: IntArray, following: IntArray) -> IntArray:
         return np.empty(0, np.int64)
     hops = np.append(np.flatnonzero(following[:-1] != begin[1:]), count - 1)
     target = np.searchsorted(begin, following[hops])
-    after, used, hop = np.searchsorted(hops, target).tolist(), [], 0
-    while hop < len(hops):
+    after, used, hop, end = np.searchsorted(hops, target).tolist(), [], 0, len(hops)
+    while hop < end:
         used.append(hop)
         hop = after[hop]
     met = np.zeros(count + 1, np.int8)
     met[0] = 1
     met[target[used[:-1]]] = 1
     met[hops[used] + 1] -= 1
-    return np.flatnonzero(np.cumsum(met, dtype=np.int8)[:-1])
+    return np.flatnonzero(np.cumsum(met, dtype=np.int8)[:-1].view(np.bool_))

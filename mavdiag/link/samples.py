@@ -21,7 +21,7 @@ from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 
-__all__ = ["SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
+__all__ = ["Runs", "SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
@@ -55,21 +55,43 @@ def joined(pieces: Sequence[Telemetry]) -> Telemetry:
     """One telemetry from consecutive pieces: each signal's rows, end to end."""
     if len(pieces) == 1:
         return pieces[0]
-    runs: dict[Signal, list[Series]] = {}
+    runs = Runs()
     for piece in pieces:
+        runs.add(piece)
+    return runs.joined()
+
+
+class Runs:
+    """Telemetry that comes in consecutive pieces."""
+
+    def __init__(self) -> None:
+        self._runs: dict[Signal, list[Series]] = {}
+
+    def add(self, piece: Telemetry) -> None:
+        """Take the next piece."""
         for series in piece.series:
-            runs.setdefault(series.signal, []).append(series)
-    return Telemetry(
-        tuple(
-            Series(
-                signal,
-                np.concatenate([s.t_ns for s in run]),
-                np.concatenate([s.host_ns for s in run]),
-                np.concatenate([s.values for s in run]),
-            )
-            for signal, run in runs.items()
-        )
-    )
+            self._runs.setdefault(series.signal, []).append(series)
+
+    def joined(self) -> Telemetry:
+        """Each signal's rows, end to end. The pieces are given up one by one, so that memory does not hold all twice.
+
+        Signals of one message share their times, as they do in each piece.
+        """
+        times: dict[tuple[int, ...], IntArray] = {}
+
+        def whole(parts: list[IntArray]) -> IntArray:
+            known = tuple(map(id, parts))
+            if known not in times:
+                times[known] = np.concatenate(parts)
+            return times[known]
+
+        series = []
+        while self._runs:
+            signal = next(iter(self._runs))
+            run = self._runs.pop(signal)
+            t_ns, host_ns = whole([one.t_ns for one in run]), whole([one.host_ns for one in run])
+            series.append(Series(signal, t_ns, host_ns, np.concatenate([one.values for one in run])))
+        return Telemetry(tuple(series))
 
 
 class _Group(NamedTuple):

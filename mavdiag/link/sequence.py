@@ -135,8 +135,9 @@ class SequenceTracker:
             if at < stretch_end and self._next == (seq + 1) & 0xFF:
                 at = stretch_end
                 self._next = (int(seqs[at - 1]) + 1) & 0xFF
-        for msgid, many in zip(*(one.tolist() for one in _counted(msgids)), strict=True):
-            self._seen[msgid] += many
+        times = np.bincount(msgids + 1)  # UNKNOWN is -1
+        for place in np.flatnonzero(times).tolist():
+            self._seen[place - 1] += int(times[place])
 
     def _jump(self, seq: int, received: int) -> None:
         distance = (seq - self._next + 128) % 256 - 128  # signed, modulo 256
@@ -208,18 +209,24 @@ class Senders:
 
     def note_all(self, keys: NDArray[np.uint16], seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
         """As `note` for each of these frames in turn, (n,) each, on a link that has one end only."""
-        found, _ = _counted(keys.astype(np.int64))
-        if len(self._trackers.keys() | set(found.tolist())) > SENDERS_MAX:  # some must make room: the order matters
+        found = np.flatnonzero(np.bincount(keys)).tolist()
+        if len(self._trackers.keys() | set(found)) > SENDERS_MAX:  # some must make room: the order matters
             for each in zip(keys.tolist(), seqs.tolist(), msgids.tolist(), host_ns.tolist(), strict=True):
                 self.note(*each, None)
             return
-        rows = {key: np.flatnonzero(keys == key) if len(found) > 1 else np.arange(len(keys)) for key in found.tolist()}
-        for key, own in sorted(rows.items(), key=lambda one: int(one[1][0])):
-            tracker = self._trackers.get(key)
-            if tracker is None:
-                tracker = self._added(key, SequenceTracker(int(seqs[own[0]])))
-            tracker.heard_ns = int(host_ns[own[-1]])
-            tracker.run(seqs[own], msgids[own])
+        if len(found) == 1:
+            self._note_run(found[0], seqs, msgids, host_ns)
+            return
+        rows = [(key, np.flatnonzero(keys == key)) for key in found]
+        for key, own in sorted(rows, key=lambda one: int(one[1][0])):
+            self._note_run(key, seqs[own], msgids[own], host_ns[own])
+
+    def _note_run(self, key: int, seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
+        tracker = self._trackers.get(key)
+        if tracker is None:
+            tracker = self._added(key, SequenceTracker(int(seqs[0])))
+        tracker.heard_ns = int(host_ns[-1])
+        tracker.run(seqs, msgids)
 
     def get(self, sysid: int, compid: int) -> SequenceTracker | None:
         """One sender; None if it is not followed."""
@@ -238,10 +245,3 @@ class Senders:
             }
         self._trackers[key] = tracker
         return tracker
-
-
-def _counted(numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Which numbers there are, ascending, and how often. They are small ones, from -1 on."""
-    times = np.bincount(numbers + 1) if len(numbers) else np.empty(0, np.int64)
-    found = np.flatnonzero(times)
-    return found - 1, times[found]

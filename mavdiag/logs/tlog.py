@@ -8,7 +8,7 @@ installed, large files by a compiled loop. What comes out is what `link.codec.De
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.link.batch import total
+from mavdiag.link.batch import ColumnBatch, total
 from mavdiag.link.codec import Frame
 from mavdiag.link.columns import Decoded, decoded, known_ids
 from mavdiag.link.evidence import autopilots_of
@@ -24,11 +24,11 @@ from mavdiag.link.frame_loop import finder_for
 from mavdiag.link.frame_walk import GAP, LONGEST, Finder, Piece, dialect, walk
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, detect_profile_in, profile_named, with_imu_of
-from mavdiag.link.samples import SampleDecoder, SampleState, joined
+from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile_in, profile_named, with_imu_of
+from mavdiag.link.samples import Runs, SampleDecoder, SampleState
 from mavdiag.link.sequence import LinkCount, Senders
-from mavdiag.logs.log import WINDOW_BYTES, LogKind, windows_of
-from mavdiag.telemetry import Log
+from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, windows_of
+from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_US
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "vehicle_stream",
 ]
 
-TLOG_BYTES = 16 << 30  # of a file, at most (our choice: four days of two streams at 1 kHz)
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -57,7 +56,7 @@ class TlogContent:
 
     pieces: the frames that any profile reads, and parameters, of all senders, in order of arrival; times are unix time.
     size: bytes of the file.
-    sha256: of the file, hexadecimal.
+    sha256: of the file, hexadecimal; empty where there is none.
     records: sound frames of any kind.
     damaged_bytes: what is in no sound record.
     senders: figures by (system id, component id).
@@ -128,7 +127,14 @@ def decode_tlog(data: bytes) -> TlogContent:
 
 def read_content(path: Path) -> TlogContent:
     """What a telemetry log holds. Raises InputError if it cannot be read or is empty."""
-    return decode_windows(windows_of(path, most=TLOG_BYTES))
+    digest = hashlib.sha256()
+
+    def summed() -> Iterator[bytes]:
+        for window in windows_of(path, most=TLOG_BYTES):
+            digest.update(window)
+            yield window
+
+    return replace(decode_windows(summed()), sha256=digest.hexdigest())
 
 
 def decode_windows(windows: Iterable[bytes], find: Finder | None = None) -> TlogContent:
@@ -136,14 +142,16 @@ def decode_windows(windows: Iterable[bytes], find: Finder | None = None) -> Tlog
 
     find: how to find the frames; None for what is quickest. All ways find the same.
     """
-    known, senders, digest = dialect(), Senders(), hashlib.sha256()
+    known, senders = dialect(), Senders()
     pieces: list[Decoded] = []
     records = damaged = sound_end = begin = 0
-    held = b""
+    data, held = np.empty(0, np.uint8), 0
     for window, last in _with_last(windows):
-        digest.update(window)
-        data = np.frombuffer(b"".join((held, window, bytes(LONGEST))), np.uint8)
-        piece = Piece(data, len(held) + len(window), last)
+        size = held + len(window)
+        if len(data) < size + LONGEST:
+            data = np.concatenate((data[:held], np.zeros(len(window) + 2 * LONGEST, np.uint8)))
+        data[held:size] = np.frombuffer(window, np.uint8)
+        piece = Piece(data, size, last)
         found = walk(piece, known, find or finder_for(begin))
         frames = found.frames
         if len(frames):
@@ -151,8 +159,9 @@ def decode_windows(windows: Iterable[bytes], find: Finder | None = None) -> Tlog
             pieces.append(decoded(piece, frames, known, _WANTED))
             sound_end = begin + found.sound_end
         records, damaged, begin = records + len(frames), damaged + found.damaged, begin + found.resume
-        held = data[found.resume : piece.size].tobytes()
-    return TlogContent(tuple(pieces), begin, digest.hexdigest(), records, damaged, senders.counts(), begin - sound_end)
+        held = size - found.resume
+        data[:held] = data[found.resume : size].copy()
+    return TlogContent(tuple(pieces), begin, "", records, damaged, senders.counts(), begin - sound_end)
 
 
 def _with_last(windows: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
@@ -172,31 +181,68 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
     vehicle or several, or does not show its profile; UsageError for an unknown profile.
     """
-    content = _usable(path)
-    heard, flying = content.heard, content.flying if vehicle is None else [vehicle]
-    if not flying:
-        raise InputError(f"{path}: no autopilot's heartbeat in the log; name the vehicle if there is one")
-    if len(flying) > 1:
-        each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each)"
-        raise InputError(f"{path}: holds the vehicles {_names(flying)}; {each}")
-    if flying[0] not in heard:
-        raise InputError(f"{path}: nothing from vehicle {flying[0]}; there is {_names(heard) or 'none'}")
-    return _log(path, content, flying[0], profile)
+
+    def chosen(content: TlogContent) -> list[int]:
+        heard, flying = content.heard, content.flying if vehicle is None else [vehicle]
+        if not flying:
+            raise InputError(f"{path}: no autopilot's heartbeat in the log; name the vehicle if there is one")
+        if len(flying) > 1:
+            each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each of them)"
+            raise InputError(f"{path}: holds the vehicles {_names(flying)}; {each}")
+        if flying[0] not in heard:
+            raise InputError(f"{path}: nothing from vehicle {flying[0]}; there is {_names(heard) or 'none'}")
+        return flying
+
+    return next(_flights(path, profile, chosen)).log
 
 
-def vehicle_stream(path: Path, profile: str | None = None) -> Iterator[VehicleLog]:
+def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[VehicleLog]:
     """The flight of each vehicle in a telemetry log, one after the other, by rising system id; the file is read once.
 
     A vehicle is what sends the heartbeats of an autopilot. The logs are as `read_tlog` gives them, but their names end
     with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile of all; None
     recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its turn comes.
     """
+
+    path = Path(path)
+
+    def chosen(content: TlogContent) -> list[int]:
+        if not content.flying:
+            raise InputError(f"{path}: no autopilot's heartbeat in the log")
+        return sorted(content.flying)
+
+    return _flights(path, profile, chosen)
+
+
+def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
+    """The flights of the vehicles that are chosen. What was decoded is given up as the last one is converted."""
     content = _usable(path)
-    if not content.flying:
-        raise InputError(f"{path}: no autopilot's heartbeat in the log")
-    for sysid in sorted(content.flying):
-        log = _log(path, content, sysid, profile)
-        yield VehicleLog(sysid, log if len(content.flying) == 1 else replace(log, name=f"{log.name} vehicle {sysid}"))
+    sysids, heard, pieces = choose(content), content.heard, list(content.pieces)
+    named = [frame for piece in pieces for frame in piece.frames({MessageId.PARAM_VALUE})]
+    content = replace(content, pieces=())
+    for sysid in sysids:
+        batches = [piece.vehicle(sysid) for piece in pieces]
+        if sysid == sysids[-1]:
+            pieces.clear()
+        recognised = detect_profile_in(batches)
+        known = recognised.profile if profile is None else profile_named(profile)
+        if known is None:
+            raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
+        parameters = parameters_in((one for one in named if one.sysid == sysid), known.autopilot)
+        name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
+        telemetry = _converted(batches, known)
+        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], content.notes, parameters)
+        yield VehicleLog(sysid, log)
+
+
+def _converted(batches: list[ColumnBatch], profile: Profile) -> Telemetry:
+    """The telemetry of one vehicle; uses the batches up."""
+    decoder, state, runs = SampleDecoder(with_imu_of(profile, total(batches))), SampleState(), Runs()
+    batches.reverse()
+    while batches:
+        state, telemetry = decoder.step_batch(state, batches.pop())
+        runs.add(telemetry)
+    return runs.joined()
 
 
 def _usable(path: Path) -> TlogContent:
@@ -207,22 +253,6 @@ def _usable(path: Path) -> TlogContent:
         share = round(100 * content.damaged_bytes / content.size)
         raise InputError(f"{path}: {share} % of the file is damaged; get a sound copy")
     return content
-
-
-def _log(path: Path, content: TlogContent, sysid: int, profile: str | None) -> Log:
-    batches = [piece.vehicle(sysid) for piece in content.pieces]
-    recognised = detect_profile_in(batches)
-    chosen = recognised.profile if profile is None else profile_named(profile)
-    if chosen is None:
-        raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
-    decoder, state, parts = SampleDecoder(with_imu_of(chosen, total(batches))), SampleState(), []
-    for batch in batches:
-        state, telemetry = decoder.step_batch(state, batch)
-        parts.append(telemetry)
-    named = [one for piece in content.pieces for one in piece.frames({MessageId.PARAM_VALUE}) if one.sysid == sysid]
-    parameters = parameters_in(named, chosen.autopilot)
-    start_ns, notes = content.heard[sysid], content.notes
-    return Log(path.name, content.sha256, chosen.name, joined(parts), start_ns, notes, parameters)
 
 
 def _names(sysids: Iterable[int]) -> str:
