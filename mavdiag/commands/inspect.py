@@ -14,18 +14,6 @@ import typer
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import with_layout
 from mavdiag.baseline import Baseline
-from mavdiag.commands.inspection import (
-    Clock,
-    MonitorState,
-    Summary,
-    Units,
-    baseline_statement,
-    clock_of,
-    monitor_states,
-    rotors_of,
-    summary,
-    units_of,
-)
 from mavdiag.commands.options import AsJson, Vehicle
 from mavdiag.errors import UsageError
 from mavdiag.link.asking import Asked, Asker
@@ -38,6 +26,18 @@ from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Want, wants_of
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import read_content
+from mavdiag.look.inspection import (
+    Clock,
+    MonitorState,
+    Summary,
+    Units,
+    baseline_statement,
+    clock_of,
+    monitor_states,
+    rotors_of,
+    summary,
+    units_of,
+)
 from mavdiag.monitors import MONITORS
 from mavdiag.printable import printable
 from mavdiag.telemetry import Instant, Log, Signal
