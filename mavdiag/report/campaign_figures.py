@@ -141,7 +141,7 @@ def _latency(campaign: Campaign) -> Picture:
         times = np.sort([one.latency_s for one in own if one.latency_s is not None])
         if own:
             curves.append((kind, times, 100 * np.arange(1, len(times) + 1) / len(own), len(own)))
-    longest = max((float(times[-1]) for _, times, _, _ in curves if len(times)), default=1.0)
+    longest = 1.05 * max((float(times[-1]) for _, times, _, _ in curves if len(times)), default=1.0)
 
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
@@ -188,7 +188,8 @@ def _matrix(
         axes.pcolormesh(share, cmap="Greys", vmin=0.0, vmax=1.2, edgecolors="white", linewidth=1.5)
         for (row, column), count in np.ndenumerate(counts):
             ink = "white" if share[row, column] > LIGHT else "black"
-            axes.text(column + 0.5, row + 0.5, f"{count:.0f}", ha="center", va="center", color=ink)
+            text = f"{count:.0f}" if count else ""
+            axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=ink)
         axes.set_yticks(np.arange(len(true)) + 0.5, true)
         axes.set_xticks(np.arange(len(columns)) + 0.5, [one.replace(" ", "\n", 1) for one in columns])
         axes.set(xlabel=across, ylabel=down)

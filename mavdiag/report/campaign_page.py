@@ -49,7 +49,7 @@ def _false(campaign: Campaign) -> str:
     flagged = sum(one.faults > 0 for one in judged if one.cause == HEALTHY)
     healthy = sum(one.cause == HEALTHY for one in judged)
     return (
-        f"In {hours:.2f} hours of healthy judged flight there were {episodes} false alarms of single monitors, and "
+        f"False alarms of single monitors in {hours:.2f} hours of healthy judged flight: {episodes}; "
         f"{flagged} of {healthy} healthy flights were declared faulty."
     )
 
@@ -64,4 +64,5 @@ def _counts(campaign: Campaign) -> str:
     ]
     unread = f" {campaign.unread} lines of the file are no results and were left out." if campaign.unread else ""
     heads = ("cause", "flights", "judged", "with an alarm after the onset")
-    return table(f"Flights by cause.{unread}", heads, rows, numbers=(1, 2, 3))
+    listing = table(f"Flights by cause.{unread}", heads, rows, numbers=(1, 2, 3))
+    return f"<details><summary>Flights by cause ({len(campaign.flights)})</summary>{listing}</details>"

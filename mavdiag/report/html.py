@@ -26,9 +26,10 @@ a { color: #00507d; }
 table { border-collapse: collapse; width: 100%; margin: 0.5rem 0 1rem; font-size: 0.9rem; }
 caption { text-align: left; color: #333; padding-bottom: 0.3rem; }
 th, td { text-align: left; vertical-align: top; padding: 0.25rem 0.6rem 0.25rem 0; border-bottom: 1px solid #bbb; }
-td { overflow-wrap: anywhere; } td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+tbody th { overflow-wrap: anywhere; } td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 thead th { border-bottom: 2px solid #111; }
-tr.above th, tr.above td { font-weight: 700; }
+tbody th { font-weight: 400; }
+tr.above th, tr.above td.number { font-weight: 700; }
 figure { margin: 1.5rem 0; break-inside: avoid; }
 figure > svg { width: 100%; height: auto; display: block; }
 figure#airframe > svg, figure[id$="-airframe"] > svg { max-width: 20rem; }

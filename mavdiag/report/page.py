@@ -58,12 +58,13 @@ def _index(flights: Sequence[FlightReport]) -> str:
     """A row for each log, what asks for attention first."""
     order = sorted(range(len(flights)), key=lambda i: ORDER.index(flights[i].verdict.verdict))
     rows, links, above = [], [], []
+    names = _names([one.verdict.log for one in flights])
     for place, number in enumerate(order):
         verdict = flights[number].verdict
         rotor = named_rotor(verdict)
         words = WORDS[verdict.verdict] if verdict.kind is None else str(verdict.kind)
         sentence = headline(verdict)
-        rows.append((verdict.log, words, "" if rotor is None else str(rotor), f"{verdict.judged_s:.1f}", sentence))
+        rows.append((names[number], words, "" if rotor is None else str(rotor), f"{verdict.judged_s:.1f}", sentence))
         links.append(f"log-{number + 1}")
         if verdict.verdict in (Verdict.FAULT, Verdict.ERROR):
             above.append(place)
@@ -252,6 +253,15 @@ def _glossary() -> Iterator[str]:
     ):
         yield f"<dt><b>{escaped(word)}</b></dt><dd>{escaped(meaning)}</dd>"
     yield "</dl>"
+
+
+def _names(paths: Sequence[str]) -> list[str]:
+    """The paths without the folder that all of them share."""
+    folders = [path.split("/")[:-1] for path in paths]
+    shared = 0
+    while all(len(one) > shared and one[shared] == folders[0][shared] for one in folders):
+        shared += 1
+    return ["/".join(path.split("/")[shared:]) for path in paths]
 
 
 def _short(path: str) -> str:

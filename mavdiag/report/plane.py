@@ -34,9 +34,8 @@ MARKERS = {FaultType.EDGE_CUT: "o", FaultType.CRACK: "^", FaultType.SURFACE_UNBA
 PLANE = Picture(
     "plane",
     "The flight in the plane of margin and FSD",
-    "Small dots are this flight's stretches outside of the margin and the star is the longest of them: the class of "
-    "faults that it lies nearest to is the thesis's answer, and left of the FML (dashed) there is nothing to "
-    "classify.",
+    "Small dots are this flight's stretches outside of the margin and the star is the longest of them: left of the "
+    "FML (dashed) the thesis's rule is silent.",
     "5.10",
 )
 SEVERITY = Picture(
@@ -102,12 +101,12 @@ def plane_picture(rates: Sequence[RateTrace], classifier: str | None) -> Picture
         axes.set(xlim=(0.0, None), ylim=(0.0, None))
         legend_above(axes, 3)
 
-    where = " The classes are of the emulated QDrone 2 with the faults of T." if known else ""
-    why = "" if known else " No classes are shown, for they are known for the emulated QDrone 2 alone."
+    classes = "The class that it lies nearest to is the thesis's answer; the classes are of the emulated QDrone 2."
+    none = "No classes are shown, for they are known for the emulated QDrone 2 alone."
     point = f"{runs.fsd_s.max():.3f} s and {_peak(runs):.3f} rad/s" if len(runs) else "none"
     words = f"Longest run of this flight: {point}; FML {fml_s:.3f} s."
     svg = drawn(PLANE.title, words, plot, 3.3)
-    return replace(PLANE, caption=PLANE.caption + where + why, svg=svg)
+    return replace(PLANE, caption=f"{PLANE.caption} {classes if known else none}", svg=svg)
 
 
 def severity_picture(

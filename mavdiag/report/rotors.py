@@ -109,7 +109,7 @@ def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Picture:
             line.draw(axes, *envelope(found.t_s, 100 * found.shift[:, number], columns), f"rotor {number + 1}")
         axes.set(xlabel="vehicle time [s]", ylabel=f"{_what(found)}\n[% of hover]")
         _limits(axes, found)
-        legend_above(axes, 4)
+        legend_above(axes, 5)
 
     return replace(TRIM, caption=_caption(TRIM.caption, found), svg=drawn(TRIM.title, _words(found, None), plot, 2.6))
 

@@ -22,6 +22,7 @@ __all__ = ["RotorLine", "Spectrum", "folded", "spectrum_of", "spectrum_picture"]
 
 SEGMENT_S = 1.0  # lines 1 Hz apart, as narrow as a rotor's speed is steady (our choice)
 HARMONICS = 3
+NAMED_AT = ("data", "axes fraction")
 LEAST_HZ = 2.0  # below it is the flight itself
 EMPTY = Picture(
     "spectrum",
@@ -64,10 +65,10 @@ def spectrum_of(blocks: Sequence[Block]) -> Spectrum | None:
         for first, stop in spans(use):
             for start in range(first, stop - rows + 1, rows // 2):
                 piece = block.force[start : start + rows, :2]
-                found = scale * np.square(np.abs(np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)))
+                found = np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)
                 if total == 0:
-                    powers, frequency = np.zeros(found.shape), np.fft.rfftfreq(rows, block.dt_s)
-                powers += found
+                    powers, frequency = np.zeros(found.shape), np.arange(len(found)) / (rows * block.dt_s)
+                powers += scale * np.square(np.abs(found))
                 total += 1
     return Spectrum(frequency, np.sqrt(powers / total), total) if total else None
 
@@ -99,7 +100,7 @@ def spectrum_picture(blocks: Sequence[Block], line: RotorLine | None, corner_hz:
         for number, hz in lines:
             axes.axvline(hz, color="#000000", linestyle="--" if number == 1 else ":", linewidth=0.9, zorder=0)
             name = "rotors' line" if number == 1 else f"x{number}"
-            axes.annotate(name, (hz, 1.0), (2, -8), xycoords=("data", "axes fraction"), textcoords="offset points")
+            axes.annotate(name, (hz, 1.0), (-3, -9), xycoords=NAMED_AT, textcoords="offset points", ha="right")
         axes.set(xlabel="frequency [Hz]", ylabel="acceleration\n[m/s²/√Hz]", xlim=(0, rate_hz / 2))
         plain_log(axes)
         legend_above(axes)

@@ -93,13 +93,13 @@ LIMIT = Line(Colour.FAULT, "--", 1.2)
 #: Lines of equal rank, in order: each differs from the others in grey too.
 LINES = (
     Line(Colour.MEASURED, "-", 1.2),
-    Line(Colour.FAULT, "--", 1.2),
+    Line(Colour.SIMULATED, "--", 1.5),
     Line(Colour.HEALTHY, "-.", 1.2),
     Line(Colour.REFERENCE, ":", 1.4),
     Line(Colour.LIMIT, "-", 2.2),
-    Line(Colour.SIMULATED, "--", 2.2),
-    Line(Colour.RESIDUAL, "-.", 2.2),
-    Line(Colour.NOT_JUDGED, ":", 2.4),
+    Line(Colour.RESIDUAL, "--", 2.2),
+    Line(Colour.NOT_JUDGED, "-.", 2.2),
+    Line(Colour.MEASURED, ":", 2.4),
 )
 
 

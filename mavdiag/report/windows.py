@@ -10,7 +10,7 @@ from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.monitors.run_length import training_pieces
-from mavdiag.report.style import LIMIT, LINES, Picture, drawn, legend_above
+from mavdiag.report.style import COMMANDED, LINES, Picture, drawn, legend_above
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
@@ -28,7 +28,7 @@ EMPTY = Picture(
     "windows",
     "Fit of the model against the length of the filter window",
     "A short window leaves noise that no model explains and a long one smooths the motion away: the baseline's own "
-    "window (dashed) should lie where the curve is high and flat.",
+    "window (dotted) should lie where the curve is high and flat.",
     "5.5",
 )
 
@@ -75,7 +75,9 @@ def windows_picture(sweeps: Sequence[Sweep], window_s: float) -> Picture:
         for line, one in zip(LINES, known, strict=False):
             x, y = zip(*one.known, strict=True)
             axes.plot(x, y, "o", color=line.color, linestyle=line.stroke, label=one.axis.value)
-        axes.axvline(window_s, color=LIMIT.color, linestyle=LIMIT.stroke, label=f"baseline's window, {window_s:g} s")
+        axes.axvline(
+            window_s, color=COMMANDED.color, linestyle=COMMANDED.stroke, label=f"baseline's window, {window_s:.3g} s"
+        )
         axes.set(xlabel="window [s]", ylabel="fit R_T² of the simulated rate", xscale="log", ylim=(None, 1.02))
         axes.set_xticks(WINDOWS_S, [f"{one:g}" for one in WINDOWS_S], minor=False)
         axes.minorticks_off()
