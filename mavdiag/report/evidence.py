@@ -8,7 +8,8 @@ import numpy as np
 
 from mavdiag.drawing import Colour
 from mavdiag.report.style import Picture, drawn
-from mavdiag.report.thinned import COLUMNS, envelope
+from mavdiag.report.thinned import COLUMNS, highest
+from mavdiag.rows.windows import spans
 from mavdiag.telemetry import FloatArray
 from mavdiag.traces import SlotTrace
 from mavdiag.units import NS_PER_S
@@ -64,10 +65,17 @@ def evidence_picture(slots: Sequence[SlotTrace], columns: int = COLUMNS) -> Pict
 
 def _strip(axes: "Axes", trace: SlotTrace, base: float, columns: int) -> None:
     t_s, ratio = ratio_of(trace)
-    t_s, ratio = envelope(t_s, ratio, columns)
+    t_s, ratio = highest(t_s, ratio, columns)
     height = base + np.clip(ratio, 0.0, TOP)
-    axes.fill_between(t_s, base, np.minimum(height, base + 1.0), color=Colour.RESIDUAL, linewidth=0.3)
-    if np.nanmax(ratio) > 1.0:
-        above = (ratio > 1.0).tolist()
-        axes.fill_between(t_s, base, height, where=above, facecolor=Colour.FAULT, edgecolor="black", linewidth=0.6)
+    for first, stop in spans(np.isfinite(ratio)):
+        x, y = _outline(t_s[first:stop], np.minimum(height[first:stop], base + 1.0), base)
+        axes.fill(x, y, color=Colour.RESIDUAL, linewidth=0.3)
+    for first, stop in spans(np.nan_to_num(ratio) > 1.0):
+        x, y = _outline(t_s[first:stop], height[first:stop], base)
+        axes.fill(x, y, facecolor=Colour.FAULT, edgecolor=Colour.REFERENCE, linewidth=0.6)
     axes.axhline(base + 1.0, color=Colour.REFERENCE, linestyle="--", linewidth=0.7)
+
+
+def _outline(t_s: FloatArray, height: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
+    """The outline of what lies between a base and a line."""
+    return np.concatenate((t_s[:1], t_s, t_s[-1:])), np.concatenate(([base], height, [base]))

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavdiag.drawing import Colour
-from mavdiag.report.style import Picture, drawn, plain_log
+from mavdiag.report.style import MEASURED, Picture, drawn, plain_log
+from mavdiag.report.thinned import columns_of
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
@@ -19,7 +19,7 @@ GAP = 3.0  # a step of more than so many usual ones is a gap, and no jitter (our
 LINK = Picture(
     "link",
     "Steps between samples of the gyro",
-    "Dots on one level are a steady stream; a dot far above it is a gap, across which nothing is judged.",
+    "A level line is a steady stream; a peak far above it is a gap, across which nothing is judged.",
 )
 
 
@@ -85,7 +85,7 @@ def quality_picture(telemetry: Telemetry, columns: int) -> Picture:
 
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
-        axes.plot(at_s, longest_ms, ".", color=Colour.MEASURED, markersize=3)
+        MEASURED.draw(axes, at_s, longest_ms)
         axes.set(xlabel="vehicle time [s]", ylabel="longest step [ms]")
         if most_ms > GAP * usual_ms:
             plain_log(axes)
@@ -99,7 +99,5 @@ def quality_picture(telemetry: Telemetry, columns: int) -> Picture:
 def _longest(t_ns: IntArray, columns: int) -> tuple[FloatArray, FloatArray]:
     """The longest step of each column [ms], and when it ended [s]."""
     steps, ends = np.diff(t_ns) / NS_PER_MS, t_ns[1:] / NS_PER_S
-    span = float(ends[-1] - ends[0]) or 1.0
-    column = np.minimum((ends - ends[0]) / span * columns, columns - 1).astype(np.int64)
-    first = np.flatnonzero(np.diff(column, prepend=-1))
+    _, first = columns_of(ends, columns)
     return np.maximum.reduceat(steps, first), ends[first]

@@ -11,7 +11,7 @@ import numpy as np
 
 from mavdiag.drawing import Colour
 from mavdiag.report.style import COMMANDED, LIMIT, MEASURED, SIMULATED, Picture, drawn, legend_above, panels, shaded
-from mavdiag.report.thinned import COLUMNS, envelope
+from mavdiag.report.thinned import COLUMNS, columns_of, envelope
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import BoolArray, FloatArray
 from mavdiag.traces import RateTrace
@@ -170,8 +170,7 @@ def longest_by_column(runs: Runs, columns: int) -> Runs:
     """Of the runs that end in one column of the picture the longest."""
     if len(runs) <= columns:
         return runs
-    span = float(runs.end_s[-1] - runs.end_s[0]) or 1.0
-    column = np.minimum((runs.end_s - runs.end_s[0]) / span * columns, columns - 1).astype(np.int64)
+    column, _ = columns_of(runs.end_s, columns)
     order = np.lexsort((runs.fsd_s, column))
     kept = np.sort(order[np.append(np.diff(column[order]) > 0, True)])
     return Runs(runs.start_s[kept], runs.end_s[kept], runs.fsd_s[kept], runs.peak_rad_s[kept])

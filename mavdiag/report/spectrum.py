@@ -6,6 +6,7 @@ Welch's averages of windowed spectra (IEEE Trans. Audio Electroacoust. 15 (1967)
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ __all__ = ["RotorLine", "Spectrum", "folded", "spectrum_of", "spectrum_picture"]
 
 SEGMENT_S = 1.0  # lines 1 Hz apart, as narrow as a rotor's speed is steady (our choice)
 HARMONICS = 3
+LEAST_ROWS = 8  # of a stretch: fewer show no line
 NAMED_AT = ("data", "axes fraction")
 LEAST_HZ = 2.0  # below it is the flight itself
 EMPTY = Picture(
@@ -55,22 +57,33 @@ def spectrum_of(blocks: Sequence[Block]) -> Spectrum | None:
     powers: FloatArray = np.empty(0)
     frequency: FloatArray = np.empty(0)
     total = 0
-    for block in blocks:
-        rows = round(SEGMENT_S / block.dt_s)
-        if rows < 8:
+    for _, group in groupby(blocks, key=lambda one: one.segment):
+        segment = list(group)
+        dt_s = segment[0].dt_s
+        rows = round(SEGMENT_S / dt_s)
+        if rows < LEAST_ROWS:
             continue
-        window = np.hanning(rows)
-        scale = 2.0 * block.dt_s / float(window @ window)  # one-sided density
-        use = block.valid & np.isfinite(block.force[:, :2]).all(axis=1)
+        force = np.concatenate([one.force[:, :2] for one in segment])
+        use = np.concatenate([one.valid for one in segment]) & np.isfinite(force).all(axis=1)
         for first, stop in spans(use):
             for start in range(first, stop - rows + 1, rows // 2):
-                piece = block.force[start : start + rows, :2]
-                found = np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)
+                found = _power(force[start : start + rows], dt_s)
                 if total == 0:
-                    powers, frequency = np.zeros(found.shape), np.arange(len(found)) / (rows * block.dt_s)
-                powers += scale * np.square(np.abs(found))
+                    powers, frequency = np.zeros(found.shape), np.arange(len(found)) / (rows * dt_s)
+                powers += found
                 total += 1
     return Spectrum(frequency, np.sqrt(powers / total), total) if total else None
+
+
+def _power(piece: FloatArray, dt_s: float) -> FloatArray:
+    """One-sided density of power of a stretch, (n, 2) -> (n // 2 + 1, 2), under Hann's window."""
+    window = np.hanning(len(piece))[:, None]
+    found = np.fft.rfft((piece - piece.mean(axis=0)) * window, axis=0)
+    power = np.square(np.abs(found)) * (2.0 * dt_s / float(np.square(window).sum()))
+    power[0] /= 2.0  # zero and half of the rate have no twin at a negative frequency
+    if len(piece) % 2 == 0:
+        power[-1] /= 2.0
+    return np.asarray(power, dtype=np.float64)
 
 
 def folded(hz: float, rate_hz: float) -> float:

@@ -4,16 +4,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
-from mavdiag.monitors.run_length import training_pieces
+from mavdiag.monitors.run_length import MIN_PIECE_S
 from mavdiag.report.style import COMMANDED, LINES, Picture, drawn, legend_above
 from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
+from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, FloatArray
 
 if TYPE_CHECKING:
@@ -100,9 +103,14 @@ def _beginning(blocks: Sequence[Block]) -> list[Block]:
 
 def _pieces(blocks: Sequence[Block], axis: Axis, spec: RateSpec, _: int) -> tuple[list[FloatArray], list[FloatArray]]:
     """u and y of each stretch that can train a model, filtered by this window."""
-    state, rows = spec.start(), []
-    for block in blocks:
-        state, rates = spec.step(state, block)
-        rows.append(Rows(block, rates))
-    pieces = training_pieces(rows, axis)
-    return [u for u, _ in pieces], [y for _, y in pieces]
+    state, out = spec.start(), []
+    for _, segment in groupby(blocks, key=lambda one: one.segment):
+        parts = []
+        for block in segment:
+            state, rates = spec.step(state, block)
+            parts.append(rates)
+        u, y = (np.concatenate([getattr(one, name)[:, axis.column] for one in parts]) for name in ("u", "y"))
+        for first, stop in spans(np.concatenate([one.commanded for one in parts])):
+            if (stop - first) * parts[0].dt_s >= MIN_PIECE_S:
+                out.append((u[first:stop], y[first:stop]))
+    return [u for u, _ in out], [y for _, y in out]
