@@ -4,12 +4,14 @@ python docs/draw_report.py [FOLDER]
 """
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from mavdiag.airframe.load import airframe_named
-from mavdiag.judging import judge_in_full
+from mavdiag.baseline import Baseline
+from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.report.evidence import evidence_picture
 from mavdiag.report.rates import residual_picture
@@ -22,7 +24,7 @@ from sitl_plant.plant import PlantConfig
 
 LINK = LinkSpec("qdrone2", 400.0)
 HEALTHY, JUDGED = (1, 2, 3), 9  # seeds of the flights
-FLIGHT_S, ONSET_S, FAULT, ROTOR = 30.0, 15.0, "F2/SV2", 1
+FLIGHT_S, ONSET_S, FAULT, ROTOR = 20.0, 10.0, "F2/SV2", 1
 COLUMNS = 300
 CREATED = "2026-01-01T00:00:00+00:00"
 
@@ -33,11 +35,22 @@ def fly(seed: int, injections: tuple[Injection, ...] = ()) -> Log:
     return Log(f"seed {seed}", telemetry_digest(telemetry), LINK.profile, telemetry)
 
 
+@cache
+def baseline() -> Baseline:
+    """Of the healthy flights."""
+    return learn([fly(seed) for seed in HEALTHY], LearnOptions(airframe=airframe_named("qdrone2")), created=CREATED)
+
+
+@cache
+def cracked() -> tuple[Log, JudgedFlight]:
+    """A flight in which a propeller cracks."""
+    log = fly(JUDGED, injections_of(FAULT, ROTOR, ONSET_S, 1.0, np.random.default_rng(0)))
+    return log, judge_in_full(log, baseline())
+
+
 def main(folder: Path) -> None:
-    """Fly, judge and draw. The same versions of the libraries give the same bytes."""
-    baseline = learn([fly(seed) for seed in HEALTHY], LearnOptions(airframe=airframe_named("qdrone2")), created=CREATED)
-    crack = injections_of(FAULT, ROTOR, ONSET_S, 1.0, np.random.default_rng(0))
-    judged = judge_in_full(fly(JUDGED, crack), baseline)
+    """Draw. The same versions of the libraries give the same bytes."""
+    _, judged = cracked()
     if judged.chain is None:
         raise SystemExit(f"draw_report: the flight could not be judged: {judged.verdict.reason}")
     traces = traces_of(judged.chain, judged.pieces)

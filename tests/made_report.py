@@ -1,27 +1,37 @@
-"""Emulated flights of a QDrone 2 at 400 Hz, judged: what a report is drawn of. Flown once."""
+"""The emulated flight of the README's pictures, flown once: a QDrone 2 at 400 Hz, whose propeller 1 cracks at 10 s."""
 
+import importlib.util
 from functools import cache
-
-import numpy as np
-from virtual_flight import healthy_flights, learnt
+from pathlib import Path
+from types import ModuleType
 
 from mavdiag.baseline import Baseline
-from mavdiag.judging import JudgedFlight, judge_in_full
+from mavdiag.judging import JudgedFlight
 from mavdiag.telemetry import Log
-from sitl_plant.campaign.causes import injections_of
 
-ROTOR, ONSET_S, FLIGHT_S, RATE_HZ = 1, 10.0, 20.0, 400.0
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROTOR, ONSET_S, RATE_HZ = 1, 10.0, 400.0
 
 
 @cache
+def script() -> ModuleType:
+    """docs/draw_report.py."""
+    spec = importlib.util.spec_from_file_location("draw_report", DOCS / "draw_report.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert (module.ROTOR, module.ONSET_S, module.LINK.rate_hz) == (ROTOR, ONSET_S, RATE_HZ)
+    return module
+
+
 def emulated_baseline() -> Baseline:
     """Of three healthy flights."""
-    return learnt(healthy_flights((1, 2, 3), FLIGHT_S, "qdrone2", RATE_HZ))
+    found: Baseline = script().baseline()
+    return found
 
 
-@cache
 def cracked() -> tuple[Log, JudgedFlight]:
-    """A flight in which propeller 1 cracks."""
-    injections = injections_of("F2/SV2", ROTOR, ONSET_S, 1.0, np.random.default_rng(0))
-    (log,) = healthy_flights((9,), FLIGHT_S, "qdrone2", RATE_HZ, injections=injections)
-    return log, judge_in_full(log, emulated_baseline())
+    """The flight."""
+    found: tuple[Log, JudgedFlight] = script().cracked()
+    return found

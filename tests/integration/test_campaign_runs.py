@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_reading import check
 
 from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
 from mavdiag.judging import LogVerdict, judge
 from mavdiag.learning import learn
+from mavdiag.report.campaign import read_campaign
+from mavdiag.report.campaign_page import campaign_page
 from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
@@ -39,6 +42,10 @@ TINY = Design(
     cause=("F2/SV3", "gyro-noise", "ejection"), phenomenology=(1.0,), manoeuvre=("square",), wind=(0.0,),
     payload=(0.0,),
 )  # fmt: skip
+
+
+# Monitors whose alarm is no propeller's, or decides nothing.
+NOT_OF_PROPELLERS = ("fsd", "sensor_noise", "sensor_drift", "control_loss", "thrust_loss")
 
 
 @contextmanager
@@ -81,6 +88,20 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
     assert gone.latency_s is not None
     assert gone.latency_s > 0.0
     assert summarise(results).flights == 4
+
+
+def test_a_report_draws_the_results(finished: tuple[Path, Results]) -> None:
+    path, results = finished
+    campaign = read_campaign(path)
+    assert [one.key for one in campaign.flights] == [one.key for one in results.flights]
+    page = check(campaign_page(campaign, str(path), "now"))
+    assert "Of 1 judged flights with a damaged propeller 1 had an alarm" in page.said
+    for flight in results.flights:
+        assert flight.score_before is not None
+        assert (flight.score_after is None) == (flight.onset_s is None)
+        found = [one for one in flight.monitors if one.name not in NOT_OF_PROPELLERS]
+        alarmed = any(one.before for one in found), any(one.after for one in found)
+        assert (flight.score_before > 1, (flight.score_after or 0.0) > 1) == alarmed
 
 
 def test_one_and_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:

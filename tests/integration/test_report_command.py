@@ -1,12 +1,8 @@
 """`mavdiag report` as it is run: logs of each kind, folders, what cannot be read, a campaign's results."""
 
-import importlib.util
-import json
 import re
-import subprocess
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from made_baselines import healthy, whole
@@ -21,7 +17,6 @@ from mavdiag.judging import judge_in_full
 from mavdiag.report.flight import flight_report
 from mavdiag.report.page import Made, flights_page
 
-ROOT = Path(__file__).resolve().parents[2]
 SECTIONS = 14
 
 
@@ -125,35 +120,6 @@ def test_a_long_flight_has_no_longer_page() -> None:
         report = flight_report(log, whole(), judge_in_full(log, whole()))
         return len(flights_page([report], whole(), Made("", "")).encode())
 
-    short, long = size(6000), size(60_000)
+    short, long = size(5000), size(30_000)
     assert long < 1.3 * short
     assert long < 900_000
-
-
-def test_the_results_of_a_campaign_are_read_as_it_writes_them(tmp_path: Path) -> None:
-    if importlib.util.find_spec("numba") is None:
-        pytest.skip("the plant is an extra")
-    results, out = tmp_path / "c.jsonl", tmp_path / "c.html"
-    few = ("--airframes", "1", "--learn-flights", "3", "--flights", "2", "--hours", "0.01", "--duration", "20")
-    where = ("link=qdrone2@200", "cause=F1/SV3,F2/SV3", "wind=0", "payload=0", "phenomenology=1")
-    levels = [one for level in where for one in ("--conditions", level)]
-    command = [sys.executable, "-m", "sitl_plant", "campaign", "-o", str(results), "--workers", "1", "--json"]
-    summary = subprocess.run([*command, *few, *levels], capture_output=True, text=True, check=True, cwd=ROOT).stdout
-    told = json.loads(summary.splitlines()[-1])
-    run("--campaign", results, "-o", out)
-    page = page_at(out)
-    found = next(row for row in told["detection"] if row["factor"] == "all")["detected"]
-    assert f"Of {found['of']} judged flights with a damaged propeller {found['hits']} had an alarm" in page.said
-    assert "no healthy flight has a score" not in page.said
-
-
-def test_the_pictures_of_the_readme_are_drawn(tmp_path: Path) -> None:
-    if importlib.util.find_spec("numba") is None:
-        pytest.skip("the plant is an extra")
-    subprocess.run([sys.executable, str(ROOT / "docs/draw_report.py"), str(tmp_path)], check=True, cwd=ROOT)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in ("report-evidence.svg", "report-residual.svg"):
-        assert f"(docs/{name})" in readme
-        drawn, kept = (ElementTree.parse(folder / name).getroot() for folder in (tmp_path, ROOT / "docs"))
-        # Other versions of the libraries may place a line otherwise; what is said must be the same.
-        assert [one.text for one in drawn.iter() if one.text] == [one.text for one in kept.iter() if one.text]

@@ -1,13 +1,15 @@
 """The numbers behind a report's figures, against calculations of their own."""
 
 from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from flying_telemetry import flying, flying_rows
 from hypothesis import given
 from hypothesis import strategies as st
-from made_report import ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baseline
+from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baseline, script
 from scipy.signal import welch
 
 from mavdiag.airframe.layout import layout_named
@@ -183,7 +185,7 @@ def test_the_area_of_a_roc_is_the_chance_to_rank_a_pair_rightly(healthy: list[in
     roc = roc_of(low.tolist(), high.tolist())
     assert roc.area == pytest.approx(ranked(low, high))
     assert (roc.false_share[0], roc.true_share[0], roc.false_share[-1], roc.true_share[-1]) == (0, 0, 1, 1)
-    assert roc.at_threshold == (np.mean(low > 1), np.mean(high > 1))
+    assert roc.at_threshold == pytest.approx((np.mean(low > 1), np.mean(high > 1)))
 
 
 def ranked(low: FloatArray, high: FloatArray) -> float:
@@ -193,3 +195,17 @@ def ranked(low: FloatArray, high: FloatArray) -> float:
 
 def test_the_baseline_is_the_emulated_vehicles() -> None:
     assert emulated_baseline().airframe.classifier == "qdrone2-emulated"
+
+
+def test_the_pictures_of_the_readme_are_drawn(tmp_path: Path) -> None:
+    script().main(tmp_path)
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    for name in ("report-evidence.svg", "report-residual.svg"):
+        assert f"(docs/{name})" in readme
+        drawn, kept = (ElementTree.parse(folder / name).getroot() for folder in (tmp_path, DOCS))
+        # Other versions of the libraries may place a line otherwise; what is said must be the same.
+        assert texts_of(drawn) == texts_of(kept)
+
+
+def texts_of(drawing: ElementTree.Element) -> list[str]:
+    return [one.text for one in drawing.iter() if one.text and not one.tag.endswith("desc")]
