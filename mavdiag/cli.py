@@ -3,7 +3,11 @@
 from typing import NoReturn
 
 from mavdiag import commandline
+<<<<<<< HEAD
 from mavdiag.commands import balance, baseline, identify, inspect, model, report, scan, shim
+=======
+from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim, watch
+>>>>>>> main
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -15,6 +19,7 @@ app.command("report")(report.report)
 app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
+app.command("watch")(watch.watch)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

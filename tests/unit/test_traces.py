@@ -6,7 +6,7 @@ from made_baselines import logged, thesis, whole
 from made_telemetry import cut, flight
 from scipy.signal import lfilter
 
-from mavdiag.chain import chain_of
+from mavdiag.chain import Piece, chain_of
 from mavdiag.judging import judge_in_full
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.telemetry import Axis, Signal
@@ -40,7 +40,8 @@ def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -
 def test_chunks_give_the_same_traces_as_the_whole() -> None:
     log = logged(flight(6000, 5), "qdrone2")
     chain = chain_of(thesis())
-    state, pieces = chain.start(), []
+    state = chain.start()
+    pieces: list[Piece] = []
     began_ns = int(log.telemetry[Signal.BODY_RATE].host_ns[0])
     edges_ns = [began_ns + after_ms * 1_000_000 for after_ms in (1500, 3200, 3210)]
     for chunk in cut(log.telemetry, edges_ns):
