@@ -3,11 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-<<<<<<< HEAD
-from mavdiag.commands import balance, baseline, identify, inspect, model, report, scan, shim
-=======
-from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim, watch
->>>>>>> main
+from mavdiag.commands import balance, baseline, identify, inspect, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
