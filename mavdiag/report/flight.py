@@ -1,7 +1,7 @@
 """All that a page says of one flight, as a value: words, tables and pictures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from mavdiag.report.evidence import evidence_picture
 from mavdiag.report.motion import attitude_picture, height_picture
 from mavdiag.report.plane import plane_picture, severity_picture
 from mavdiag.report.quality import Quality, qualities_of, quality_picture
-from mavdiag.report.rates import fsd_picture, rates_picture, residual_picture
+from mavdiag.report.rates import NO_MODEL, fsd_picture, rates_picture, residual_picture
 from mavdiag.report.rotors import airframe_picture, bars_picture, shift_of, trim_picture
 from mavdiag.report.spectrum import RotorLine, spectrum_picture
 from mavdiag.report.style import Picture
@@ -27,6 +27,8 @@ from mavdiag.telemetry import Log, Signal
 from mavdiag.traces import Traces, traces_of
 
 __all__ = ["FlightReport", "Source", "flight_report", "unread_report"]
+
+OF_LOG = ("attitude", "height", "link")  # pictures that need no judging
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     blocks = [piece.rows.block for piece in judged.pieces if len(piece.rows.block)]
     since_s, frame = declared_s(judged.verdict), baseline.airframe
     airframe, bars, trim = _of_rotors(blocks, baseline, judged.verdict, columns)
-    return (
+    drawn = (
         airframe,
         evidence_picture(traces.slots, columns),
         bars,
@@ -96,6 +98,21 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         height_picture(log.telemetry, columns),
         quality_picture(log.telemetry, columns),
     )
+    return tuple(_explained(one, baseline, judged) for one in drawn)
+
+
+def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Picture:
+    """A picture that is not drawn with the reason that lies deepest: the flight's, the fsd monitor's, or its own."""
+    if not picture.not_drawn or picture.key in OF_LOG:
+        return picture
+    if judged.chain is None:
+        return replace(picture, not_drawn="this flight could not be judged: the verdict says why")
+    if picture.not_drawn != NO_MODEL:
+        return picture
+    lacking = [one.reason for one in baseline.not_judgeable if one.monitor == "fsd"]
+    reasons = [one.not_judged for one in judged.verdict.monitors if one.name == "fsd" and one.not_judged]
+    why = next(iter((*reasons, *lacking)), "")
+    return replace(picture, not_drawn=f"the fsd monitor did not judge: {why}" if why else NO_MODEL)
 
 
 def _of_rotors(

@@ -1,6 +1,7 @@
 """HTML piece by piece: every text that comes in is escaped, for names, notes and parameters of logs are not ours."""
 
 import html
+import re
 from collections.abc import Iterable, Sequence
 
 from mavdiag.printable import printable
@@ -26,7 +27,8 @@ a { color: #00507d; }
 table { border-collapse: collapse; width: 100%; margin: 0.5rem 0 1rem; font-size: 0.9rem; }
 caption { text-align: left; color: #333; padding-bottom: 0.3rem; }
 th, td { text-align: left; vertical-align: top; padding: 0.25rem 0.6rem 0.25rem 0; border-bottom: 1px solid #bbb; }
-tbody th { overflow-wrap: anywhere; } td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+.index tbody th { overflow-wrap: anywhere; }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 thead th { border-bottom: 2px solid #111; }
 tbody th { font-weight: 400; }
 tr.above th, tr.above td.number { font-weight: 700; }
@@ -62,7 +64,7 @@ def page(title: str, body: Iterable[str]) -> str:
 
 def paragraph(text: str, kind: str = "") -> str:
     """One paragraph of text that is not HTML yet; nothing for an empty one."""
-    return f"<p{_class(kind)}>{escaped(text)}</p>" if text else ""
+    return f"<p{_class(kind)}>{_with_code(escaped(text))}</p>" if text else ""
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -99,8 +101,9 @@ def table(
         )
         lines.append(f"<tr{_class('above' if number in above else '')}>{cells}</tr>")
     head = "".join(cell(i, escaped(text), "th", ' scope="col"') for i, text in enumerate(heads))
+    kind = _class("index" if links else "")
     return (
-        f'<div class="scroll"><table><caption>{escaped(caption)}</caption><thead><tr>{head}</tr></thead>'
+        f'<div class="scroll"><table{kind}><caption>{escaped(caption)}</caption><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(lines)}</tbody></table></div>"
     )
 
@@ -115,6 +118,11 @@ def figure(picture: Picture, prefix: str, number: int) -> str:
         return f'<figure {place}><figcaption class="missing">{name} {reason}</figcaption></figure>'
     drawing = embedded(picture.svg, f"{prefix}-{picture.key}")
     return f"<figure {place}>{drawing}<figcaption>{name} {escaped(picture.caption)}</figcaption></figure>"
+
+
+def _with_code(markup: str) -> str:
+    """What stands between backticks as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", markup)
 
 
 def _class(kind: str) -> str:

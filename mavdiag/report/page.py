@@ -43,7 +43,7 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, made: Made
     body = [
         "<header>",
         f"<h1>{escaped(title)}</h1>",
-        paragraph(f"Judged by the baseline of {baseline.airframe.name}, made {made.created} by mavdiag {__version__}."),
+        paragraph(f"Judged by the baseline {made.baseline_path}; made {made.created} by mavdiag {__version__}."),
         "</header>",
         "<main>",
         "" if one else _index(flights),

@@ -125,7 +125,7 @@ def bars_picture(found: RotorShift | None, since_s: float | None) -> Picture:
         place = np.arange(1, len(mean) + 1)
         bars = axes.bar(place, mean, color=Colour.RESIDUAL, edgecolor=Colour.REFERENCE, width=0.6)
         bars[int(np.argmax(mean))].set(hatch="///")
-        axes.bar_label(bars, [f"{one:+.1f} %" for one in mean], padding=2)
+        axes.bar_label(bars, [_signed(one) for one in mean.tolist()], padding=2)
         axes.axhline(0.0, color=Colour.REFERENCE, linewidth=0.8)
         _limits(axes, found)
         axes.set_xticks(place, [f"rotor {one}" for one in place])
@@ -150,7 +150,7 @@ def airframe_picture(
     marks = {
         number: RotorMark(
             fill=Colour.FAULT if number == rotor else None,
-            label=f"{100 * value:+.1f} %" if np.isfinite(value) else "",
+            label=_signed(100 * value) if np.isfinite(value) else "",
             kind="fault" if number == rotor else "",
         )
         for number, value in enumerate(mean.tolist(), start=1)
@@ -164,6 +164,11 @@ def _limits(axes: "Axes", found: RotorShift) -> None:
     if found.limit is not None:
         LIMIT.across(axes, 100 * found.limit, "threshold of rotor_trim")
         LIMIT.across(axes, -100 * found.limit)
+
+
+def _signed(percent: float) -> str:
+    """With its sign, but no "-0.0"."""
+    return f"{round(percent, 1) + 0.0:+.1f} %"
 
 
 def _what(found: RotorShift) -> str:
@@ -189,4 +194,4 @@ def _caption(caption: str, found: RotorShift) -> str:
 
 def _words(found: RotorShift, since_s: float | None) -> str:
     mean = found.mean(since_s)
-    return ", ".join(f"rotor {i} {100 * one:+.1f} %" for i, one in enumerate(mean.tolist(), start=1)) + " of hover."
+    return ", ".join(f"rotor {i} {_signed(100 * one)}" for i, one in enumerate(mean.tolist(), start=1)) + " of hover."
