@@ -1,13 +1,14 @@
 """Size and cost of a report's page, short flight against long: `python benchmarks/report_size.py [MINUTES]`.
 
 Emulated QDrone 2 at 1 kHz, seed 20; the baseline is of three flights of 40 s, seeds 1 to 3. Processor time of drawing is
-printed as a ratio to that of judging the same flight in the same run, which is what the figures are drawn of.
+printed as a ratio to that of judging the same flight in the same run.
 """
 
 import resource
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from mavdiag.airframe.load import airframe_named
@@ -53,8 +54,8 @@ def main() -> None:
     page_of(log := fly(SEED, SHORT_S), baseline, judge_in_full(log, baseline))  # loads what is loaded once
     for seconds in (SHORT_S, 60.0 * minutes):
         flight = fly(SEED, seconds)
-        judged, judging_s = timed(lambda log=flight: judge_in_full(log, baseline))
-        page, drawing_s = timed(lambda log=flight, one=judged: page_of(log, baseline, one))
+        judged, judging_s = timed(partial(judge_in_full, flight, baseline))
+        page, drawing_s = timed(partial(page_of, flight, baseline, judged))
         print(
             f"{seconds:6.0f} s of flight at 1 kHz: page {len(page.encode()) / MB:.2f} MB, drawing {drawing_s:.1f} s "
             f"of processor time, {drawing_s / judging_s:.2f} x judging"
