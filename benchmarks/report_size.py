@@ -1,7 +1,7 @@
 """Size and cost of a report's page, short flight against long: `python benchmarks/report_size.py [MINUTES]`.
 
-Emulated QDrone 2 at 1 kHz, seed 20; the baseline is of three flights of 40 s, seeds 1 to 3. The processor time of drawing
-is printed as a ratio to that of judging the same flight in the same run.
+Emulated QDrone 2 at 1 kHz, seed 20; the baseline is of three flights of 40 s, seeds 1 to 3. Drawing is measured in
+processor time, as a ratio to that of judging the same flight in the same run.
 """
 
 import resource
