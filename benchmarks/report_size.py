@@ -40,6 +40,11 @@ def timed(work: Callable[[], Found]) -> tuple[Found, float]:
     return work(), time.process_time() - start
 
 
+def memory_mb() -> float:
+    """The most that this process has used."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
 def page_of(log: Log, baseline: Baseline, judged: JudgedFlight) -> str:
     """The page of one flight."""
     return flights_page([flight_report(log, baseline, judged)], baseline, Made(CREATED, "baseline.json"))
@@ -55,12 +60,13 @@ def main() -> None:
     for seconds in (SHORT_S, 60.0 * minutes):
         flight = fly(SEED, seconds)
         judged, judging_s = timed(partial(judge_in_full, flight, baseline))
+        before = memory_mb()
         page, drawing_s = timed(partial(page_of, flight, baseline, judged))
         print(
             f"{seconds:6.0f} s of flight at 1 kHz: page {len(page.encode()) / MB:.2f} MB, drawing {drawing_s:.1f} s "
             f"of processor time, {drawing_s / judging_s:.2f} x judging"
         )
-    print(f"highest memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
+        print(f"highest memory after judging {before:.0f} MB, after drawing {memory_mb():.0f} MB")
 
 
 if __name__ == "__main__":
