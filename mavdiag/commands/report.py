@@ -1,19 +1,22 @@
 """`mavdiag report`: flights, or a campaign, as one page with figures."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavdiag.archive.paths import Named, logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import Vehicle
-from mavdiag.commands.progress import each
+from mavdiag.commands.options import Columns, Vehicle
+from mavdiag.commands.progress import each, sizes_of
 from mavdiag.errors import InputError, UsageError
-from mavdiag.face import now, read_log
+from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
+from mavdiag.logs import read_log
+from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.storage import check_output, write_atomically
 
 if TYPE_CHECKING:
@@ -22,12 +25,21 @@ if TYPE_CHECKING:
 __all__ = ["report"]
 
 DRAWN = 40  # logs of one page that have figures, so that the page stays small (our choice)
-LEAST_COLUMNS = 120
+LEAST_POINTS = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How logs are read and drawn. columns: of CSV recordings. points: across a figure."""
+
+    vehicle: int | None
+    columns: ColumnMap | None
+    points: int
 
 
 def report(
     logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG|DIR", help="Logs to judge, or folders of them.")
+        list[Path] | None, typer.Argument(metavar="LOG|DIR", help="Logs to judge; folders; quoted patterns.")
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.html", help="Page to write.")] = Path(
         "report.html"
@@ -37,6 +49,7 @@ def report(
         Path | None, typer.Option(metavar="FILE.jsonl", help="Results of `sitl-plant campaign`, instead of logs.")
     ] = None,
     vehicle: Vehicle = None,
+    columns: Columns = None,
 ) -> None:
     """Write one self-contained page: the verdict on each log, its evidence, and the figures of the thesis.
 
@@ -50,57 +63,49 @@ def report(
         return
     if not logs or baseline is None:
         raise UsageError("name logs and --baseline FILE, or --campaign FILE")
-    _flights(logs, baseline, output, vehicle)
+    mapped = None if columns is None else load_column_map(columns)
+    _flights(logs, baseline, output, vehicle, mapped)
 
 
-def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | None) -> None:
+def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | None, mapped: ColumnMap | None) -> None:
     from mavdiag.report.page import Made, flights_page
     from mavdiag.report.style import check_matplotlib
 
     check_matplotlib()
     reference = Baseline.load(baseline)
-    paths = _files(logs)
-    columns = _columns(len(paths))
-    found = [
-        _flight(path, reference, vehicle, columns, figures=number < DRAWN)
-        for number, path in enumerate(each(paths, "drawing"))
+    found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
+    if found.skipped:
+        say(found.skipped_sentence, err=True)
+    options = Options(vehicle, mapped, _points(len(found.logs)))
+    reports = [
+        _flight(one, reference, options, figures=number < DRAWN)
+        for number, one in enumerate(each(found.logs, "drawn", sizes_of([one.path for one in found.logs])))
     ]
-    write_atomically(output, flights_page(found, reference, Made(now(), str(baseline))))
-    for one in found:
+    write_atomically(output, flights_page(reports, reference, Made(now(), str(baseline))))
+    for one in reports:
         say(f"{one.verdict.log}: {one.verdict.verdict}")
     say(f"written to {output}")
 
 
-def _flight(path: Path, baseline: Baseline, vehicle: int | None, columns: int, *, figures: bool) -> "FlightReport":
+def _flight(named: Named, baseline: Baseline, options: Options, *, figures: bool) -> "FlightReport":
     """One bad log is reported and does not lose the others."""
     from mavdiag.report.flight import flight_report, unread_report
 
+    name, trouble = str(named.path), named.trouble
     try:
-        log = replace(read_log(path, vehicle=vehicle), name=str(path))
-        return flight_report(log, baseline, judge_in_full(log, baseline), columns, figures=figures)
+        if not trouble:
+            log = replace(read_log(named.path, options.vehicle, columns=options.columns), name=name)
+            return flight_report(log, baseline, judge_in_full(log, baseline), options.points, figures=figures)
     except InputError as error:
-        return unread_report(LogVerdict(str(path), Verdict.ERROR, str(error).removeprefix(f"{path}: ")))
+        trouble = str(error).removeprefix(f"{name}: ")
+    return unread_report(LogVerdict(name, Verdict.ERROR, trouble))
 
 
-def _files(paths: Sequence[Path]) -> list[Path]:
-    """The files that the arguments name, those of a folder in order. Raises InputError if there are none."""
-    found = []
-    for path in paths:
-        if path.is_dir():
-            inside = sorted(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))
-            if not inside:
-                raise InputError(f"{path}: no file in this folder; name one with logs")
-            found += inside
-        else:
-            found.append(path)
-    return found
-
-
-def _columns(logs: int) -> int:
+def _points(logs: int) -> int:
     """Points across a figure: fewer where many logs share a page."""
     from mavdiag.report.thinned import COLUMNS
 
-    return max(LEAST_COLUMNS, COLUMNS // max(1, logs // 4))
+    return max(LEAST_POINTS, COLUMNS // max(1, logs // 4))
 
 
 def _campaign(path: Path, output: Path) -> None:

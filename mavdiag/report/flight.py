@@ -1,14 +1,14 @@
 """All that a page says of one flight, as a value: words, tables and pictures."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict
 from mavdiag.link.profiles import PROFILES
+from mavdiag.look.figures import rotor_line, told_hz
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.report.evidence import evidence_picture
@@ -23,6 +23,7 @@ from mavdiag.report.thinned import COLUMNS
 from mavdiag.report.windows import sweep_of, windows_picture
 from mavdiag.report.words import declared_s, named_rotor
 from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Log, Signal
 from mavdiag.traces import Traces, traces_of
 
@@ -92,7 +93,9 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         fsd_picture(traces.rates, columns),
         plane_picture(traces.rates, frame.classifier),
         severity_picture(traces.rates, traces.slots, since_s, frame.classifier),
-        spectrum_picture(blocks, _rotor_line(log, frame), _corner_hz(log, frame)),
+        spectrum_picture(
+            blocks, _rotor_line(log, frame, [piece.rows for piece in judged.pieces]), _corner_hz(log, frame)
+        ),
         _windows(blocks, baseline),
         attitude_picture(log.telemetry, columns),
         height_picture(log.telemetry, columns),
@@ -141,16 +144,15 @@ def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
     return windows_picture(sweeps, window_s)
 
 
-def _rotor_line(log: Log, airframe: Airframe) -> RotorLine | None:
-    """One per revolution: as the speed controllers report it in flight, else of the airframe's hover."""
-    speed = log.telemetry.get(Signal.ROTOR_SPEED)
-    if speed is not None and len(speed):
-        turning = speed.values[np.isfinite(speed.values) & (speed.values > 1.0)]
-        if len(turning):
-            return RotorLine(float(np.median(turning)) / (2 * np.pi), "the rotor speeds in the log")
-    if airframe.hover_rad_s is None:
-        return None
-    return RotorLine(airframe.hover_rad_s / (2 * np.pi), "the airframe's hover speed")
+def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> RotorLine | None:
+    """One per revolution: as the speed controllers report it, else of the airframe's hover, else as it is heard."""
+    told = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    if math.isfinite(told):
+        return RotorLine(told, "the rotor speeds in the log")
+    if airframe.hover_rad_s is not None:
+        return RotorLine(airframe.hover_rad_s / math.tau, "the airframe's hover speed")
+    heard = rotor_line(rows, _corner_hz(log, airframe), told)
+    return None if heard.reason else RotorLine(heard.hz, "what is heard, the strongest line above its neighbourhood")
 
 
 def _corner_hz(log: Log, airframe: Airframe) -> float | None:

@@ -126,7 +126,7 @@ def spectrum_picture(blocks: Sequence[Block], line: RotorLine | None, corner_hz:
 
 def _of_line(line: RotorLine | None, rate_hz: float) -> str:
     if line is None:
-        return "The rotors' speed is not known: the log carries none, and the airframe has no hover speed."
+        return "The rotors' speed is not known: neither log nor airframe tells it, and no line stands out."
     seen_hz = folded(line.hz, rate_hz)
     fold = "" if math.isclose(seen_hz, line.hz) else f", which {rate_hz:.0f} samples a second fold to {seen_hz:.0f} Hz"
     return f"The line is at {line.hz:.0f} Hz by {line.source}{fold}."

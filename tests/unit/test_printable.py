@@ -17,10 +17,10 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import parse
 from mavdiag.commands import inspect
-from mavdiag.commands.inspection import MonitorState, Units
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Severity
+from mavdiag.look.inspection import MonitorState, Units
 from mavdiag.printable import printable
 from mavdiag.telemetry import Log, Telemetry
 from mavdiag.terminal.ground_station import GroundStation
