@@ -18,11 +18,12 @@ from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.storage import check_output, write_atomically
+from mavdiag.telemetry import Log
 
 if TYPE_CHECKING:
     from mavdiag.report.flight import FlightReport
 
-__all__ = ["report"]
+__all__ = ["report", "write_report"]
 
 DRAWN = 40  # logs of one page that have figures, so that the page stays small (our choice)
 LEAST_POINTS = 120
@@ -85,6 +86,17 @@ def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | 
     for one in reports:
         say(f"{one.verdict.log}: {one.verdict.verdict}")
     say(f"written to {output}")
+
+
+def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
+    """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be drawn or written."""
+    from mavdiag.report.flight import flight_report
+    from mavdiag.report.page import Made, flights_page
+
+    judged = judge_in_full(log, baseline)
+    page = flights_page([flight_report(log, baseline, judged)], baseline, Made(now(), str(baseline_path)))
+    write_atomically(output, page)
+    return judged.verdict
 
 
 def _flight(named: Named, baseline: Baseline, options: Options, *, figures: bool) -> "FlightReport":
