@@ -30,7 +30,7 @@ LEAST_POINTS = 120
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class _Reading:
     """How logs are read and drawn. columns: of CSV recordings. points: across a figure."""
 
     vehicle: int | None
@@ -77,7 +77,7 @@ def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | 
     found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     if found.skipped:
         say(found.skipped_sentence, err=True)
-    options = Options(vehicle, mapped, _points(len(found.logs)))
+    options = _Reading(vehicle, mapped, _points(len(found.logs)))
     reports = [
         _flight(one, reference, options, figures=number < DRAWN)
         for number, one in enumerate(each(found.logs, "drawn", sizes_of([one.path for one in found.logs])))
@@ -99,7 +99,7 @@ def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path
     return judged.verdict
 
 
-def _flight(named: Named, baseline: Baseline, options: Options, *, figures: bool) -> "FlightReport":
+def _flight(named: Named, baseline: Baseline, options: _Reading, *, figures: bool) -> "FlightReport":
     """One bad log is reported and does not lose the others."""
     from mavdiag.report.flight import flight_report, unread_report
 
