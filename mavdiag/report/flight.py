@@ -9,6 +9,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict
 from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import rotor_line, told_hz
+from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.report.evidence import evidence_picture
@@ -81,7 +82,7 @@ def flight_report(
 def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) -> tuple[Picture, ...]:
     traces = Traces((), (), ()) if judged.chain is None else traces_of(judged.chain, judged.pieces)
     blocks = [piece.rows.block for piece in judged.pieces if len(piece.rows.block)]
-    since_s, frame = declared_s(judged.verdict), baseline.airframe
+    since_s, frame = _since_s(judged.verdict), baseline.airframe
     airframe, bars, trim = _of_rotors(blocks, baseline, judged.verdict, columns)
     drawn = (
         airframe,
@@ -122,7 +123,7 @@ def _of_rotors(
     blocks: Sequence[Block], baseline: Baseline, verdict: LogVerdict, columns: int
 ) -> tuple[Picture, Picture, Picture]:
     """The airframe, the trim over time and by rotor."""
-    layout, since_s = baseline.airframe.layout, declared_s(verdict)
+    layout, since_s = baseline.airframe.layout, _since_s(verdict)
     healthy = next((entry.spec for entry in baseline.monitors if isinstance(entry.spec, RotorTrimSpec)), None)
     threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
     shift = None if layout is None else shift_of(blocks, layout, healthy, threshold)
@@ -131,6 +132,11 @@ def _of_rotors(
         bars_picture(shift, since_s),
         trim_picture(shift, columns),
     )
+
+
+def _since_s(verdict: LogVerdict) -> float | None:
+    """From when on a damaged propeller shows [s]; None for the whole flight: what follows a loss says nothing of it."""
+    return declared_s(verdict) if verdict.kind in (None, FaultKind.PROPELLER) else None
 
 
 def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:

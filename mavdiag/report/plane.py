@@ -117,7 +117,7 @@ def severity_picture(
     if trace is None:
         return replace(SEVERITY, not_drawn=NO_MODEL)
     if classifier != CLASSIFIER:
-        reason = "severities were learnt for the emulated QDrone 2 alone; the unbalance is in the table of monitors"
+        reason = "its severities are known for the emulated QDrone 2 alone"
         return replace(SEVERITY, not_drawn=reason)
     unbalance = unbalance_of(slots, since_s)
     if unbalance is None:

@@ -30,7 +30,7 @@ EMPTY = Picture(
     "spectrum",
     "Spectrum of the accelerometer",
     "An unbalanced rotor shakes the airframe once a turn, so damage that takes mass off a blade raises the peak at the "
-    "rotors' line (dashed), and its harmonics little.",
+    "rotors' line, and its harmonics little.",
     "3.14",
 )
 
@@ -129,7 +129,7 @@ def _of_line(line: RotorLine | None, rate_hz: float) -> str:
         return "The rotors' speed is not known: neither log nor airframe tells it, and no line stands out."
     seen_hz = folded(line.hz, rate_hz)
     fold = "" if math.isclose(seen_hz, line.hz) else f", which {rate_hz:.0f} samples a second fold to {seen_hz:.0f} Hz"
-    return f"The line is at {line.hz:.0f} Hz by {line.source}{fold}."
+    return f"The line (dashed) is at {line.hz:.0f} Hz by {line.source}{fold}."
 
 
 def _of_corner(corner_hz: float | None) -> str:

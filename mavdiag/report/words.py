@@ -2,6 +2,7 @@
 
 from mavdiag.decision.alarm import Change, Stage
 from mavdiag.judging import LogVerdict, MonitorSummary, Verdict
+from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.units import NS_PER_S
 
@@ -37,7 +38,8 @@ def headline(verdict: LogVerdict) -> str:
     kind = verdict.kind or FaultKind.PROPELLER
     last = _last_fault(verdict)
     rotor = named_rotor(verdict)
-    where = f" of rotor {rotor}" if rotor is not None and kind is FaultKind.PROPELLER else ""
+    near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
+    where = f" {near} rotor {rotor}" if rotor is not None and near else ""
     graded = ""
     if kind is FaultKind.PROPELLER and last is not None and last.fault_type is not None:
         severity = "" if last.severity is None else f", severity {last.severity} of 3"
@@ -60,7 +62,9 @@ def evidence_sentence(verdict: LogVerdict) -> str:
         told = ", ".join(f"{one.name} {_ratio(one):.1f} times" for one in above)
         count = len(verdict.events)
         alarms = f"{count} alarm{'s' if count != 1 else ''} of single monitors"
-        return f"Above their thresholds: {told} ({alarms})." if told else f"{alarms[0].upper()}{alarms[1:]}."
+        doubts = {by_name(one.event.monitor).doubt for one in verdict.events if by_name(one.event.monitor).decides}
+        doubt = next((f" This alone does not tell the cause ({text})." for text in doubts if text), "")
+        return f"Above their thresholds: {told or 'none at the end'} ({alarms}).{doubt if len(doubts) == 1 else ''}"
     return ""
 
 
