@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim
+from mavdiag.commands import balance, baseline, history, identify, inspect, model, scan, shim
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -17,6 +17,7 @@ app.command("inspect")(inspect.inspect)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")
+app.add_typer(history.app, name="history")
 
 
 def main() -> NoReturn:

@@ -1,1 +1,1 @@
-"""The history of an airframe: flight by flight, how near its statistics come to their thresholds, and where it leads."""
+"""The history of an airframe: how near its statistics came to their thresholds, flight by flight, and what follows."""

@@ -12,14 +12,19 @@ from mavdiag.traces import SlotTrace, slot_traces
 __all__ = ["content_of", "record_of"]
 
 
-def record_of(log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str, added_ns: int) -> FlightRecord:
-    """What is kept of a flight. added_ns: the present time, unix epoch [ns]."""
+def record_of(
+    log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str, added_ns: int, vehicle: int | None = None
+) -> FlightRecord:
+    """What is kept of a flight.
+
+    added_ns: the present time, unix epoch [ns]. vehicle: system id, where the file holds several.
+    """
     traces = slot_traces(judged.chain, judged.pieces) if judged.chain is not None else ()
     verdict = judged.verdict
     return FlightRecord(
         airframe=airframe,
         log=log.name,
-        content=content_of(log),
+        content=content_of(log, vehicle),
         started_ns=log.started_ns,
         added_ns=added_ns,
         baseline=baseline.digest,
@@ -39,6 +44,7 @@ def content_of(log: Log, vehicle: int | None = None) -> str:
 def _figures(trace: SlotTrace) -> SlotFigures:
     slot, found = trace.slot, trace.found
     value = found.value[found.valid]
+    value = value[np.isfinite(value)]
     name, axis = slot.key
     median, peak = (float(np.median(value)), float(value.max())) if len(value) else (None, None)
     return SlotFigures(name, axis, slot.monitor.unit, slot.threshold, median, peak, found.judged_s)

@@ -1,8 +1,8 @@
 """Where a statistic is heading from flight to flight, how sure that is, and when it would reach its threshold. Pure.
 
-A series holds the share z = peak/threshold of each flight; 1 is the threshold. Flights of one session (a battery, a day,
-a place) share an error, so they become one value y, their median, at their mean flight number x. With c flights and
-errors within and between sessions of like size, its variance is
+A series holds the share z = peak/threshold of each flight; 1 is the threshold. Flights of one session (a battery, a
+day, a place) share an error, so they become one value y, their median, at their mean flight number x. With c flights
+and errors within and between sessions of like size, its variance is
 
     var(y) = s^2 (1 + 1/c)/2                                        (the like size is our choice; measured: 0.5 to 3)
 
@@ -28,9 +28,9 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray, IntArray
 
-__all__ = ["MEMORY", "Remaining", "Sessions", "Trend", "sessions_of", "trend_of"]
+__all__ = ["MEMORY", "Remaining", "Sessions", "Trend", "scale_of_steps", "sessions_of", "trend_of"]
 
-MEMORY = 40.0  # flights after which a session counts 1/e (tuned, see `warn`)
+MEMORY = 20.0  # flights after which a session counts 1/e (tuned, see `warn`)
 LEAST_SESSIONS = 5  # fewer show no trend (our choice)
 LEAST_SCALE = 0.01  # of the threshold: smallest scatter that is believed (our choice)
 HUBER = 1.345
@@ -143,7 +143,7 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
         return None
     x, y, base = sessions.number - now, sessions.share, sessions.weight
     recent = base * np.exp(x / MEMORY)
-    steps = _scale_of_steps(sessions)
+    steps = scale_of_steps(sessions)
     h = np.ones(len(y))
     for _ in range(ROUNDS):
         w = h * recent
@@ -176,7 +176,7 @@ def _spread(
     return float(C[0, 0]), float(C[0, 1]), float(C[1, 1])
 
 
-def _scale_of_steps(sessions: Sessions) -> float:
+def scale_of_steps(sessions: Sessions) -> float:
     """Standard deviation of a session of one flight, from the steps between neighbours."""
     spread = np.sqrt(1 / sessions.weight[1:] + 1 / sessions.weight[:-1])
     return MAD * _median(np.abs(np.diff(sessions.share)) / spread)
