@@ -49,9 +49,21 @@ def postgres() -> Iterator[str]:
         os.chown(home, user, -1)
     try:
         data = home / "data"
-        made: list[str | Path] = [folder / "initdb", "-D", data, "-U", "owner", "-A", "trust", "-N", "-E", "UTF8", "--locale=C"]
+        made: list[str | Path] = [
+            folder / "initdb",
+            "-D",
+            data,
+            "-U",
+            "owner",
+            "-A",
+            "trust",
+            "-N",
+            "-E",
+            "UTF8",
+            "--locale=C",
+        ]
         subprocess.run(made, user=user, cwd=home, check=True, capture_output=True, timeout=120)
-        options: list[str | Path] = ["-c", "listen_addresses=", "-c", "fsync=off", "-k", home]
+        options = ["-c", "listen_addresses=", "-c", "fsync=off", "-k", str(home)]
         with (home / "log").open("w") as log:
             server = subprocess.Popen(
                 [folder / "postgres", "-D", data, *options], user=user, cwd=home, stdout=log, stderr=log

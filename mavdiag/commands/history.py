@@ -60,7 +60,8 @@ def overview(
     if context.invoked_subcommand is None:
         show(airframe, database, as_json, as_csv)
     elif airframe is not None or database != FILE or as_json or as_csv:
-        raise UsageError(f"write the options behind the command: mavdiag history {context.invoked_subcommand} ...")
+        name = context.invoked_subcommand
+        raise UsageError(f"options belong behind the command, as in `mavdiag history {name} --airframe NAME`")
 
 
 @app.command()

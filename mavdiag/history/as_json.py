@@ -100,7 +100,7 @@ def _trend_json(found: Found) -> dict[str, Any]:
         "remaining": None if remaining is None else _number(remaining.flights),
         "remaining_low": None if remaining is None else _number(remaining.low),
         "remaining_high": None if remaining is None else _number(remaining.high),
-        "warned_at": found.warned_at,
+        "warned_at": found.review.warned_at,
         "changes": [
             {"flight": one.number, "step": _number(one.step), "t": _number(one.t)} for one in found.review.changes
         ],

@@ -1,16 +1,17 @@
 """The trend of an airframe as lines of text: a sentence for each statistic, and drawings that keep to a width. Pure."""
 
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
-from mavdiag.history.overview import WARNS, Found, Overview
-from mavdiag.history.stretches import Series, Stretch, series_of
+from mavdiag.history.overview import Found, Overview
+from mavdiag.history.stretches import Stretch, series_of
 from mavdiag.history.trend import Remaining
-from mavdiag.history.warn import Outlook
+from mavdiag.history.warn import WARNS, Outlook
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
@@ -39,18 +40,20 @@ def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     """What is said of an airframe. width: of the terminal; None for plain lines without drawings."""
     lines = [Line(_headline(overview))]
     lines += [Line(f"  {_stretch(one, place)}") for place, one in enumerate(overview.stretches, 1) if one.began]
-    for one in overview.found:
+    few = [one.series.name for one in overview.found if one.review.trend is None]
+    for one in (one for one in overview.found if one.review.trend is not None):
         loud = one.review.outlook in WARNS
         lines.append(Line(f"  {sentence(one)}", loud))
         if width is not None and width >= NARROW:
             lines.append(Line(f"    {sparkline(one.series.share, width - 4)}", loud))
+    if few:
+        lines.append(Line(f"  {Outlook.TOO_FEW.value}: {', '.join(few)}"))
     if overview.rotor_growth:
         rises = ", ".join(f"rotor {n} {rise:+.4f}" for n, rise in enumerate(overview.rotor_growth, 1))
         lines.append(Line(f"  trim since the stretch began [fraction of hover]: {rises}"))
     if width is not None and overview.found:
         lines += [Line(text) for text in _drawing(overview, width)]
-    cut = [Line(_cut(line.text, width), line.loud) for line in lines] if width is not None else lines
-    return tuple(cut)
+    return tuple(lines) if width is None else tuple(part for line in lines for part in _wrapped(line, width))
 
 
 def sentence(found: Found) -> str:
@@ -58,13 +61,13 @@ def sentence(found: Found) -> str:
     series, one = found.series, found.review
     if one.trend is None:
         return f"{series.name}: {one.outlook.value}"
-    told = f"{series.name}: {one.trend.level:.2f} of the threshold {series.threshold:.3g} {series.unit}".rstrip()
-    told += f", {one.trend.slope:+.4f} a flight"
-    if one.outlook in (Outlook.GROWING, Outlook.WARNING) and one.remaining is not None:
+    told = f"{series.name}: {one.outlook.value}"
+    if one.warned_at is not None:
+        told += f", warned of since flight {one.warned_at} of the stretch"
+    unit = f" {series.unit}" if series.unit else ""
+    told += f"; {one.trend.level:.2f} of the threshold {series.threshold:.3g}{unit}, {one.trend.slope:+.4f} a flight"
+    if one.outlook in (Outlook.GROWN, Outlook.WARNING) and one.remaining is not None:
         told += f", there in {_flights(one.remaining)}"
-    told += f": {one.outlook.value}"
-    if found.warned_at is not None:
-        told += f", warned of since flight {found.warned_at} of the stretch"
     for change in one.changes:
         told += f"; jumped by {change.step:+.2f} at flight {change.number}"
     return told
@@ -151,12 +154,14 @@ def _drawing(overview: Overview, width: int) -> tuple[str, ...]:
     share = np.concatenate(parts)
     borders = [one.first - 1 for one in overview.stretches if one.began and one.flights]
     numbers = f"{'':{LABEL}}1{len(share):>{max(width - LABEL - 1, 1)}}"
-    return (f"  {_name(first)}, peak over threshold by flight", *chart(share, borders, width), numbers)
+    return (f"  {first.name}, peak over threshold by flight", *chart(share, borders, width), numbers)
 
 
-def _name(series: Series) -> str:
-    return series.name
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: max(width - 1, 0)] + "…"
+def _wrapped(line: Line, width: int) -> Iterator[Line]:
+    """A line as lines of at most that width, indented as it is and further."""
+    if len(line.text) <= width:
+        yield line
+        return
+    indent = line.text[: len(line.text) - len(line.text.lstrip())]
+    for part in textwrap.wrap(line.text, max(width, 1), subsequent_indent=indent + "  " if width > NARROW else ""):
+        yield Line(part, line.loud)

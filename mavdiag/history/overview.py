@@ -7,21 +7,19 @@ import numpy as np
 
 from mavdiag.history.records import FlightRecord, Mark
 from mavdiag.history.stretches import Series, Stretch, series_of, stretches_of
-from mavdiag.history.warn import POLICY, Outlook, Policy, Review, review, warned_at
+from mavdiag.history.warn import POLICY, WARNS, Policy, Review, review
 
 __all__ = ["Found", "Overview", "overview_of"]
 
-WARNS = (Outlook.WARNING, Outlook.REACHED)
 FEW = 10  # flights at either end of a stretch whose medians are compared (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A series of the present stretch and what was found of it. warned_at: since which flight it is warned of."""
+    """A series of the present stretch and what was found of it."""
 
     series: Series
     review: Review
-    warned_at: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +51,9 @@ def overview_of(
     """What is found of an airframe. flights, marks: all of it, in order of time."""
     stretches = stretches_of(flights, marks)
     present = stretches[-1] if stretches else None
-    found = [_found(series, policy) for series in series_of(present)] if present else []
+    found = [Found(series, review(series, policy)) for series in series_of(present)] if present else []
     found.sort(key=lambda one: -1.0 if one.review.trend is None else one.review.trend.level, reverse=True)
     return Overview(airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present))
-
-
-def _found(series: Series, policy: Policy) -> Found:
-    """The flight since which it is warned of is looked for only where it is."""
-    one = review(series, policy)
-    return Found(series, one, warned_at(series, policy) if one.outlook in WARNS else None)
 
 
 def _rotor_growth(stretch: Stretch | None) -> tuple[float, ...]:

@@ -4,7 +4,7 @@ A database is made, or brought to the newest schema, by Alembic when it is opene
 out as UsageError in one line; a password in an address is never shown.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -62,16 +62,17 @@ class History:
     def mark(self, mark: Mark) -> None:
         """Keep a maintenance mark. Raises UsageError for an airframe without flights."""
         with self._engine.begin() as connection:
-            airframe = connection.execute(select(AIRFRAME.c.id).where(AIRFRAME.c.name == mark.airframe)).scalar()
-            if airframe is None:
-                raise UsageError(f"no airframe {mark.airframe!r} in the history; there is {self._names(connection)}")
+            names = _names(connection)
+            if mark.airframe not in names:
+                raise UsageError(f"no airframe {mark.airframe!r} in the history; there is {', '.join(names) or 'none'}")
+            airframe = connection.execute(select(AIRFRAME.c.id).where(AIRFRAME.c.name == mark.airframe)).scalar_one()
             values = {"airframe_id": airframe, "t_ns": mark.t_ns, "kind": mark.kind.value, "note": mark.note}
             connection.execute(insert(MARK).values(values))
 
     def airframes(self) -> tuple[str, ...]:
-        """Their names, in order."""
+        """Names of those that have flights, in order."""
         with self._engine.begin() as connection:
-            return tuple(connection.execute(select(AIRFRAME.c.name).order_by(AIRFRAME.c.name)).scalars())
+            return _names(connection)
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""
@@ -117,10 +118,6 @@ class History:
         with self._engine.begin() as connection:
             rows = connection.execute(query.order_by(MARK.c.t_ns, MARK.c.id)).all()
         return tuple(Mark(airframe, row.t_ns, MarkKind(row.kind), row.note) for row in rows)
-
-    def _names(self, connection: Connection) -> str:
-        names: Sequence[str] = connection.execute(select(AIRFRAME.c.name).order_by(AIRFRAME.c.name)).scalars().all()
-        return ", ".join(names) or "none yet"
 
 
 @contextmanager
@@ -216,6 +213,11 @@ def _bring_up(engine: Engine) -> None:
 def _version(connection: Connection) -> list[str]:
     context = MigrationContext.configure(connection, opts={"version_table": VERSION})
     return list(context.get_current_heads()) if inspect(connection).has_table(VERSION) else []
+
+
+def _names(connection: Connection) -> tuple[str, ...]:
+    query = select(AIRFRAME.c.name).join(FLIGHT).distinct().order_by(AIRFRAME.c.name)
+    return tuple(connection.execute(query).scalars())
 
 
 def _insert(connection: Connection, record: FlightRecord) -> None:

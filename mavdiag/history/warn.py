@@ -5,10 +5,11 @@ threshold, `trend`), a statistic is warned of if it is so at each of the last th
 
     a + b HORIZON >= 1                    the line reaches the threshold within the horizon,
     (a - r)/(1 - r) >= PROGRESS           most of the way from the first flights to the threshold is gone,
-    a - r >= GROWN s                      and that is more than the scatter of a session.
+    a - r >= GROWN s                      and that is more than the scatter of a session,
+    q - r >= HALF (1 - r)                 and so is the median q of the last ten flights, in part.
 
 Without the second a jump, which looks steep at first, would be warned of at once; without the third a healthy statistic
-that is always near its threshold.
+that is always near its threshold. A warning stands until the level falls back below 0.6 of the way.
 
 **Its price** (benchmarks/history_wear.py, docs/results.md): the figures were fitted to drawn histories whose wear
 reaches the threshold after 150 flights, and judged by others. Of healthy airframes with scatter as recorded fewer than
@@ -27,7 +28,7 @@ from mavdiag.history.stretches import Series
 from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["Outlook", "Policy", "Review", "review", "warned_at"]
+__all__ = ["POLICY", "WARNS", "Outlook", "Policy", "Review", "review", "warned_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,8 @@ class Policy:
     horizon: flights ahead. progress: share of the way that must be gone. grown: scatters of a session.
     first: flights at the beginning of a stretch whose median is its first level.
     confirmed: flights that must agree.
+    half, recent: share of the way that the median of so many flights must have gone.
+    kept: share of the way below which the level must fall back for a warning to be over.
     """
 
     horizon: float = 26.0
@@ -44,18 +47,21 @@ class Policy:
     grown: float = 1.5
     first: int = 20
     confirmed: int = 3
+    half: float = 0.5
+    recent: int = 10
+    kept: float = 0.6
 
 
 POLICY = Policy()
-SURE = 3.0  # standard errors of growth from which it is called growing (our choice)
+SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
 
 
 class Outlook(StrEnum):
     """What the trend of a statistic says."""
 
     TOO_FEW = "too few flights for a trend"
-    STEADY = "no growth"
-    GROWING = "growing, and not near the threshold"
+    STEADY = "not grown since the first flights"
+    GROWN = "grown, and not near the threshold"
     WARNING = "reaches the threshold soon"
     REACHED = "has reached the threshold"
 
@@ -67,12 +73,14 @@ class Review:
     outlook: in one word.
     trend: at the newest flight that it judged; None with too few.
     remaining: flights from then until it reaches the threshold; None if it does not grow.
+    warned_at: number of the flight since which it is warned of; None if it is not.
     changes: where it jumped.
     """
 
     outlook: Outlook
     trend: Trend | None
     remaining: Remaining | None
+    warned_at: int | None
     changes: tuple[Change, ...]
 
 
@@ -81,19 +89,18 @@ def review(series: Series, policy: Policy = POLICY) -> Review:
     share = series.share
     judged = np.flatnonzero(np.isfinite(share))
     changes = changes_of(sessions_of(series.number, series.session, share))
-    trend = _trend_at(series, share, int(judged[-1])) if len(judged) else None
-    if trend is None:
-        return Review(Outlook.TOO_FEW, None, None, changes)
-    remaining = trend.remaining()
+    trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= policy.confirmed else None
+    first = _first_level(share, policy)
+    if trend is None or first is None or len(series.number) < policy.first:
+        return Review(Outlook.TOO_FEW, None, None, None, changes)
+    since, grown = warned_at(series, policy), trend.level - first
+    error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(policy.first / 2)))
+    outlook = Outlook.GROWN if grown > SURE * error else Outlook.STEADY
     if trend.level >= 1.0:
         outlook = Outlook.REACHED
-    elif len(judged) >= policy.confirmed and all(
-        _near(series, share, int(at), policy) for at in judged[-policy.confirmed :]
-    ):
+    elif since is not None and grown >= policy.kept * (1.0 - first):
         outlook = Outlook.WARNING
-    else:
-        outlook = Outlook.GROWING if trend.significance > SURE else Outlook.STEADY
-    return Review(outlook, trend, remaining, changes)
+    return Review(outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
 
 
 def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = None) -> int | None:
@@ -102,25 +109,35 @@ def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = N
     before: look at no flight from this number on.
     """
     share, row = series.share, 0
-    for at in np.flatnonzero(np.isfinite(share)).tolist():
+    first = _first_level(share, policy)
+    if first is None:
+        return None
+    judged = np.flatnonzero(np.isfinite(share))
+    for place, at in enumerate(judged.tolist()):
         if before is not None and series.number[at] >= before:
             return None
-        row = row + 1 if _near(series, share, at, policy) else 0
+        middle = float(np.median(share[judged[max(place + 1 - policy.recent, 0) : place + 1]]))
+        far = at + 1 < policy.first or middle - first < policy.half * (1.0 - first)
+        row = 0 if far or not _near(_trend_at(series, share, at), first, policy) else row + 1
         if row >= policy.confirmed:
             return int(series.number[at])
     return None
 
 
-def _near(series: Series, share: FloatArray, at: int, policy: Policy) -> bool:
-    """Whether the rule holds by what was known after a flight, by its place."""
+WARNS = (Outlook.WARNING, Outlook.REACHED)
+"""The outlooks that ask for action."""
+
+
+def _first_level(share: FloatArray, policy: Policy) -> float | None:
     known = share[: policy.first]
     known = known[np.isfinite(known)]
-    if at + 1 < policy.first or len(known) == 0:
-        return False
-    trend = _trend_at(series, share, at)
+    return float(np.median(known)) if len(known) else None
+
+
+def _near(trend: Trend | None, first: float, policy: Policy) -> bool:
+    """Whether the rule holds."""
     if trend is None:
         return False
-    first = float(np.median(known))
     grown = trend.level - first
     return (
         trend.level + trend.slope * policy.horizon >= 1.0
