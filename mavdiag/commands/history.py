@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands.options import AsJson, Vehicle, read_part
@@ -66,7 +67,7 @@ def overview(
 
 @app.command()
 def add(
-    logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, or folders of them.")],
+    logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
     baseline: Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")],
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME", help="Whose flights they are; else the baseline's airframe.")
@@ -80,14 +81,19 @@ def add(
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    paths, failed = _files(logs), 0
+    named, failed = logs_named(logs), 0
     with _open(database, create=True) as history:
-        for path in each(paths, "judging"):
+        for one in each(named.logs, "judging"):
+            path = one.path
             try:
+                if one.trouble:
+                    raise InputError(one.trouble)
                 say(f"{path}: {_added(history, path, reference, name, vehicle, again)}")
             except InputError as error:
                 failed += 1
                 say(f"{path}: error, {str(error).removeprefix(f'{path}: ')}")
+    if named.skipped_sentence:
+        say(named.skipped_sentence, err=True)
     raise typer.Exit(2 if failed else 0)
 
 
@@ -182,17 +188,6 @@ def _names(history: "History", airframe: str | None) -> Sequence[str]:
     if airframe not in names:
         raise UsageError(f"no airframe {airframe!r} in the history; there is {', '.join(names) or 'none yet'}")
     return (airframe,)
-
-
-def _files(paths: Iterable[Path]) -> list[Path]:
-    """The files named, and those in the folders named."""
-    found: list[Path] = []
-    for path in paths:
-        inside = sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
-        if not inside:
-            raise InputError(f"{path}: no log there; name files, or a folder of them")
-        found += inside
-    return found
 
 
 def _time(text: str) -> int:
