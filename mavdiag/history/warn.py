@@ -42,7 +42,7 @@ class Policy:
     kept: share of the way below which the level must fall back for a warning to be over.
     """
 
-    horizon: float = 26.0
+    horizon: float = 30.0
     progress: float = 0.82
     grown: float = 1.5
     first: int = 20
