@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, identify, inspect, look, model, report, scan, shim, watch
+from mavdiag.commands import balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -20,6 +20,7 @@ app.command("watch")(watch.watch)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")
+app.add_typer(history.app, name="history")
 
 
 def main() -> NoReturn:
