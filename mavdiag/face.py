@@ -6,7 +6,7 @@ and calls the part that does the work.
 
 import datetime
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -75,7 +75,7 @@ def learn(
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
     chosen = replace(chosen, robust=chosen.robust or robust)
-    found = [log for source in _each(flights) for log in _logs(source, vehicle)]
+    found = (log for source in _each(flights) for log in _logs(source, vehicle))
     return learning.learn(found, chosen, created=now() if created is None else created)
 
 
@@ -161,20 +161,25 @@ def _each(flights: Source | Iterable[Source]) -> list[Source]:
     return [flights] if isinstance(flights, Log | str | Path) else list(flights)
 
 
-def _logs(source: Source, vehicle: int | None) -> list[Log]:
-    """The logs that one source names: itself, a file, a pattern, all files of a folder. Raises InputError if none."""
+def _logs(source: Source, vehicle: int | None) -> Iterator[Log]:
+    """The logs that one source names, read one by one: itself, a file, a pattern, all files of a folder.
+
+    Raises InputError if there are none.
+    """
     if isinstance(source, Log):
-        return [source]
+        yield source
+        return
     path = Path(source)
     found: Iterable[Path] = (path,)
     if path.is_dir():
         found = path.iterdir()
     elif not path.exists() and any(sign in str(path) for sign in "*?["):
         found = Path(path.anchor).glob(str(path.relative_to(path.anchor)))
-    logs = [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in sorted(found) if not one.is_dir()]
-    if not logs:
+    files = sorted(one for one in found if not one.is_dir())
+    if not files:
         raise InputError(f"{source}: no log there; name files, a folder, or a pattern like 'healthy/*.tlog'")
-    return logs
+    for one in files:
+        yield replace(read_log(one, vehicle=vehicle), name=str(one))
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:

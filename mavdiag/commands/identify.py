@@ -13,7 +13,7 @@ from mavdiag.airframe.load import BUILTIN
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
-from mavdiag.commands.progress import each, working
+from mavdiag.commands.progress import each
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
@@ -108,6 +108,5 @@ def make_baseline(
     to_s: float | None = None,
 ) -> Baseline:
     """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError."""
-    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
-    with working(f"learning from {len(flights)} flights ..."):
-        return learn(flights, options, created=now())
+    flights = (read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading"))
+    return learn(flights, options, created=now())

@@ -13,7 +13,17 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.base import (
+    Feature,
+    Flights,
+    LearnContext,
+    Monitor,
+    RotorEvidence,
+    Summaries,
+    Summary,
+    segments,
+)
+from mavdiag.monitors.healthy import joined_moments, moments
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -175,14 +185,33 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         self._places = None if spec.layout is None else _Places(spec, spec.layout)
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether the flight has an accelerometer, and the moments of its window means."""
+        if not any((rows.block.valid & rows.block.known(Signal.SPECIFIC_FORCE, slice(0, 2))).any() for rows in flight):
+            return (np.array([False]), *moments(np.empty((0, COLUMNS))))
+        return (np.array([True]), *moments(_means(cls._before(context), flight)))
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
         """Healthy vibration, in g mm if the airframe's mass and hover speed are known."""
-        force = [rows.block.force[rows.block.valid, :2] for flight in flights for rows in flight]
-        if not any(np.isfinite(one).all(axis=1).any() for one in force):
+        if not any(felt[0] for felt, *_ in summaries):
             raise InputError("no flight with an accelerometer along x and y")
+        if not any(count[0] for _, count, *_ in summaries):
+            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
+        found = joined_moments([rest for _, *rest in summaries])
+        power, x, y, turning = found.mean.tolist()
+        spread = np.sqrt(found.squares / found.count).tolist()
+        if not (power > 0 and spread[1] > 0 and spread[2] > 0):
+            raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
+        first = cls._before(context)
+        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
+
+    @staticmethod
+    def _before(context: LearnContext) -> UnbalanceSpec:
+        """What is known before any flight. Raises InputError if the link does not carry a rotor's vibration."""
         airframe = context.airframe
         both = airframe.mass_kg is not None and airframe.hover_rad_s is not None
-        first = UnbalanceSpec(
+        return UnbalanceSpec(
             dt_s=context.dt_s,
             corner_hz=corner_of(1 / context.dt_s, context.imu_corner_hz, airframe.hover_rad_s),
             layout=airframe.layout,
@@ -193,13 +222,6 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
             mass_kg=airframe.mass_kg if both else None,
             hover_rad_s=airframe.hover_rad_s if both else None,
         )
-        means = np.concatenate([_means(first, flight) for flight in flights])
-        if len(means) == 0:
-            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
-        (power, x, y, turning), spread = means.mean(axis=0).tolist(), means.std(axis=0).tolist()
-        if not (power > 0 and spread[1] > 0 and spread[2] > 0):
-            raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
-        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, float]:
         """The vibration of the new propellers, by the same high-pass."""
