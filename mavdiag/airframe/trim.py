@@ -27,6 +27,7 @@ __all__ = [
     "Source",
     "rises",
     "shown_trim",
+    "source_among",
     "source_of",
     "sources_of",
     "spread_from",
@@ -54,11 +55,16 @@ def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
     return np.array([any(trim_of(rows.block, layout, one)[1].any() for rows in flight) for one in SOURCES])
 
 
-def source_of(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
-    """The outputs where they are sent, for they are what the rotors really got. shown: of each flight, `sources_of`.
+def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
+    """The outputs where they are sent, for they are what the rotors really got.
 
     Raises InputError if there is neither.
     """
+    return source_among([sources_of(flight, layout) for flight in flights], layout)
+
+
+def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
+    """As `source_of`, from what `sources_of` says of each flight."""
     for number, source in enumerate(SOURCES):
         if any(one[number] for one in shown):
             return source

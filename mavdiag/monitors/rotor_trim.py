@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import SOURCES, Source, rises, source_of, sources_of, spread_from, tilt_of, trim_of
+from mavdiag.airframe.trim import SOURCES, Source, rises, source_among, sources_of, spread_from, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Feature, Flights, LearnContext, Summaries, Summary, segments
 from mavdiag.monitors.healthy import Three, joined_moments, moments, three
@@ -100,7 +100,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
-        layout, source = context.layout, source_of([one[0] for one in summaries], context.layout)
+        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
         first = 1 + 3 * SOURCES.index(source)
         found = [one[first : first + 3] for one in summaries]
         mu = _mean(found)

@@ -5,7 +5,6 @@ one-step prediction. A segment starts the model from the measured rate at rest i
 died out by the end of the segment's blanked first second.
 """
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,11 +13,11 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify import ArxModel, Method, Order, fit, freerun
+from mavdiag.identify import ArxModel, freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.healthy import cut_to_share
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
+from mavdiag.monitors.training import MIN_PIECE_S, SETTLE_S, train, trained, training_pieces, training_spans
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
@@ -27,6 +26,7 @@ from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
 
 __all__ = [
+    "MIN_PIECE_S",
     "Exceedance",
     "MarginRule",
     "Residual",
@@ -42,10 +42,6 @@ __all__ = [
     "train",
     "training_pieces",
 ]
-
-TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
-SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
-MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 
 
 class MarginRule(StrEnum):
@@ -286,64 +282,14 @@ def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Resid
     return found
 
 
-def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
-    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
-    return [
-        (rows.rates.u[first:stop, axis.column], rows.rates.y[first:stop, axis.column])
-        for rows in flight
-        for first, stop in _long_spans(rows.rates.commanded, rows.rates.dt_s)
-    ]
-
-
-def _long_spans(commanded: BoolArray, dt_s: float) -> list[tuple[int, int]]:
-    """Spans of rows that are long enough to train on."""
-    return [(first, stop) for first, stop in spans(commanded) if (stop - first) * dt_s >= MIN_PIECE_S]
-
-
-def train(
-    flights: Flights, axis: Axis, dt_s: float, order: Order = (2, 2, 1), method: Method = Method.SRIV
-) -> ArxModel:
-    """A model of one axis from a like share of every flight. Raises IdentificationError."""
-    pieces = [piece for flight in flights for piece in training_pieces(flight, axis)]
-    return _trained(pieces, axis, dt_s, order, method)
-
-
-def _trained(
-    pieces: Sequence[tuple[FloatArray, FloatArray]],
-    axis: Axis,
-    dt_s: float,
-    order: Order,
-    method: Method,
-    figures: bool = True,
-) -> ArxModel:
-    """As `train`, from all pieces. figures: as in `identify.fit`."""
-    if not pieces:
-        raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
-    taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
-    u = [piece[0][:count] for piece, count in zip(pieces, taken, strict=True)]
-    y = [piece[1][:count] for piece, count in zip(pieces, taken, strict=True)]
-    try:
-        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures)
-    except IdentificationError as error:
-        raise IdentificationError(f"{axis}: {error}") from error
-    # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.
-    slope = sum(float(one @ other) for one, other in zip(u, y, strict=True)) / sum(float(one @ one) for one in u)
-    gain = min(model.dc_gain, slope)
-    if gain < 0:
-        raise IdentificationError(
-            f"{axis}: the gyro turns against its set-point (gain {gain:.2f}); check the sign conventions"
-        )
-    return model
-
-
 def _fit_axis(summaries: Summaries, column: int, axis: Axis, context: LearnContext) -> RunLengthSpec:
     """column: of the axis in what was gathered."""
     pieces = [
         (u[first:stop, column], y[first:stop, column])
         for stretches, u, y, commanded in summaries
-        for first, stop in _training_spans(stretches, commanded, context.dt_s)
+        for first, stop in training_spans(stretches, commanded, context.dt_s)
     ]
-    model = _trained(pieces, axis, context.dt_s, context.order, context.method, context.figures)
+    model = trained(pieces, axis, context.dt_s, context.order, context.method, context.figures)
     rule = MarginRule(context.margin_rule)
     levels = [
         level
@@ -357,12 +303,6 @@ def _fit_axis(summaries: Summaries, column: int, axis: Axis, context: LearnConte
         margin_rule=rule,
         delay_s=context.window // 2 * context.dt_s,
     )
-
-
-def _training_spans(stretches: IntArray, commanded: BoolArray, dt_s: float) -> Iterator[tuple[int, int]]:
-    """Rows of a flight that are long enough to train on; none reaches from one stretch into the next."""
-    for begin, end in itertools.pairwise(np.append(0, np.cumsum(stretches[:, 1])).tolist()):
-        yield from ((begin + first, begin + stop) for first, stop in _long_spans(commanded[begin:end], dt_s))
 
 
 def _levels(

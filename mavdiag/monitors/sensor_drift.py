@@ -157,15 +157,9 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
         count = sum(number for number, _ in found)
         if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        tilt, heading, lift = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count).tolist()
-        return (
-            replace(
-                spec,
-                tilt=max(tilt, LEAST_ANGLE),
-                heading=max(heading, LEAST_ANGLE),
-                lift=max(lift, LEAST_VERTICAL),
-            ),
-        )
+        rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
+        tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
+        return (replace(spec, tilt=tilt, heading=heading, lift=lift),)
 
     def __init__(self, spec: SensorDriftSpec) -> None:
         super().__init__(spec)
@@ -184,13 +178,8 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
 
 
 def _fresh() -> SensorDriftState:
-    return SensorDriftState(
-        np.empty((0, 9)),
-        np.empty(0, dtype=np.int64),
-        np.empty(0, dtype=np.bool_),
-        np.zeros(4),
-        np.empty((0, COLUMNS)),
-    )
+    t_ns, valid = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_)
+    return SensorDriftState(np.empty((0, 9)), t_ns, valid, np.zeros(4), np.empty((0, COLUMNS)))
 
 
 def _joined(state: SensorDriftState, block: Block) -> tuple[FloatArray, IntArray, BoolArray]:

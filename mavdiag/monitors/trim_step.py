@@ -12,7 +12,17 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import SOURCES, YAW_FLOOR, Source, rises, source_of, sources_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.trim import (
+    SOURCES,
+    YAW_FLOOR,
+    Source,
+    rises,
+    source_among,
+    sources_of,
+    spread_of,
+    tilt_of,
+    trim_of,
+)
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import LearnContext, Summaries, Summary, segments
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
@@ -114,7 +124,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     @classmethod
     def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[TrimStepSpec, ...]:
         """The spread of healthy shifts within flights."""
-        layout, source = context.layout, source_of([one[0] for one in summaries], context.layout)
+        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
         fastest = max((float(one[1][0]) for one in summaries), default=0.0)
         first = TrimStepSpec(
             layout=layout, source=source, spread=UNKNOWN, turn_rad_s=max(TURN_ROOM * fastest, STRAIGHT_RAD_S)

@@ -24,6 +24,7 @@ from mavdiag.monitors.base import (
     segments,
 )
 from mavdiag.monitors.healthy import joined_moments, moments
+from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -35,12 +36,6 @@ from mavdiag.units import G_MM_PER_KG_M
 
 __all__ = ["Unbalance", "UnbalanceSpec", "UnbalanceState", "corner_of"]
 
-CORNER_HZ = 60.0  # METHOD section 4
-CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at the thesis's 167 Hz (our choice)
-BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
-FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
-LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
-SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
 FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
 TICK_S = 0.02  # a value every 20 ms (our choice)
 WINDOW_S = 0.5  # our choice: 83 revolutions at hover; 0.25 to 1 s find the same faults
@@ -109,7 +104,7 @@ class UnbalanceSpec:
     @property
     def taps(self) -> FloatArray:
         """The high-pass."""
-        longer = max(1.0, CORNER_HZ / self.corner_hz) if _carries_line(1 / self.dt_s) else 1.0
+        longer = max(1.0, CORNER_HZ / self.corner_hz) if carries_line(1 / self.dt_s) else 1.0
         return highpass(self.corner_hz * self.dt_s, 2 * max(3, round(FILTER_S * longer / self.dt_s / 2)) + 1)
 
 
@@ -262,35 +257,6 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         return state, Statistic(ticks.t_ns, spec.tick * spec.dt_s, value, ticks.full, level, value, rotors)
 
 
-def corner_of(rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> float:
-    """Corner of the high-pass on a link [Hz]. rate_hz: of the IMU stream; imu_corner_hz: of the low-pass in it, None if
-    there is none; hover_rad_s: rotor speed at hover, if known.
-
-    Raises InputError if the link does not carry a rotor's vibration.
-    """
-    if rate_hz < SLACK * LEAST_RATE_HZ:
-        raise InputError(
-            f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
-        )
-    line_hz = math.inf if hover_rad_s is None else hover_rad_s / (2 * math.pi)
-    corner_hz = min(CORNER_HZ, CORNER_SHARE * line_hz) if _carries_line(rate_hz) else BAND_SHARE * rate_hz
-    passed_hz = max(corner_hz, min(CORNER_HZ, line_hz))  # what the stream must carry
-    if imu_corner_hz is not None and imu_corner_hz < passed_hz:
-        raise InputError(f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes the vibration out of it")
-    if hover_rad_s is not None:
-        folded_hz = abs(line_hz - rate_hz * round(line_hz / rate_hz))
-        if folded_hz < corner_hz:
-            how = "fold to" if folded_hz < line_hz else "are"
-            raise InputError(
-                f"at {rate_hz:.3g} Hz the rotors' {line_hz:.3g} Hz {how} {folded_hz:.3g} Hz, among the flight itself"
-            )
-    return corner_hz
-
-
-def _carries_line(rate_hz: float) -> bool:
-    return rate_hz >= SLACK * FULL_RATE_HZ
-
-
 def _fresh() -> UnbalanceState:
     flags = np.empty(0, dtype=np.bool_)
     return UnbalanceState(np.empty((3, 0)), np.empty(0, dtype=np.int64), flags, np.empty((0, COLUMNS)), flags)
@@ -345,7 +311,7 @@ class _Places:
         self._sense = -np.sign(yaw)
         self._covariance, self._noise = np.array(spec.covariance), (CLEAR * math.hypot(*spec.spread)) ** 2
         self._power, self._turning = spec.power, spec.turning
-        self._turns = _carries_line(1 / spec.dt_s)
+        self._turns = carries_line(1 / spec.dt_s)
 
     def evidence(self, mean: FloatArray) -> FloatArray:
         """(n, COLUMNS) -> (n, rotors), in -1..1."""
