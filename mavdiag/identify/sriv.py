@@ -130,13 +130,13 @@ def _descend(segments: tuple[Segment, ...], order: Order, point: _Point) -> tupl
     return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
 
 
-def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
+def sriv(segments: tuple[Segment, ...], order: Order, figures: bool = True) -> Estimate:
     """SRIV estimate over all segments, started from least squares.
 
-    covariance: right for output noise of any colour, see `uncertainty`. loss: mean squared output error
-    with the initial state of each segment free. If the iteration does not settle, which happens where the order is
-    not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do
-    not settle either: such data, or such an order, hardly tell the parameters apart.
+    covariance: right for output noise of any colour, see `uncertainty`; nan without `figures`. loss: mean squared
+    output error with the initial state of each segment free. If the iteration does not settle, which happens where the
+    order is not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if
+    those do not settle either: such data, or such an order, hardly tell the parameters apart.
     Raises IdentificationError if they cannot tell them apart at all.
     """
     a, b = polynomials(least_squares(segments, order).theta, order)
@@ -145,5 +145,6 @@ def sriv(segments: tuple[Segment, ...], order: Order) -> Estimate:
     if not settled:
         point, more, settled = _descend(segments, order, point)
         iterations += more
-    covariance = coloured_covariance(segments, order, point.theta)
+    d = len(point.theta)
+    covariance = coloured_covariance(segments, order, point.theta) if figures else np.full((d, d), np.nan)
     return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)
