@@ -41,7 +41,8 @@ figcaption b { color: #111; }
 details > summary { cursor: pointer; }
 code { font-size: 0.85em; overflow-wrap: anywhere; }
 @media print { body { font-size: 10pt; max-width: none; padding: 0; } h2 { break-before: page; }
-  h2.part, h2:first-of-type { break-before: auto; } details { display: block; } a { color: inherit; text-decoration: none; } }
+  h2.part, h2:first-of-type { break-before: auto; } details { display: block; }
+  a { color: inherit; text-decoration: none; } }
 """
 
 
