@@ -1,5 +1,6 @@
 """Reads a report's page as a browser would, strictly: tags, ids, addresses, texts and drawings."""
 
+import itertools
 import re
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -80,6 +81,9 @@ def check(text: str) -> Page:
         assert labels
         there = {one.get("id"): one.text for one in drawing}
         assert all(there.get(label) for label in labels)
+    levels = [int(tag[1]) for tag in page.tags if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels)), levels
     for _, name, _ in (one for one in page.attributes if one[0] == "th"):
         assert name in {"scope", "class"}
     return page

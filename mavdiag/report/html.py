@@ -16,7 +16,7 @@ body { font: 16px/1.5 system-ui, "DejaVu Sans", Verdana, Arial, sans-serif; colo
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0.5rem 0; }
 h2 { font-size: 1.3rem; margin: 2.5rem 0 0.5rem; border-top: 3px solid #111;
   padding-top: 0.75rem; overflow-wrap: anywhere; }
-h3 { font-size: 1.1rem; margin: 2rem 0 0.5rem; }
+h3, h2.part { font-size: 1.1rem; margin: 2rem 0 0.5rem; border: 0; padding: 0; }
 a { color: #00507d; }
 .verdict { border-left: 0.6rem solid #111; padding: 0.5rem 1rem; margin: 1rem 0; background: #f4f4f4; }
 .verdict p { margin: 0.3rem 0; overflow-wrap: anywhere; }
@@ -40,8 +40,9 @@ figcaption b { color: #111; }
 .missing { border: 1px dashed #767676; padding: 0.4rem 0.8rem; color: #333; }
 details > summary { cursor: pointer; }
 code { font-size: 0.85em; overflow-wrap: anywhere; }
-@media print { body { font-size: 10pt; max-width: none; padding: 0; } h2 { break-before: page; } h2:first-of-type {
-  break-before: auto; } details { display: block; } a { color: inherit; text-decoration: none; } }
+@media print { body { font-size: 10pt; max-width: none; padding: 0; } h2 { break-before: page; }
+  h2.part, h2:first-of-type { break-before: auto; } details { display: block; }
+  a { color: inherit; text-decoration: none; } }
 """
 
 

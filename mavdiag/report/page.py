@@ -76,7 +76,7 @@ def _index(flights: Sequence[FlightReport]) -> str:
 def _flight(flight: FlightReport, number: int, alone: bool, lacking: Sequence[Refusal]) -> str:
     verdict, prefix = flight.verdict, f"log-{number}"
     heading = "" if alone else f"<h2>{escaped(_short(verdict.log))}</h2>"
-    return "\n".join(
+    text = "\n".join(
         part
         for part in (
             f'<section id="{prefix}">',
@@ -97,6 +97,8 @@ def _flight(flight: FlightReport, number: int, alone: bool, lacking: Sequence[Re
         )
         if part
     )
+    # Parts of the only log stand one level below the page's own title.
+    return text.replace("<h3>", '<h2 class="part">').replace("</h3>", "</h2>") if alone else text
 
 
 def _no_figures(flight: FlightReport) -> str:

@@ -18,7 +18,9 @@ def with_breaks(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     if len(t) < 3:
         return t, y
     steps = np.diff(t)
-    at = np.flatnonzero(steps > BREAK * float(np.median(steps))) + 1
+    if not (steps > 0).any():
+        return t, y
+    at = np.flatnonzero(steps > BREAK * float(np.median(steps[steps > 0]))) + 1  # times may repeat
     return np.insert(t, at, t[at - 1]), np.insert(y, at, np.nan, axis=0)
 
 

@@ -88,7 +88,8 @@ def advice(verdict: LogVerdict) -> str:
     if verdict.verdict is Verdict.HEALTHY:
         return "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health."
     if verdict.verdict is Verdict.NOT_JUDGEABLE:
-        return "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing."
+        missing = "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing"
+        return f"{missing}, and `mavdiag look LOG` what the log shows by itself."
     return "Check the file; the other logs of this page are not affected."
 
 

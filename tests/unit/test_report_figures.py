@@ -63,7 +63,8 @@ def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int
 def test_a_gap_in_time_is_not_drawn_across() -> None:
     t = np.concatenate((np.arange(500.0), np.arange(2000.0, 2500.0)))
     for thin in (envelope, highest):
-        assert np.isnan(thin(t, np.ones(1000), 50)[1]).sum() >= 1
+        for times, columns in ((t, 50), (t, 5000), (np.repeat(t, 3), 5000)):
+            assert np.isnan(thin(times, np.ones(len(times)), columns)[1]).sum() >= 1
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
