@@ -5,8 +5,8 @@
 Without a file an emulated QDrone 2 at 1 kHz is recorded: 1,009,000 messages in 440 s. The peer reads the file to its
 end with `recv_msg`, which tests the checksum of every message and unpacks its fields. We read the file and test the
 checksum of every message as well, count every sender's losses, and lay the fields of the messages that any profile
-reads side by side as arrays ("decoding"); `read_tlog` goes on to the telemetry of one vehicle, in SI, on one timeline, and
-takes the SHA-256 of the file.
+reads side by side as arrays ("decoding"); `read_tlog` goes on to the telemetry of one vehicle, in SI, on one timeline,
+and takes the SHA-256 of the file.
 
 Figures are processor time: the median of the repeats against the mean of one run of the peer before and one after each
 pair of contenders.

@@ -138,8 +138,8 @@ def unwrap(
     ahead_ns = before.turns * counter.turn * counter.tick_ns
     start, end = before.raw * counter.tick_ns + ahead_ns, final * counter.tick_ns + ahead_ns
     on_epoch = start >= EPOCH_NS
-    ascends = 0 <= before.raw <= first and _ascends(raw, (first - before.raw) * counter.tick_ns, counter.tick_ns)
-    if ascends and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS):
+    regular = 0 <= before.raw <= first and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS)
+    if regular and (_ascends(raw) if end - start < WRAP_SLACK_NS else _steady(raw, before.raw, counter.tick_ns)):
         clock_ns = raw * counter.tick_ns
         reading = ClockReading(final, before.turns, int(host_ns[-1]))
         clock_ns = clock_ns + ahead_ns if ahead_ns else clock_ns
@@ -157,12 +157,14 @@ def _turns(counter: Counter, raw: int, since_boot_ns: int | None) -> int:
     return max(0, round((since_boot_ns - raw * counter.tick_ns) / (counter.turn * counter.tick_ns)))
 
 
-def _ascends(raw: IntArray, first_ns: int, tick_ns: int) -> bool:
-    """Whether no count is below the one before, and no step, with the first one, can be a wrap or out of bounds."""
-    if len(raw) == 1:
-        return first_ns < WRAP_SLACK_NS
-    steps = raw[1:] - raw[:-1]
-    return int(steps.min()) >= 0 and max(first_ns, int(steps.max()) * tick_ns) < WRAP_SLACK_NS
+def _ascends(raw: IntArray) -> bool:
+    return len(raw) == 1 or bool(np.logical_and.reduce(raw[1:] >= raw[:-1]))
+
+
+def _steady(raw: IntArray, before: int, tick_ns: int) -> bool:
+    """Whether no count is below the one before, and no step can be a wrap or out of bounds."""
+    steps = np.diff(raw, prepend=before)
+    return int(steps.min()) >= 0 and int(steps.max()) * tick_ns < WRAP_SLACK_NS
 
 
 def changed_clock(counter: Counter, last: ClockReading, raw: int) -> bool:

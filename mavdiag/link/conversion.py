@@ -98,13 +98,13 @@ def euler_angles(q: FloatArray) -> FloatArray:
 
 def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
     """The same, and whether every quaternion has a length that one may have."""
-    angles, squared = np.empty((len(q), 3)), np.empty(len(q))
-    for at in range(0, len(q), ANGLES):
-        some = q[at : at + ANGLES]
-        terms = (some[:, :, None] * some[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
-        terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
-        np.arctan2(terms[:, :3], terms[:, 3:6], out=angles[at : at + ANGLES])
-        squared[at : at + ANGLES] = terms[:, 6]
+    if len(q) > ANGLES:
+        parts = [_euler_angles(q[at : at + ANGLES]) for at in range(0, len(q), ANGLES)]
+        return np.concatenate([part for part, _ in parts]), all(whole for _, whole in parts)
+    terms = (q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
+    terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
+    angles: FloatArray = np.arctan2(terms[:, :3], terms[:, 3:6])
+    squared = terms[:, 6]
     if squared.min(initial=1.0) > SQUARED[0] and squared.max(initial=1.0) < SQUARED[1]:
         return angles, True
     angles[~((squared > SQUARED[0]) & (squared < SQUARED[1]))] = np.nan

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.link.crc_columns import Bytes
-from mavdiag.link.frame_walk import GAP, LATEST_US, V1, V2, Dialect, Finder, Piece, by_arrays
+from mavdiag.link.frame_walk import LATEST_US, STAMP_BYTES, V1, V2, Dialect, Finder, Piece, by_arrays
 from mavdiag.link.signing import SEAL_BYTES
 from mavdiag.telemetry import IntArray
 
-__all__ = ["by_loop", "finder_for"]
+__all__ = ["PAYS_BYTES", "by_loop", "finder_for"]
 
 PAYS_BYTES = 512 << 20  # of a recording, behind which numba is imported for the rest (our choice)
 _SLICES = 8
@@ -38,7 +38,7 @@ def _installed() -> bool:
 
 def by_loop(piece: Piece, known: Dialect) -> IntArray:
     """Where the sound frames of a piece begin. Raises ImportError without numba."""
-    begin = np.empty(piece.size // (GAP + 8) + 1, np.int64)
+    begin = np.empty(piece.size // (STAMP_BYTES + 8) + 1, np.int64)
     count = _compiled()(piece.data, piece.size, piece.limit, piece.last, known.seeds, _tables(), begin)
     return begin[:count].copy()
 
@@ -78,7 +78,8 @@ def _loop(
     found: IntArray,
 ) -> int:
     """Write where sound frames begin; returns how many. Steps of `codec.Decoder.take`, whose words are there."""
-    count, at, beyond, zero = 0, GAP, len(seeds) - 1, np.int64(0)  # `zero +` makes a byte a signed number for numba
+    zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
+    count, at, beyond = 0, STAMP_BYTES, len(seeds) - 1
     while at < limit:
         marker, begin = data[at], at
         at += 1
@@ -89,7 +90,7 @@ def _loop(
             stop, flags = stop + 4, zero + data[begin + 2]
             msgid = (zero + data[begin + 7]) | (zero + data[begin + 8]) << 8 | (zero + data[begin + 9]) << 16
         after = stop + 2 + SEAL_BYTES * flags
-        following = after + GAP
+        following = after + STAMP_BYTES
         if flags > 1 or after > size:
             continue
         seed = zero + seeds[min(msgid, beyond)]

@@ -20,9 +20,9 @@ from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG
 from mavdiag.telemetry import BoolArray, IntArray
 
 __all__ = [
-    "GAP",
     "LATEST_US",
     "LONGEST",
+    "STAMP_BYTES",
     "Dialect",
     "Finder",
     "Frames",
@@ -34,7 +34,7 @@ __all__ = [
     "walk",
 ]
 
-GAP = 8  # bytes of the time stamp before each frame
+STAMP_BYTES = 8  # before each frame
 LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 LONGEST = 10 + 255 + 2 + SEAL_BYTES  # bytes of a frame: header, payload, checksum, signature
 V1, V2 = 0xFE, 0xFD
@@ -84,7 +84,7 @@ class Piece:
     @property
     def limit(self) -> int:
         """Where a frame must begin before, so that the piece surely holds it and the first byte of the next one."""
-        return self.size if self.last else max(GAP, self.size - LONGEST - GAP)
+        return self.size if self.last else max(STAMP_BYTES, self.size - LONGEST - STAMP_BYTES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +133,8 @@ def walk(piece: Piece, known: Dialect, find: Finder | None = None) -> Walk:
     """The sound frames of a piece of a recording. find: how to find them; None for arrays."""
     frames = frames_at(piece.data, (find or by_arrays)(piece, known))
     sound_end = int(frames.after[-1]) if len(frames) else 0
-    resume = piece.size if piece.last else max(sound_end, piece.limit - GAP)
-    taken = int((frames.after - frames.begin).sum()) + GAP * len(frames)
+    resume = piece.size if piece.last else max(sound_end, piece.limit - STAMP_BYTES)
+    taken = int((frames.after - frames.begin).sum()) + STAMP_BYTES * len(frames)
     return Walk(frames, resume, sound_end, resume - taken)
 
 
@@ -147,7 +147,7 @@ def by_arrays(piece: Piece, known: Dialect) -> IntArray:
     left = np.flatnonzero(_complete(begin, spans, piece, outside))
     untested = ~outside
     while True:
-        path = left[_path(begin[left], spans.after[left] + GAP)]
+        path = left[_path(begin[left], spans.after[left] + STAMP_BYTES)]
         tested = path[untested[path]]
         untested[tested] = False
         start, seeds = begin[tested] + 1, known.seeds[row[tested]].astype(np.uint8)
@@ -160,12 +160,12 @@ def by_arrays(piece: Piece, known: Dialect) -> IntArray:
 def _seeming(piece: Piece) -> IntArray:
     """Where a marker stands behind a time stamp that may be one."""
     found, step, data, limit = [], 1 << 18, piece.data, piece.limit
-    for at in range(0, limit - GAP, step):
-        part = data[at : min(at + step + GAP, limit)]
-        seems = part[GAP:] - np.uint8(V2) <= V1 - V2
-        seems &= part[:-GAP] == 0  # a stamp before LATEST_US, in bytes
-        seems &= part[1 : 1 - GAP] < LATEST_US >> 48
-        found.append(np.flatnonzero(seems) + (at + GAP))
+    for at in range(0, limit - STAMP_BYTES, step):
+        part = data[at : min(at + step + STAMP_BYTES, limit)]
+        seems = part[STAMP_BYTES:] - np.uint8(V2) <= V1 - V2
+        seems &= part[:-STAMP_BYTES] == 0  # a stamp before LATEST_US, in bytes
+        seems &= part[1 : 1 - STAMP_BYTES] < LATEST_US >> 48
+        found.append(np.flatnonzero(seems) + (at + STAMP_BYTES))
     return np.concatenate(found) if found else np.empty(0, np.int64)
 
 
@@ -195,7 +195,7 @@ def _spans(data: Bytes, begin: IntArray) -> _Spans:
 def frames_at(data: Bytes, begin: IntArray) -> Frames:
     """What the headers behind these markers say."""
     head = rows_at(data, begin, _HEADER)
-    time_us = rows_at(data, begin - GAP, GAP).view(">u8")[:, 0].astype(np.int64)
+    time_us = rows_at(data, begin - STAMP_BYTES, STAMP_BYTES).view(">u8")[:, 0].astype(np.int64)
     old = np.flatnonzero(head[:, 0] == V1)
     head[old, 4:7] = head[old, 2:5]
     sender = head[:, 5].astype(np.uint16) << np.uint16(8) | head[:, 6]
@@ -208,7 +208,7 @@ def _complete(begin: IntArray, spans: _Spans, piece: Piece, outside: BoolArray) 
     may: BoolArray = (spans.after <= piece.size) & ((flags <= SIGNED_FLAG) | (piece.data[begin] == V1))
     at = np.flatnonzero(outside & may)
     if len(at):
-        following = spans.after[at] + GAP
+        following = spans.after[at] + STAMP_BYTES
         inside = following < piece.size
         after = piece.data[np.where(inside, following, 0)]
         goes_on = inside & ((after == V1) | (after == V2))

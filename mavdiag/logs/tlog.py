@@ -21,7 +21,7 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.columns import Decoded, decoded, known_ids
 from mavdiag.link.evidence import autopilots_of
 from mavdiag.link.frame_loop import finder_for
-from mavdiag.link.frame_walk import GAP, LONGEST, Finder, Piece, dialect, walk
+from mavdiag.link.frame_walk import LONGEST, STAMP_BYTES, Finder, Piece, dialect, walk
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile_in, profile_named, with_imu_of
@@ -33,6 +33,7 @@ from mavdiag.units import NS_PER_US
 
 __all__ = [
     "KIND",
+    "STAMP_BYTES",
     "TlogContent",
     "VehicleLog",
     "decode_tlog",
@@ -117,7 +118,7 @@ class VehicleLog(NamedTuple):
 
 def tlog_record(time_us: int, frame: bytes) -> bytes:
     """The bytes of one record, for a recorder. time_us: since 1970."""
-    return time_us.to_bytes(GAP, "big") + frame
+    return time_us.to_bytes(STAMP_BYTES, "big") + frame
 
 
 def decode_tlog(data: bytes) -> TlogContent:
