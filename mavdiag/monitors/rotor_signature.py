@@ -156,7 +156,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         pieces = _pieces(flights, motion)
         if not pieces:
             raise IdentificationError(f"no unbroken {MIN_PIECE_S:g} s of flight to identify from; fly longer")
-        roll, pitch = (_rate(pieces, axis, motion, context.figures) for axis in (0, 1))
+        roll, pitch = (_rate(pieces, axis, motion, context) for axis in (0, 1))
         motion = replace(motion, roll=roll, pitch=pitch, heave=_heave(pieces, motion))
         return (RotorSignatureSpec(layout=layout, motion=with_variances(flights, motion)),)
 
@@ -286,13 +286,14 @@ def _cut(one: Decimated, kept: slice) -> Decimated:
     return Decimated(one.t_ns, one.u[kept], one.y[kept], one.heave[kept], one.valid[kept])
 
 
-def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, figures: bool) -> ModelRecord:
-    """The rate model of one axis: of order 3 if the flights carry it, else of order 2. figures: see `identify.fit`."""
+def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
+    """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
+    near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
     u, y = [one.u[:, axis] for one in pieces], [one.y[:, axis] for one in pieces]
     reason = ""
     for order in ORDERS:
         try:
-            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=figures))
+            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=context.figures, near=near))
         except IdentificationError as error:
             reason = str(error)
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")
