@@ -3,10 +3,10 @@
     python benchmarks/identify_cost.py FOLDER [--flights 60] [--seconds 40] [--seed 100] [--long 1800] [--before TREE]
 
 The flights are made once into FOLDER by `sitl-plant record` (1 kHz, seeds counted up from `--seed`), and one long
-flight besides. `mavdiag identify` runs as a process of its own; its processor time is user and system time, its memory the
-most that was resident, which counts pages of the file of the shelf while they are mapped. `--before` names a tree of
-the code of another version, whose figures are measured in the same run, in turns. The baselines of both are compared:
-the largest relative difference of any number in them.
+flight besides. `mavdiag identify` runs as a process of its own; its processor time is user and system time, its memory
+the most that was resident, which counts pages of the shelf's file while they are mapped. `--before` names a tree of the
+code of another version, whose figures are measured in the same run, in turns. The baselines of both are compared: the
+largest relative difference of any number in them.
 """
 
 import argparse
@@ -50,17 +50,8 @@ def recorded(folder: Path, name: str, flights: int, seconds: float, seed: int) -
 
 def identified(tree: Path, files: Sequence[Path], output: Path) -> Cost:
     """`mavdiag identify` of a tree over the files."""
-    command = [
-        sys.executable,
-        "-m",
-        "mavdiag",
-        "identify",
-        *map(str, files),
-        "--airframe",
-        "qdrone2",
-        "-o",
-        str(output),
-    ]
+    options = ["--airframe", "qdrone2", "-o", str(output)]
+    command = [sys.executable, "-m", "mavdiag", "identify", *map(str, files), *options]
     with subprocess.Popen(
         command, cwd=tree, env={**os.environ, "PYTHONPATH": str(tree)}, stdout=subprocess.DEVNULL
     ) as process:
