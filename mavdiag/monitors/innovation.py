@@ -19,7 +19,18 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, row_max, sliding_mean, start_mean, window_all, window_rows
+from mavdiag.rows.windows import (
+    EmaState,
+    MeanState,
+    ema,
+    forgetting,
+    row_max,
+    sliding_mean,
+    start_ema,
+    start_mean,
+    window_all,
+    window_rows,
+)
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -80,7 +91,7 @@ class InnovationState:
     waiting: FloatArray
     past: FloatArray
     past_valid: BoolArray
-    busy: FloatArray
+    busy: EmaState
     mean: MeanState
 
 
@@ -211,7 +222,7 @@ def _check(flights: Flights) -> None:
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, np.zeros(3), start_mean(3))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(3))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:

@@ -24,7 +24,7 @@ from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import ema, forgetting, spans, window_all, window_mean
+from mavdiag.rows.windows import ema, forgetting, spans, start_ema, window_all, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -306,7 +306,7 @@ def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion) -> Mode
 def _heave(pieces: Sequence[Decimated], motion: HealthyMotion) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, motion.period_s)
-    moved = [one.heave - ema(one.heave[0], one.heave, alpha)[1] for one in pieces if np.isfinite(one.heave).all()]
+    moved = [one.heave - ema(start_ema(one.heave[0]), one.heave, alpha)[1] for one in pieces if np.isfinite(one.heave).all()]
     u, y = [one[:, 1] for one in moved], [one[:, 0] for one in moved]
     try:
         return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=motion.period_s, method=Method.LS))

@@ -16,7 +16,7 @@ from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, Rot
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.rows.windows import EmaState, MeanState, ema, forgetting, sliding_mean, start_ema, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -59,7 +59,7 @@ class ThrustLossSpec:
 class ThrustLossState:
     """What the command gave lately, (1,) in units of the healthy one, and the means of the last 0.1 s."""
 
-    usual: FloatArray
+    usual: EmaState
     mean: MeanState
 
 
@@ -122,7 +122,7 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
-        return ThrustLossState(np.ones(1), start_mean(COLUMNS))
+        return ThrustLossState(start_ema(np.ones(1)), start_mean(COLUMNS))
 
     def step(self, state: ThrustLossState, rows: Rows) -> tuple[ThrustLossState, Statistic]:
         """The missing share at each of the next rows."""

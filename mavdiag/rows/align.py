@@ -22,7 +22,7 @@ further, if gyro and interpolated signals miss no sample up to it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -131,6 +131,23 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return _emit(self, state, state.streams, NEVER_NS, state.calm_ns)
 
+    def whole(self, telemetry: Telemetry, most: int) -> Iterator[Block]:
+        """The rows of a whole log, as `step` and `finish` give them, in blocks of about `most` samples.
+
+        One block is made at a time, so that a long log takes no more memory than its telemetry and a block.
+        """
+        merged = _merged(self, {}, telemetry)
+        streams = {signal: stream.unwrapped() for signal, stream in merged.items()}
+        gyro, state = streams.get(Signal.BODY_RATE), self.start()
+        stretches = [] if gyro is None else pieces(gyro.t, None, _ns(self.break_s))
+        for stretch, broken in stretches:
+            state = _begun(self, state, int(stretch[0])) if broken else state
+            for first in range(0, len(stretch), most):
+                rows = _place(self, state.last_ns, stretch[first : first + most])
+                if len(rows):
+                    state, block = _fill(self, state, streams, rows)
+                    yield block
+
     def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
         fresh = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
@@ -154,7 +171,9 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     The period of a uniform stream is the mean of the steps within 25 % of their median, so losses do not stretch it; of
     any other the mean of all steps but pauses above 1 s. Raises InputError if there are fewer than 20 gyro samples.
     """
-    t = np.unique(telemetry.need(Signal.BODY_RATE).t_ns)
+    t = telemetry.need(Signal.BODY_RATE).t_ns
+    if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
+        t = np.unique(t)
     if len(t) < 20:
         raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
     steps = np.diff(t).astype(np.float64)
@@ -238,9 +257,7 @@ def _emit(
     done_ns = int(fresh[-1]) if len(fresh) else state.done_ns
     blocks: list[Block] = []
     for piece, broken in pieces(fresh, state.last_ns, _ns(spec.break_s)):
-        if broken:
-            blank_ns = int(piece[0]) + _ns(spec.settle_start_s)
-            state = replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
+        state = _begun(spec, state, int(piece[0])) if broken else state
         rows = _place(spec, state.last_ns, piece)
         if len(rows):
             state, block = _fill(spec, state, streams, rows)
@@ -249,6 +266,12 @@ def _emit(
     blank_ns, setpoint_blank_ns = state.blank_until_ns, state.setpoint_blank_ns
     state = AlignState(kept, state.segment, state.last_ns, done_ns, calm_ns, blank_ns, setpoint_blank_ns)
     return state, tuple(blocks)
+
+
+def _begun(spec: AlignSpec, state: AlignState, first_ns: int) -> AlignState:
+    """With a new segment, whose first sample that is."""
+    blank_ns = first_ns + _ns(spec.settle_start_s)
+    return replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
 
 
 def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:

@@ -107,7 +107,7 @@ class Stream:
         first = int(t.searchsorted(rows[0], side="left"))
         if len(t) >= first + len(rows) and np.count_nonzero(t[first : first + len(rows)] == rows) == len(rows):
             return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
-        left = t.searchsorted(rows, side="right") - 1
+        left = _behind(t, rows)
         inside = left[0] >= 0 and left[-1] < len(t) - 1
         right = left + 1 if inside else np.minimum(left + 1, len(t) - 1)
         before = t[left]
@@ -128,7 +128,7 @@ class Stream:
         t = self.t
         if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
             return self.v[:1].repeat(len(rows), axis=0)
-        at = t.searchsorted(rows, side="right") - 1
+        at = _behind(t, rows)
         if at[0] >= 0:
             values: FloatArray = self.v.take(at, axis=0)
             if rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
@@ -138,6 +138,10 @@ class Stream:
         values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
         return values
 
+    def unwrapped(self) -> "Stream":
+        """The same samples; angles once and for all without jumps of 2 pi."""
+        return Stream(self.t, self._unwrapped(), self.newest, self.floor_ns) if self.angle else self
+
     def _unwrapped(self) -> FloatArray:
         """The angles without jumps. Whole turns are added to what came, so that any cut gives the same bits."""
         steps = self.v[1:] - self.v[:-1]
@@ -145,6 +149,15 @@ class Stream:
             return self.v
         turns = np.cumsum(np.concatenate((self.turns[None], -np.round(steps / TURN))), axis=0)
         return self.v + TURN * turns
+
+
+def _behind(t: IntArray, rows: IntArray) -> IntArray:
+    """The last sample at or before each row, (n,), -1 where there is none. Both rise."""
+    first, last = (int(i) for i in t.searchsorted(rows[[0, -1]], side="right"))
+    if last - first > len(rows) // 4:
+        return t.searchsorted(rows, side="right") - 1
+    starts = rows.searchsorted(t[first:last])  # where the few samples within the rows take over
+    return np.repeat(np.arange(first - 1, last), np.diff(starts, prepend=0, append=len(rows)))
 
 
 def _rising(t: IntArray) -> bool:
