@@ -23,6 +23,7 @@ __all__ = [
     "MIN_OUTPUT",
     "SIGNALS",
     "YAW_FLOOR",
+    "BestRise",
     "Source",
     "rises",
     "shown_trim",
@@ -118,3 +119,21 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     C, W = layout.unmixing, 1.0 / variance
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
     return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
+
+
+class BestRise:
+    """The largest of `rises` of one shift at a time, in plain numbers: for what must go tick by tick."""
+
+    def __init__(self, layout: RotorLayout, spread: Three) -> None:
+        self._roll, self._pitch, self._yaw = (one * one for one in spread)
+        self._columns = [(a, b, c, a * a, b * b, c * c) for a, b, c in layout.unmixing.T.tolist()]
+
+    def of(self, shift: Sequence[float]) -> float:
+        """Of a shift of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
+        roll, pitch, yaw, lean, nod = shift
+        more = TILT_TRIM**2 * (lean * lean + nod * nod)
+        w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
+        r0, r1, r2 = roll * w0, pitch * w1, yaw * w2
+        return max(
+            (r0 * a + r1 * b + r2 * c) / (w0 * aa + w1 * bb + w2 * cc) for a, b, c, aa, bb, cc in self._columns
+        )

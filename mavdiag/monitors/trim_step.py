@@ -9,15 +9,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from mavdiag.airframe.trim import YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.trim import YAW_FLOOR, BestRise, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights, LearnContext, segments
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max
+from mavdiag.rows.windows import row_max, unbroken
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -61,7 +62,7 @@ class TrimStepState:
     """What the next rows need.
 
     t_ns, rows, known: (h,), (h, 6) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
-    ticks: (k, 5) means of the last unbroken ticks, at most two windows of them.
+    ticks: (k, 5) means of the last unbroken ticks, fewer than two windows of them.
     reference: (5,) what the present window is compared with; None before there is one.
     """
 
@@ -163,33 +164,47 @@ def _shifts(
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
     means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
-    shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
-    ticks, reference = state.ticks, state.reference
     tick_s = tick * block.dt_s
     window = max(1, round(spec.window_s / tick_s))
-    for i in range(count):
-        ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
-        if len(ticks) < 2 * window:
-            continue
-        before = ticks[:window].mean(axis=0)
-        reference = before if reference is None else reference
-        shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
-        reference = _followed(spec, reference, before, shift[i], tick_s)
-    state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
+    ticks = np.concatenate((state.ticks, means[:, :5]))
+    usable = np.concatenate((np.ones(len(state.ticks), dtype=np.bool_), straight))
+    valid = unbroken(usable, 2 * window)[-count:]
+    shift, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
+    broken = np.flatnonzero(~usable[-(2 * window - 1) :])
+    kept = ticks[-(2 * window - 1) :][(int(broken[-1]) + 1 if len(broken) else 0) :]
+    state = TrimStepState(t_ns[used:], rows[used:], known[used:], kept, reference)
     return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
 
 
 def _followed(
-    spec: TrimStepSpec, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float
-) -> FloatArray:
-    """The reference a tick later. before: (5,) mean of the window that lies one window back."""
-    both = np.stack((shift, before - reference))
-    if rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]).max() > HOLD:
-        return reference
-    step = (before - reference) * (tick_s / spec.memory_s)
-    most = spec.drift_per_s * tick_s
-    step[:3] = np.clip(step[:3], -most, most)
-    return np.asarray(reference + step, dtype=np.float64)
+    spec: TrimStepSpec,
+    reference: FloatArray | None,
+    ticks: FloatArray,
+    valid: BoolArray,
+    window: int,
+    tick_s: float,
+) -> tuple[FloatArray, FloatArray | None]:
+    """The shift at each of the last ticks, (n, 5), zero where it is not valid, (n,); and the reference after them."""
+    count = len(valid)
+    shift = np.zeros((count, 5))
+    if not np.count_nonzero(valid):
+        return shift, reference
+    windows = sliding_window_view(ticks, window, axis=0).transpose(2, 0, 1)
+    means = np.add.reduce(windows, axis=0) / window  # of the ticks from each on
+    now = np.flatnonzero(valid)
+    first = len(ticks) - count + now - window + 1
+    recent, before = means[first], means[first - window]
+    best, follow, most = BestRise(spec.layout, spec.spread), tick_s / spec.memory_s, spec.drift_per_s * tick_s
+    ref = before[0].tolist() if reference is None else reference.tolist()
+    for i, new, old in zip(now.tolist(), recent.tolist(), before.tolist(), strict=True):
+        moved, behind = [a - b for a, b in zip(new, ref, strict=True)], [a - b for a, b in zip(old, ref, strict=True)]
+        shift[i] = moved
+        if best.of(moved) > HOLD or best.of(behind) > HOLD:
+            continue
+        steps = [one * follow for one in behind]
+        steps[:3] = [min(max(one, -most), most) for one in steps[:3]]
+        ref = [a + b for a, b in zip(ref, steps, strict=True)]
+    return shift, np.array(ref)
 
 
 def _turn(block: Block) -> float:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
@@ -148,8 +149,9 @@ def _means(values: FloatArray, starts: IntArray) -> FloatArray:
 def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
     """Tilt of the mean set-point over 5 s, for the last `fresh` bins; nan before there are 5 s."""
     out = np.full(fresh, np.nan)
-    for i in range(fresh):
-        stop = len(setpoints) - fresh + i + 1
-        if stop >= TILT_BINS:
-            out[i] = np.hypot(*(np.add.reduce(setpoints[stop - TILT_BINS : stop], axis=0) / TILT_BINS))
+    first = max(0, TILT_BINS - 1 - (len(setpoints) - fresh))  # of the fresh ones that has so many behind it
+    if first < fresh:
+        windows = sliding_window_view(setpoints[len(setpoints) - fresh + first + 1 - TILT_BINS :], TILT_BINS, axis=0)
+        mean = np.add.reduce(windows.transpose(2, 0, 1), axis=0) / TILT_BINS
+        out[first:] = np.hypot(mean[:, 0], mean[:, 1])
     return out

@@ -28,6 +28,7 @@ __all__ = [
     "spans",
     "start_ema",
     "start_mean",
+    "unbroken",
     "window_all",
     "window_mean",
     "window_rows",
@@ -96,6 +97,11 @@ def window_all(flags: BoolArray, window: int) -> BoolArray:
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
     return whole
+
+
+def unbroken(flags: BoolArray, window: int) -> BoolArray:
+    """Whether each flag and the window - 1 before it are there and True, (n,) -> (n,)."""
+    return np.concatenate((np.zeros(min(window - 1, len(flags)), dtype=np.bool_), window_all(flags, window)))
 
 
 def spans(flags: BoolArray) -> list[tuple[int, int]]:
