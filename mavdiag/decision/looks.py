@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,9 @@ __all__ = ["MANY", "Looks", "Reading", "Waiting", "cut", "known_from"]
 
 NAN = float("nan")
 MANY = 4  # looks from which on it is quicker to take them all at once
+
+
+_Found: TypeAlias = tuple[list[float], list[int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +65,23 @@ class Looks:
     times: of the looks [ns].
     chunks: where they lie; at: of each chunk the (looks + 1,) rows where the looks begin and end.
     highest: of each look the highest ratio, -1 if no value is valid, nan if there is none.
-    last: of each look its last valid value, as chunk and row; None if there is none.
+    chunk, row: of each look the chunk and the row of its last valid value; row is -1 if there is none.
     """
 
     times: Sequence[int]
     chunks: tuple[Waiting, ...]
     rest: tuple[Waiting, ...]
-    at: list[list[int]]
-    highest: list[float]
-    last: list[tuple[int, int] | None]
+    at: list[Sequence[int]]
+    highest: Sequence[float]
+    chunk: Sequence[int]
+    row: Sequence[int]
 
     def reading(self, number: int) -> Reading | None:
         """What a look gave, None if no value is valid."""
-        place, ratio = self.last[number], self.highest[number]
-        if place is None or not ratio >= 0:
+        row, ratio = self.row[number], float(self.highest[number])
+        if row < 0 or not ratio >= 0:
             return None
-        values, row = self.chunks[place[0]].values, place[1]
+        values = self.chunks[self.chunk[number]].values
         rotors = tuple(values.rotors[row].tolist()) if len(values.rotors) else ()
         return Reading(self.times[number], ratio, values.value.item(row), rotors)
 
@@ -96,9 +101,8 @@ def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
 
 def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
     """Cut values at these times [ns]. delay_s: how much later than its time stamp a value is known."""
-    t_ns = looks - round(delay_s * NS_PER_S)
-    at, rest = list[list[int]](), list[Waiting]()
-    highest, last = [NAN] * len(looks), list[tuple[int, int] | None]([None] * len(looks))
+    t_ns, times = looks - round(delay_s * NS_PER_S), looks.tolist()
+    at, rest, found = list[Sequence[int]](), list[Waiting](), list[tuple[int, _Found]]()
     for number, one in enumerate(waiting):
         stops = one.values.t_ns.searchsorted(t_ns, side="right")
         edges = [one.first, *stops.tolist()]
@@ -107,13 +111,21 @@ def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
         if stop < len(one.ratio):
             rest.append(one if stop == one.first else Waiting(one.values, one.ratio, stop))
         if edges[0] < stop:
-            tops, rows = _few(one, edges) if len(looks) < MANY else _many(one, stops)
-            highest = [b if a != a or b > a else a for a, b in zip(highest, tops, strict=True)]  # a != a: nan
-            last = [old if row < 0 else (number, row) for old, row in zip(last, rows, strict=True)]
-    return Looks(looks.tolist(), tuple(waiting), tuple(rest), at, highest, last)
+            found.append((number, _few(one, edges) if len(times) < MANY else _many(one, stops)))
+    if len(found) == 1:
+        number, (highest, row) = found[0]
+        return Looks(times, tuple(waiting), tuple(rest), at, highest, [number] * len(times), row)
+    highest, chunk, row = [NAN] * len(times), [0] * len(times), [-1] * len(times)
+    for number, (tops, rows) in found:
+        for k, (top, last) in enumerate(zip(tops, rows, strict=True)):
+            if highest[k] != highest[k] or top > highest[k]:  # the first is nan
+                highest[k] = top
+            if last >= 0:
+                chunk[k], row[k] = number, last
+    return Looks(times, tuple(waiting), tuple(rest), at, highest, chunk, row)
 
 
-def _few(one: Waiting, edges: Sequence[int]) -> tuple[list[float], list[int]]:
+def _few(one: Waiting, edges: Sequence[int]) -> _Found:
     """The highest ratio of each look, nan for none, and the row of its last valid value, -1 for none."""
     tops, rows = list[float](), list[int]()
     for first, stop in itertools.pairwise(edges):
@@ -126,7 +138,7 @@ def _few(one: Waiting, edges: Sequence[int]) -> tuple[list[float], list[int]]:
     return tops, rows
 
 
-def _many(one: Waiting, stops: IntArray) -> tuple[list[float], list[int]]:
+def _many(one: Waiting, stops: IntArray) -> _Found:
     """The same for many looks at once. stops: (looks,) rows where they end."""
     starts = np.concatenate(([one.first], stops[:-1]))
     some = stops > starts

@@ -68,25 +68,20 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     >>> window_mean(np.array([[1.0], [3.0], [5.0]]), 2)[:, 0].tolist()
     [2.0, 4.0]
     """
-    known = max(0, len(x) - window + 1)
-    out = np.empty((known, x.shape[1]))
-    for first in range(0, known, window):
-        part = out[first : first + window]
-        last = len(part) - 1  # windows first .. first + last share the rows between the first and the last `last`
-        part[:] = _ones(window - last) @ x[first + last : first + window]
-        if last:
-            part[:last] += np.add.accumulate(x[first : first + last][::-1], axis=0)[::-1]
-            part[1:] += np.add.accumulate(x[first + window : first + window + last], axis=0)
+    known, columns = max(0, len(x) - window + 1), x.shape[1]
+    if known == 0:
+        return np.empty((0, columns))
+    # Each window is the end of one stretch of `window` rows and the begin of the next one.
+    count = -(-len(x) // window)
+    stretches = np.zeros((count, window, columns))
+    stretches.reshape(-1, columns)[: len(x)] = x
+    begins = np.add.accumulate(stretches, axis=1).reshape(-1, columns)[window - 1 : window - 1 + known]
+    begins[::window] = 0.0  # these windows are whole stretches
+    ends = np.add.accumulate(stretches[:, ::-1], axis=1)[:, ::-1]
+    out: FloatArray = ends.reshape(-1, columns)[:known]
+    out += begins
     out /= window
     return out
-
-
-@lru_cache(maxsize=64)
-def _ones(count: int) -> FloatArray:
-    """(count,) ones, which nobody may write to."""
-    ones = np.ones(count)
-    ones.setflags(write=False)
-    return ones
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
