@@ -37,9 +37,8 @@ LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
     Stage.QUIET: (Height.CALM, Height.HELD),
     Stage.SUSPECTED: (Height.HELD, Height.RAISED),
-    Stage.FAULT: (),
 }
-"""Heights that leave a stage as it is, whatever came before them."""
+"""Heights that leave a stage as it is, whatever came before them; a fault is looked at every time."""
 
 
 def height_of(ratio: float, decides: bool) -> Height:
@@ -71,7 +70,9 @@ class Ahead:
 
     def until(self, stage: Stage, number: int) -> int:
         """The first look from `number` on at which something may happen while the stage is that."""
-        stops = self.stops[stage]
+        stops = self.stops.get(stage)
+        if stops is None:
+            return number
         at = int(stops.searchsorted(number))
         return int(stops[at]) if at < len(stops) else len(self.heights)
 
@@ -108,8 +109,9 @@ def look_ahead(parts: Sequence[Looks], before: Sequence[Reading | None], decides
     heights[~fresh[np.array(decides)].any(axis=0)] = Height.UNKNOWN
     busy = (tops > 1.0).any(axis=0)
     stops = {
-        stage: np.flatnonzero(busy | ~np.isin(heights, [int(one) for one in alone]))
+        stage: np.flatnonzero(busy | np.logical_and.reduce([heights != one for one in alone], axis=0))
         for stage, alone in LEFT_ALONE.items()
+        if alone
     }
     return Ahead(parts, before, from_look, heights, stops)
 

@@ -1,6 +1,7 @@
 """One slot's values cut at the times at which the decision looks at them."""
 
 import itertools
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -112,16 +113,17 @@ def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
             rest.append(one if stop == one.first else Waiting(one.values, one.ratio, stop))
         if edges[0] < stop:
             found.append((number, _few(one, edges) if len(times) < MANY else _many(one, stops)))
-    if len(found) == 1:
-        number, (highest, row) = found[0]
-        return Looks(times, tuple(waiting), tuple(rest), at, highest, [number] * len(times), row)
-    highest, chunk, row = [NAN] * len(times), [0] * len(times), [-1] * len(times)
-    for number, (tops, rows) in found:
-        for k, (top, last) in enumerate(zip(tops, rows, strict=True)):
-            if highest[k] != highest[k] or top > highest[k]:  # the first is nan
-                highest[k] = top
-            if last >= 0:
-                chunk[k], row[k] = number, last
+    if not found:
+        nothing = [-1] * len(times)
+        return Looks(times, tuple(waiting), tuple(rest), at, [NAN] * len(times), nothing, nothing)
+    newest, (highest, row) = found[-1]
+    chunk = [newest] * len(times)
+    for number, (tops, rows) in reversed(found[:-1]):  # of an older chunk only the first looks hold something
+        for k in range(bisect_left(at[number], at[number][-1])):
+            if highest[k] != highest[k] or tops[k] > highest[k]:  # the first is nan
+                highest[k] = tops[k]
+            if row[k] < 0:
+                chunk[k], row[k] = number, rows[k]
     return Looks(times, tuple(waiting), tuple(rest), at, highest, chunk, row)
 
 

@@ -75,13 +75,28 @@ def _in_stretches(driven: FloatArray, model: ArxModel, past: tuple[float, ...]) 
     parts = outputs[: count * STRETCH].reshape(count, STRETCH)
     for first in range(0, count, STRETCH):  # a larger product would be spread over threads, which gains nothing here
         np.matmul(rows[first : first + STRETCH], answer, out=parts[first : first + STRETCH])
-    keep, before = ring[-len(past) :].tolist(), []
-    for left in parts[:, -len(past) :].tolist():
-        before.append(past)
-        past = tuple([y + sum(map(mul, row, past)) for y, row in zip(left, keep, strict=True)])
+    before, past = _carried(parts[:, -len(past) :].tolist(), ring[-len(past) :].tolist(), past)
     parts += np.array(before) @ ring.T
     outputs[count * STRETCH :] = _one_by_one(driven[count * STRETCH :], model, past)
     return outputs
+
+
+def _carried(
+    left: list[list[float]], keep: list[list[float]], past: tuple[float, ...]
+) -> tuple[list[tuple[float, ...]], tuple[float, ...]]:
+    """The outputs before each stretch, and those after the last: past <- left + keep past."""
+    before = []
+    if len(past) == 2:
+        (k, m), (p, q) = keep
+        y2, y1 = past
+        for z2, z1 in left:
+            before.append((y2, y1))
+            y2, y1 = z2 + k * y2 + m * y1, z1 + p * y2 + q * y1
+        return before, (y2, y1)
+    for ends in left:
+        before.append(past)
+        past = tuple([y + sum(map(mul, row, past)) for y, row in zip(ends, keep, strict=True)])
+    return before, past
 
 
 @lru_cache(maxsize=64)

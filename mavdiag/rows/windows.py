@@ -229,9 +229,9 @@ class EmaState:
 
 @lru_cache(maxsize=64)
 def _weights(alpha: float) -> tuple[FloatArray, FloatArray]:
-    """(L, 1) each: alpha (1 - alpha)^-j and (1 - alpha)^j for j = 1 .. L, until they have grown `GROWTH` times."""
+    """(L,) each: alpha (1 - alpha)^-j and (1 - alpha)^j for j = 1 .. L, until they have grown `GROWTH` times."""
     most = min(MOST_ROWS, max(1, int(math.log(GROWTH) / -math.log1p(-alpha))))
-    shrink = np.exp(math.log1p(-alpha) * np.arange(1, most + 1))[:, None]
+    shrink = np.exp(math.log1p(-alpha) * np.arange(1, most + 1))
     grow = alpha / shrink
     for one in (grow, shrink):
         one.setflags(write=False)
@@ -250,20 +250,20 @@ def ema(state: EmaState, x: FloatArray, alpha: float) -> tuple[EmaState, FloatAr
     so a plain running sum does it; after some rows, always the same ones, it is scaled anew. About 6 ns a value.
     """
     grow, shrink = _weights(alpha)
-    out = np.empty(x.shape)
+    out = np.empty(x.shape[::-1])  # column by column: the inner loops of numpy then run over rows
     sums, place, first = state.sums, state.place, 0
     while first < len(x):
         if place == len(grow):
             sums, place = sums * shrink[-1], 0
         count = min(len(x) - first, len(grow) - place)
-        part = out[first : first + count]
-        np.multiply(x[first : first + count], grow[place : place + count], out=part)
-        part[0] += sums
-        np.add.accumulate(part, axis=0, out=part)
-        sums = part[-1].copy()
+        part = out[:, first : first + count]
+        np.multiply(x[first : first + count].T, grow[place : place + count], out=part)
+        part[:, 0] += sums
+        np.add.accumulate(part, axis=1, out=part)
+        sums = part[:, -1].copy()
         part *= shrink[place : place + count]
         first, place = first + count, place + count
-    return EmaState(sums, place), out
+    return EmaState(sums, place), out.T
 
 
 def raised(state: EmaState, by: FloatArray, alpha: float) -> EmaState:
