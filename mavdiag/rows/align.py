@@ -298,18 +298,18 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
         segment=state.segment,
         dt_s=spec.dt_s,
         t_ns=rows,
-        setpoint=setpoint,
-        rate=rate,
-        force=force,
-        torque=torque,
-        rate_setpoint=rate_setpoint,
+        setpoint=np.asfortranarray(setpoint),
+        rate=np.asfortranarray(rate),
+        force=np.asfortranarray(force),
+        torque=np.asfortranarray(torque),
+        rate_setpoint=np.asfortranarray(rate_setpoint),
         thrust=thrust[:, 0],
-        attitude=attitude,
+        attitude=np.asfortranarray(attitude),
         height=height[:, 0],
         voltage=voltage[:, 0],
         armed=armed[:, 0],
-        vibration=vibration,
-        actuator=actuator,
+        vibration=np.asfortranarray(vibration),
+        actuator=np.asfortranarray(actuator),
         valid=valid,
         setpoint_valid=setpoint_valid,
     )
@@ -341,7 +341,7 @@ def _linear(spec: AlignSpec, streams: Streams, signal: Signal, rows: IntArray) -
     """Interpolated values; nan where no two samples within the limit surround the row."""
     stream, limit_ns = streams.get(signal), _limit_ns(spec, signal)
     if stream is None:
-        return np.full((len(rows), 3), np.nan)
+        return np.full((len(rows), 3), np.nan, order="F")
     values, gap = stream.interpolated(rows, limit_ns)
     if np.maximum.reduce(gap) > limit_ns:
         values[gap > limit_ns] = np.nan

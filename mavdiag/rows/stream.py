@@ -117,8 +117,9 @@ class Stream:
         gap: IntArray = span * (since != 0)
         share = since / span
         share[gap > limit_ns] = 0.0
-        first_v = v.take(left, axis=0)
-        values: FloatArray = first_v + share[:, None] * (v.take(right, axis=0) - first_v)
+        columns = v.T  # so that the loops run over the rows
+        first_v = columns.take(left, axis=1)
+        values: FloatArray = (first_v + share * (columns.take(right, axis=1) - first_v)).T
         if left[0] < 0:
             values[left < 0] = np.nan
         return values, gap
