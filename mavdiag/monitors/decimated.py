@@ -72,7 +72,7 @@ class Decimator:
         block, rates, stride = rows.block, rows.rates, self._stride
         at = slice(state.skip, None, stride)
         commanded = rates.commanded[at]
-        fresh = np.empty((len(commanded), 5))
+        fresh = np.empty((len(commanded), 5), order="F")
         fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], commanded
         skip = state.skip + len(commanded) * stride - len(rates)
 

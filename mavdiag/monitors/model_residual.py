@@ -213,13 +213,13 @@ class ModelResidual:
         self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
     ) -> tuple[tuple[FreeRunState, ...], FloatArray, FloatArray]:
         """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: a_z and thrust."""
-        runs, r, y_sim = [], np.empty((len(u), 3)), np.empty((len(u), 3))
+        runs, r, y_sim = [], np.empty((3, len(u))), np.empty((3, len(u)))
         pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
         for i, (command, measured) in enumerate(pairs):
             run, simulated = freerun.step(self._models[i], state.runs[i], command)
             runs.append(run)
-            r[:, i], y_sim[:, i] = measured - simulated, simulated
-        return tuple(runs), r, y_sim
+            r[i], y_sim[i] = measured - simulated, simulated
+        return tuple(runs), r.T, y_sim.T
 
     def _explained(self, errors: _Errors, simulated: FloatArray, r: FloatArray) -> tuple[_Errors, FloatArray]:
         """What the errors of gain and speed, as known before each sample, explain of it: (k, 3)."""
@@ -269,7 +269,7 @@ def _without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaSt
 
 def _steps(x: FloatArray, before: FloatArray) -> FloatArray:
     """Differences of rows, (n, k) after (k,) -> (n, k)."""
-    out = np.empty(x.shape)
+    out = np.empty_like(x)
     out[0] = x[0] - before
     np.subtract(x[1:], x[:-1], out=out[1:])
     return out

@@ -61,7 +61,7 @@ class TrimStepSpec(TrimSpec):
 class TrimStepState:
     """What the next rows need.
 
-    t_ns, rows, known: (h,), (h, 6) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
+    t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
     ticks: (k, 5) means of the last unbroken ticks, fewer than two windows of them.
     reference: (5,) what the present window is compared with; None before there is one.
     """
@@ -139,7 +139,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
 
 
 def _start() -> TrimStepState:
-    waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
+    waiting, ticks = np.empty((6, 0)), np.empty((0, 5))
     return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
 
 
@@ -155,14 +155,14 @@ def _shifts(
     tick = _tick(block)
     trim, flown = trim_of(block, spec.layout, spec.source)
     t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-    rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
+    rows = np.concatenate((state.rows, np.concatenate((trim.T, tilt_of(block).T, block.rate.T[2:]))), axis=1)
     count = len(t_ns) // tick
     used = count * tick
     if count == 0:
         waiting = TrimStepState(t_ns, rows, known, state.ticks, state.reference)
         return waiting, t_ns[:0], np.empty((0, 3)), np.empty((0, 2)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
-    means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
+    means = np.add.reduce(rows[:, :used].reshape(6, count, tick), axis=2).T / tick
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
     tick_s = tick * block.dt_s
     window = max(1, round(spec.window_s / tick_s))
@@ -172,7 +172,7 @@ def _shifts(
     shift, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
     broken = np.flatnonzero(~usable[-(2 * window - 1) :])
     kept = ticks[-(2 * window - 1) :][(int(broken[-1]) + 1 if len(broken) else 0) :]
-    state = TrimStepState(t_ns[used:], rows[used:], known[used:], kept, reference)
+    state = TrimStepState(t_ns[used:], rows[:, used:], known[used:], kept, reference)
     return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
 
 

@@ -73,15 +73,16 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
         return np.empty((0, columns))
     # Each window is the end of one stretch of `window` rows and the begin of the next one.
     count = -(-len(x) // window)
-    stretches = np.zeros((count, window, columns))
-    stretches.reshape(-1, columns)[: len(x)] = x
-    begins = np.add.accumulate(stretches, axis=1).reshape(-1, columns)[window - 1 : window - 1 + known]
-    begins[::window] = 0.0  # these windows are whole stretches
-    ends = np.add.accumulate(stretches[:, ::-1], axis=1)[:, ::-1]
-    out: FloatArray = ends.reshape(-1, columns)[:known]
-    out += begins
+    stretches = np.zeros((columns, count, window))
+    stretches.reshape(columns, -1)[:, : len(x)] = x.T
+    ends = np.empty(stretches.shape)
+    np.add.accumulate(stretches[:, :, ::-1], axis=2, out=ends[:, :, ::-1])
+    begins = np.add.accumulate(stretches, axis=2, out=stretches).reshape(columns, -1)[:, window - 1 :]
+    begins[:, ::window] = 0.0  # these windows are whole stretches
+    out: FloatArray = ends.reshape(columns, -1)[:, :known]
+    out += begins[:, :known]
     out /= window
-    return out
+    return out.T
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
@@ -161,8 +162,9 @@ def sliding_mean(
         return state, np.empty(x.shape), np.empty(0, dtype=np.bool_)
     good = np.count_nonzero(valid) == n
     # sums[h + i] = x[0] + .. + x[i], in that order whatever the chunks; mean[i] = (sums[h + i] - sums[h + i - w]) / w
-    used = x if good else np.where(valid[:, None], x, 0.0)
-    fresh = np.add.accumulate(np.concatenate((state.sums[-1][-1:], used)), axis=0)[1:]
+    sums = np.empty((x.shape[1], n + 1))  # column by column
+    sums[:, 0], sums[:, 1:] = state.sums[-1][-1], x.T if good else np.where(valid, x.T, 0.0)
+    fresh = np.add.accumulate(sums, axis=1, out=sums)[:, 1:].T
     pieces = (*state.sums, fresh)
     mean = fresh - _before(pieces, state.skip, state.rows - window, n)
     mean /= window
