@@ -23,7 +23,7 @@ __all__ = [
     "MIN_OUTPUT",
     "SIGNALS",
     "YAW_FLOOR",
-    "BestRise",
+    "LargeRise",
     "Source",
     "rises",
     "shown_trim",
@@ -118,26 +118,30 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     weights = 1.0 / np.array([[one * one] for one in spread])
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
     if tilt is NO_TILT:
-        return np.einsum("kr,kn->rn", weights * C / np.einsum("kn,kr->r", weights, C * C), shifts).T
+        share = weights * C / np.einsum("kn,kr->r", weights, C * C)
+        return np.asarray(np.einsum("kr,kn->rn", share, shifts).T, dtype=np.float64)
     level = 1.0 / (TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt) + np.array([[spread[0] ** 2], [spread[1] ** 2]]))
     found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
     found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
     return np.asarray(found.T, dtype=np.float64)
 
 
-class BestRise:
-    """The largest of `rises` of one shift at a time, in plain numbers: for what must go tick by tick."""
+class LargeRise:
+    """Whether the largest of `rises` is above a limit, of one shift at a time: for what must go tick by tick."""
 
-    def __init__(self, layout: RotorLayout, spread: Three) -> None:
+    def __init__(self, layout: RotorLayout, spread: Three, limit: float) -> None:
         self._roll, self._pitch, self._yaw = (one * one for one in spread)
-        self._columns = [(a, b, c, a * a, b * b, c * c) for a, b, c in layout.unmixing.T.tolist()]
+        self._columns = [
+            (a, b, c, limit * a * a, limit * b * b, limit * c * c) for a, b, c in layout.unmixing.T.tolist()
+        ]
 
-    def of(self, shift: Sequence[float]) -> float:
-        """Of a shift of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
+    def __call__(self, shift: Sequence[float]) -> bool:
+        """shift: of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
         roll, pitch, yaw, lean, nod = shift
         more = TILT_TRIM**2 * (lean * lean + nod * nod)
         w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
-        r0, r1, r2 = roll * w0, pitch * w1, yaw * w2
-        return max(
-            (r0 * a + r1 * b + r2 * c) / (w0 * aa + w1 * bb + w2 * cc) for a, b, c, aa, bb, cc in self._columns
-        )
+        roll, pitch, yaw = roll * w0, pitch * w1, yaw * w2
+        for a, b, c, least_a, least_b, least_c in self._columns:
+            if roll * a + pitch * b + yaw * c > w0 * least_a + w1 * least_b + w2 * least_c:
+                return True
+        return False

@@ -204,7 +204,9 @@ class DecisionSpec:
         """The state after the looks [first, stop), at which nothing happens."""
         latest = ahead.latest(stop - 1)
         now = _leading(state.diagnosis, self._fresh(latest, ahead.parts[0].times[stop - 1]))
-        return replace(state, latest=latest, calm_ns=ahead.calm_ns(first, stop, state.calm_ns), over_ns=None, diagnosis=now)
+        return replace(
+            state, latest=latest, calm_ns=ahead.calm_ns(first, stop, state.calm_ns), over_ns=None, diagnosis=now
+        )
 
     def _fresh(self, latest: Sequence[Reading | None], t_ns: int) -> list[Fresh]:
         """The slots that count now, and their readings."""

@@ -18,7 +18,7 @@ NAN = float("nan")
 MANY = 4  # looks from which on it is quicker to take them all at once
 
 
-_Found: TypeAlias = tuple[list[float], list[int]]
+_Found: TypeAlias = tuple[list[float] | FloatArray, list[int] | IntArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +73,13 @@ class Looks:
     chunks: tuple[Waiting, ...]
     rest: tuple[Waiting, ...]
     at: list[Sequence[int]]
-    highest: Sequence[float]
-    chunk: Sequence[int]
-    row: Sequence[int]
+    highest: list[float] | FloatArray
+    chunk: list[int]
+    row: list[int] | IntArray
 
     def reading(self, number: int) -> Reading | None:
         """What a look gave, None if no value is valid."""
-        row, ratio = self.row[number], float(self.highest[number])
+        row, ratio = int(self.row[number]), float(self.highest[number])
         if row < 0 or not ratio >= 0:
             return None
         values = self.chunks[self.chunk[number]].values
@@ -149,7 +149,7 @@ def _many(one: Waiting, stops: IntArray) -> _Found:
     rows, valid = stops - 1, one.values.valid[: stops[-1]]
     if np.count_nonzero(valid) < len(valid):
         rows = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))[np.maximum(rows, 0)]
-    return tops.tolist(), np.where(some & (rows >= starts), rows, -1).tolist()
+    return tops, np.where(some & (rows >= starts), rows, -1)
 
 
 def _joined(parts: Sequence[Statistic]) -> Statistic:

@@ -85,7 +85,7 @@ def _carried(
     left: list[list[float]], keep: list[list[float]], past: tuple[float, ...]
 ) -> tuple[list[tuple[float, ...]], tuple[float, ...]]:
     """The outputs before each stretch, and those after the last: past <- left + keep past."""
-    before = []
+    before = list[tuple[float, ...]]()
     if len(past) == 2:
         (k, m), (p, q) = keep
         y2, y1 = past

@@ -247,8 +247,8 @@ def _no_errors() -> _Errors:
 def _without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
     """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`.
 
-    The mean square is that of the samples that are not clipped whatever came before, and what each other one adds, which
-    decays: so one sample after the other is looked at only where one is large.
+    The mean square is that of the samples that are not clipped whatever came before, and what each other one adds,
+    which decays: so one sample after the other is looked at only where one is large.
     """
     large = np.abs(n) > JOLT
     if not np.count_nonzero(large):

@@ -305,7 +305,9 @@ def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion) -> Mode
 def _heave(pieces: Sequence[Decimated], motion: HealthyMotion) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, motion.period_s)
-    moved = [one.heave - ema(start_ema(one.heave[0]), one.heave, alpha)[1] for one in pieces if np.isfinite(one.heave).all()]
+    moved = [
+        one.heave - ema(start_ema(one.heave[0]), one.heave, alpha)[1] for one in pieces if np.isfinite(one.heave).all()
+    ]
     u, y = [one[:, 1] for one in moved], [one[:, 0] for one in moved]
     try:
         return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=motion.period_s, method=Method.LS))

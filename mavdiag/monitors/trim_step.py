@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mavdiag.airframe.trim import YAW_FLOOR, BestRise, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.trim import YAW_FLOOR, LargeRise, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.base import Flights, LearnContext, segments
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
@@ -194,12 +194,13 @@ def _followed(
     now = np.flatnonzero(valid)
     first = len(ticks) - count + now - window + 1
     recent, before = means[first], means[first - window]
-    best, follow, most = BestRise(spec.layout, spec.spread), tick_s / spec.memory_s, spec.drift_per_s * tick_s
+    large = LargeRise(spec.layout, spec.spread, HOLD)
+    follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
     ref = before[0].tolist() if reference is None else reference.tolist()
     for i, new, old in zip(now.tolist(), recent.tolist(), before.tolist(), strict=True):
         moved, behind = [a - b for a, b in zip(new, ref, strict=True)], [a - b for a, b in zip(old, ref, strict=True)]
         shift[i] = moved
-        if best.of(moved) > HOLD or best.of(behind) > HOLD:
+        if large(moved) or large(behind):
             continue
         steps = [one * follow for one in behind]
         steps[:3] = [min(max(one, -most), most) for one in steps[:3]]

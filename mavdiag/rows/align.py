@@ -24,7 +24,6 @@ further, if gyro and interpolated signals miss no sample up to it.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -32,6 +31,7 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
+from mavdiag.rows.grid import Grid, measure_grid
 from mavdiag.rows.order import ORDER_NS, calm_from_ns
 from mavdiag.rows.places import pieces, uneven_places
 from mavdiag.rows.stream import NEVER_NS, Stream
@@ -39,10 +39,6 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["AlignSpec", "AlignState", "Grid", "measure_grid"]
-
-NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
-NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
-PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (our choice)
 
 # Interpolated to the row where two samples this near surround it [s]; a slow command stream may have 4 Hz (our choice).
 LINEAR = {  # or max_gap_s if longer
@@ -70,13 +66,6 @@ ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 
 FINITE = (*MAIN, Signal.ATTITUDE)
 
 Streams: TypeAlias = dict[Signal, Stream]
-
-
-class Grid(StrEnum):
-    """How rows are placed."""
-
-    NATIVE = "native"  # one row a gyro sample
-    RESAMPLED = "resampled"  # fixed period, linear interpolation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,28 +152,6 @@ class AlignSpec:
     def hurries(self, gyro_ns: int, calm_ns: int) -> bool:
         """Whether rows wait only for what is missing. gyro_ns: the gyro's newest; calm_ns: as in `AlignState`."""
         return self.grid is Grid.NATIVE and gyro_ns > calm_ns
-
-
-def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
-    """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
-
-    The period of a uniform stream is the mean of the steps within 25 % of their median, so losses do not stretch it; of
-    any other the mean of all steps but pauses above 1 s. Raises InputError if there are fewer than 20 gyro samples.
-    """
-    t = telemetry.need(Signal.BODY_RATE).t_ns
-    if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
-        t = np.unique(t)
-    if len(t) < 20:
-        raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
-    steps = np.diff(t).astype(np.float64)
-    median = float(np.median(steps))
-    usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
-    dt_ns = float(np.mean(usual if len(usual) else steps))
-    places = np.maximum(np.round(steps / dt_ns), 1.0)
-    uniform = np.abs(steps - places * dt_ns) <= NATIVE_TOLERANCE * dt_ns
-    if float(np.mean(uniform)) >= NATIVE_SHARE:
-        return dt_ns / NS_PER_S, Grid.NATIVE
-    return float(np.mean(steps[steps <= max(PAUSE_NS, median)])) / NS_PER_S, Grid.RESAMPLED
 
 
 @lru_cache(maxsize=64)  # every step asks for the same spans many times

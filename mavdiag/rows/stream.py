@@ -12,6 +12,7 @@ __all__ = ["NEVER_NS", "Stream"]
 NEVER_NS = 2**62
 TURN = 2 * math.pi
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
+FEW = 4  # rows to a sample from which on samples are looked up in the rows, and not rows in the samples
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
 
 
@@ -126,16 +127,19 @@ class Stream:
 
     def held(self, rows: IntArray, limit_ns: int) -> FloatArray:
         """The last value at or before each row, (n, k); nan before the first, and where it is older than the limit."""
-        t = self.t
-        if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
-            return self.v[:1].repeat(len(rows), axis=0)
-        at = _behind(t, rows)
-        if at[0] >= 0:
-            values: FloatArray = self.v.take(at, axis=0)
-            if rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
+        t, v = self.t, self.v
+        first, last = (int(i) for i in t.searchsorted(rows[[0, -1]], side="right"))
+        if first > 0 and last - first <= len(rows) // FEW:  # few samples come within the rows
+            starts = rows.searchsorted(t[first:last])  # where they take over
+            values = v[first - 1 : last].T.repeat(np.diff(starts, prepend=0, append=len(rows)), axis=1).T
+            if np.maximum.reduce(np.diff(t[first - 1 : last], append=rows[-1])) <= limit_ns:
                 return values
+            at = np.repeat(np.arange(first - 1, last), np.diff(starts, prepend=0, append=len(rows)))
         else:
-            values = self.v[np.maximum(at, 0)]
+            at = t.searchsorted(rows, side="right") - 1
+            values = v.T.take(np.maximum(at, 0), axis=1).T
+            if at[0] >= 0 and rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
+                return values
         values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
         return values
 
@@ -155,7 +159,7 @@ class Stream:
 def _behind(t: IntArray, rows: IntArray) -> IntArray:
     """The last sample at or before each row, (n,), -1 where there is none. Both rise."""
     first, last = (int(i) for i in t.searchsorted(rows[[0, -1]], side="right"))
-    if last - first > len(rows) // 4:
+    if last - first > len(rows) // FEW:
         return t.searchsorted(rows, side="right") - 1
     starts = rows.searchsorted(t[first:last])  # where the few samples within the rows take over
     return np.repeat(np.arange(first - 1, last), np.diff(starts, prepend=0, append=len(rows)))

@@ -282,24 +282,25 @@ class _Far:
     place: IntArray
 
 
-def _farthest(
-    state: EnvelopeState, columns: Sequence[int], t_ns: IntArray, memory_s: float, delay_s: float
-) -> _Far:
+def _farthest(state: EnvelopeState, columns: Sequence[int], t_ns: IntArray, memory_s: float, delay_s: float) -> _Far:
     """What lies farthest outside behind each value. There is at least one bin.
 
     Bins count that end within the memory, up to `delay_s` before the value: by then each of them is known.
     """
     enters = t_ns.searchsorted(state.end_ns + round(delay_s * NS_PER_S))  # the first value that a bin counts for
     leaves = t_ns.searchsorted(state.end_ns + round(memory_s * NS_PER_S))  # and from where on it does not
-    begins = np.unique(np.concatenate(([0], enters, leaves)))
-    begins = begins[begins < len(t_ns)]
+    begins = np.sort(np.concatenate(([0], enters, leaves)), kind="stable")
+    begins = begins[(np.diff(begins, prepend=-1) > 0) & (begins < len(t_ns))]
     first, stop = leaves.searchsorted(begins, side="right"), enters.searchsorted(begins, side="right")
     chosen = state.excess[:, columns]
     worst = chosen.argmax(axis=1)  # of each bin
     most = chosen[np.arange(len(chosen)), worst]
-    bins = first[:, None] + np.arange(max(1, int((stop - first).max())))
-    behind = np.where(bins < stop[:, None], most[np.minimum(bins, len(most) - 1)], 0.0)
-    at = behind.argmax(axis=1)
-    place = np.minimum(first + at, len(most) - 1)
-    excess = behind[np.arange(len(at)), at]
+    many = np.add.accumulate(np.concatenate(([0], most > 0)))
+    some = np.flatnonzero(many[np.maximum(stop, first)] > many[first])  # the others have nothing outside behind them
+    excess, place = np.zeros(len(begins)), np.zeros(len(begins), dtype=np.int64)
+    if len(some):
+        bins = first[some, None] + np.arange(int((stop - first)[some].max()))
+        behind = np.where(bins < stop[some, None], most.take(bins, mode="clip"), 0.0)
+        at = behind.argmax(axis=1)
+        excess[some], place[some] = behind[np.arange(len(at)), at], first[some] + at
     return _Far(np.diff(begins, append=len(t_ns)), excess, np.array(columns)[worst[place]], place)
