@@ -256,7 +256,7 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """One-step prediction errors e(t) = y(t) + a_1 y(t-1) + .. - b_1 u(t-1) - .., (LAG + n, 3) -> (n, 3)."""
     e = np.empty((3, len(y) - LAG))
-    for axis in range(3):
+    for axis in range(3 if len(y) > LAG else 0):  # numpy turns a correlation with fewer rows than weights about
         e[axis] = np.correlate(y[:, axis], [*a[axis, ::-1], 1.0])
         e[axis] -= np.correlate(u[:-1, axis], b[axis, ::-1])
     return e.T

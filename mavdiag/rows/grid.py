@@ -8,7 +8,7 @@ from mavdiag.errors import InputError
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Grid", "measure_grid"]
+__all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid"]
 
 NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
 NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
