@@ -8,9 +8,13 @@ from pathlib import Path
 
 from rich.console import Console
 
+from mavdiag.baseline import Baseline
 from mavdiag.demo.closed_loop import POLL_S, Flight, closed_loop
-from mavdiag.demo.command import own_baseline
-from mavdiag.demo.display import picture
+from mavdiag.demo.command import own_baselines
+from mavdiag.demo.story import DETECTOR, SPAN_S, THESIS, flight_view
+from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.terminal.view import Line, picture
+from mavdiag.terminal.views import line_for
 
 FLIGHT = Flight(duration_s=30.0, fault="F2/SV2", rotor=1, onset_s=12.0, seed=1)
 UNTIL_S = 22.5  # of flight, when the picture is taken
@@ -19,10 +23,12 @@ UNTIL_S = 22.5  # of flight, when the picture is taken
 def main() -> None:
     """Fly, and keep the picture."""
     console = Console(record=True, width=100, file=io.StringIO())
-    with closed_loop(FLIGHT, own_baseline(quiet=True)) as loop:
+    fused, thesis = own_baselines(quiet=True)
+    events: list[Line] = []
+    with closed_loop(FLIGHT, fused, LiveJudge(Baseline.load(thesis), SPAN_S)) as loop:
         while loop.plant.running and loop.station.t_s < UNTIL_S:
-            loop.station.listen(POLL_S)
-        console.print(picture(loop.station, FLIGHT.onset_s, FLIGHT.duration_s))
+            events += [line_for(one, DETECTOR, THESIS) for one in loop.station.listen(POLL_S)]
+        console.print(picture(flight_view(loop.station, FLIGHT, events), console.width))
     Path(__file__).with_name("demo.svg").write_text(console.export_svg(title="mavdiag demo"), encoding="utf-8")
 
 

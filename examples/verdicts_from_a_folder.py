@@ -15,5 +15,5 @@ with tempfile.TemporaryDirectory() as name:
     baseline = md.learn(folder / "healthy-*.tlog", airframe="qdrone2", name="drone 1")
     baseline.save(folder / "drone1.json")
     print(baseline)
-    for log in sorted(folder.glob("*.tlog")):
-        print(md.judge(log, baseline))
+    for verdict in md.scan(folder, baseline):
+        print(verdict)

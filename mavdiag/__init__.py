@@ -4,6 +4,8 @@
 
     baseline = md.learn("healthy/*.tlog", airframe="qdrone2")   # healthy flights: a baseline
     verdict = md.judge("suspect.tlog", baseline)                # one more flight: a verdict
+    for verdict in md.scan("flights", baseline):                # all logs of a folder
+        print(verdict)
     u, y, dt = md.rates(md.read_log("flight.ulg"), "roll")      # commanded and measured rate, for models of your own
     model = md.identify(u, y, order=(2, 2, 1), dt=dt)           # an ARX model; typed code calls md.identify.fit
     with md.open_link("udpin:127.0.0.1:14550") as link:         # a live vehicle
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from mavdiag import identify
     from mavdiag.airframe.airframe import Airframe
     from mavdiag.baseline import Baseline
-    from mavdiag.face import Watch, judge, learn, rates, read_log
+    from mavdiag.face import Watch, judge, learn, rates, read_log, scan
     from mavdiag.link.link import open_link
     from mavdiag.telemetry import Log
 
@@ -43,6 +45,7 @@ __all__ = [
     "open_link",
     "rates",
     "read_log",
+    "scan",
 ]
 
 _HOME = {
@@ -55,6 +58,7 @@ _HOME = {
     "open_link": "mavdiag.link.link",
     "rates": "mavdiag.face",
     "read_log": "mavdiag.face",
+    "scan": "mavdiag.face",
 }
 
 

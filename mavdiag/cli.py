@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, identify, inspect, model, scan, shim
+from mavdiag.commands import balance, baseline, identify, inspect, look, model, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -11,9 +11,11 @@ __all__ = ["app", "main"]
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
+app.command("look")(look.look)
 app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
+app.command("watch")(watch.watch)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

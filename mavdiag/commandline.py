@@ -60,6 +60,8 @@ def run(app: typer.Typer, name: str) -> NoReturn:
     """Run an application and end the process; errors become one line on stderr."""
     try:
         code = app(prog_name=name, standalone_mode=False)
+        if code == INTERRUPTED:  # newer releases of typer make this of a KeyboardInterrupt
+            _print(f"{name}: stopped")
     except typer.TyperException as error:
         message = error.format_message()
         # Called without arguments, the help itself is the message.

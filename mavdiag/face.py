@@ -6,8 +6,9 @@ and calls the part that does the work.
 
 import datetime
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -15,6 +16,12 @@ from mavdiag import judging, learning
 from mavdiag import logs as log_files
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
+from mavdiag.archive.job import Options, Question
+from mavdiag.archive.paths import logs_named
+from mavdiag.archive.pool import in_this_process, local_executor
+from mavdiag.archive.scan import in_order
+from mavdiag.archive.scan import scan as archive
+from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
@@ -25,7 +32,7 @@ from mavdiag.learning.flights import front_for, rows_of
 from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
-__all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "with_airframe"]
+__all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "scan", "with_airframe"]
 
 Source: TypeAlias = Log | str | Path  # a log, or where it is
 
@@ -86,6 +93,28 @@ def judge(flight: Source, baseline: Baseline | str | Path, *, vehicle: int | Non
     """
     log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
     return judging.judge(log, _loaded(baseline))
+
+
+def scan(
+    flights: str | Path | Iterable[str | Path],
+    baseline: Baseline | str | Path,
+    *,
+    vehicle: int | None = None,
+    jobs: int = 1,
+) -> Iterator[LogVerdict]:
+    """The verdicts on many logs, in their order, each as soon as it is there.
+
+    flights: files, folders with all logs below them, and patterns like "flights/**/*.tlog".
+    baseline: a baseline, or its file.
+    vehicle: MAVLink system id, where files hold several.
+    jobs: worker processes. With more than one, a script must do its work under `if __name__ == "__main__":`.
+    A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
+    """
+    named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
+    question = Question.of(_loaded(baseline), Options(vehicle), judging_version())
+    opened = partial(local_executor, jobs) if jobs > 1 else in_this_process
+    for answer in in_order(archive(named, question, opened)):
+        yield answer.verdict
 
 
 def rates(flight: Source, axis: Axis | str, window_s: float = 0.1) -> FlightRates:
@@ -162,19 +191,10 @@ def _each(flights: Source | Iterable[Source]) -> list[Source]:
 
 
 def _logs(source: Source, vehicle: int | None) -> list[Log]:
-    """The logs that one source names: itself, a file, a pattern, all files of a folder. Raises InputError if none."""
+    """The logs that one source names: itself, a file, a pattern, all logs below a folder. Raises InputError if none."""
     if isinstance(source, Log):
         return [source]
-    path = Path(source)
-    found: Iterable[Path] = (path,)
-    if path.is_dir():
-        found = path.iterdir()
-    elif not path.exists() and any(sign in str(path) for sign in "*?["):
-        found = Path(path.anchor).glob(str(path.relative_to(path.anchor)))
-    logs = [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in sorted(found) if not one.is_dir()]
-    if not logs:
-        raise InputError(f"{source}: no log there; name files, a folder, or a pattern like 'healthy/*.tlog'")
-    return logs
+    return [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in logs_named([source]).paths()]
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:

@@ -31,6 +31,7 @@ __all__ = [
     "exit_code",
     "judge",
     "judge_in_full",
+    "why_not",
 ]
 
 PIECE_ROWS = 8192  # rows that are judged together: their arrays fit a processor's cache (our choice)
@@ -300,7 +301,7 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
             slot.monitor.unit,
             alarms,
             account.judged_s,
-            _why_not(chain, account),
+            why_not(chain, account),
             slot.decides,
             account.outside_s,
         )
@@ -310,8 +311,8 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
     return tuple(nearest.values())
 
 
-def _why_not(chain: Chain, account: Account) -> str | None:
-    """The reason that cost most time; a monitor that judged and only warmed up has none."""
+def why_not(chain: Chain, account: Account) -> str | None:
+    """Why a slot did not judge: the reason that cost most time. One that judged and only warmed up has none."""
     waiting = account.not_judged if account.judged_s == 0 else {}
     reasons = {**waiting, **{f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}}
     outside = {chain.envelope.sentence(c, one.value): one.span_s for c, one in account.outside.items()}

@@ -81,17 +81,21 @@ def check_output(path: Path) -> None:
         raise UsageError(f"{path}: cannot be written (no permission); name a folder you can write to")
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file by way of a temporary one beside it. Raises UsageError if that fails."""
+def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) -> None:
+    """Write a file by way of a temporary one beside it; a text as UTF-8. Raises UsageError if that fails.
+
+    durable: wait until the disk has it; without, a loss of power may leave an empty file.
+    """
     check_output(path)
     temporary: Path | None = None
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         temporary = Path(name)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                os.fsync(file.fileno())
         temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:

@@ -1,6 +1,17 @@
-"""Shared set-up: hypothesis is reproducible and prints how to repeat a failure."""
+"""Shared set-up: hypothesis is reproducible and prints how to repeat a failure; each test keeps its own answers."""
 
+import itertools
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("repo", deadline=None, print_blob=True, derandomize=True, max_examples=60)
 settings.load_profile("repo")
+
+NUMBERS = itertools.count()
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Answers of scans are kept in a folder of this test, which is made when it is needed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / f"cache-{next(NUMBERS)}"))

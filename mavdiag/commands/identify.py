@@ -10,13 +10,25 @@ import typer
 
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
+from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import AsJson, AxisChoice, FromS, MethodChoice, ToS, Vehicle, parse_order, read_part
-from mavdiag.commands.progress import each, working
+from mavdiag.commands.options import (
+    AsJson,
+    AxisChoice,
+    Columns,
+    FromS,
+    MethodChoice,
+    ToS,
+    Vehicle,
+    parse_order,
+    read_part,
+)
+from mavdiag.commands.progress import each, sizes_of, working
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
+from mavdiag.logs.csv_columns import is_csv, load_column_map
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
@@ -28,7 +40,8 @@ THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 def identify(
     logs: Annotated[
-        list[Path], typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA.")
+        list[Path],
+        typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; patterns."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
     method: Annotated[MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = MethodChoice.SRIV,
@@ -69,6 +82,7 @@ def identify(
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
+    columns: Columns = None,
     as_json: AsJson = False,
 ) -> None:
     """Fit a baseline to healthy flights, and say what its alarms will cost."""
@@ -89,7 +103,7 @@ def identify(
     options = with_airframe(options, airframe, name, layout)
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
-    baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s)
+    baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s, columns=columns)
     baseline.save(output)
     if baseline.layout_doubt and as_json:
         say(baseline.layout_doubt, err=True)
@@ -106,8 +120,17 @@ def make_baseline(
     vehicle: int | None = None,
     from_s: float | None = None,
     to_s: float | None = None,
+    columns: Path | None = None,
 ) -> Baseline:
-    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError."""
-    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
+    """A baseline from log files, stamped with the time of now. Raises InputError or IdentificationError.
+
+    logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
+    """
+    mapped = None if columns is None else load_column_map(columns)
+    found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
+    if found.skipped:
+        say(found.skipped_sentence, err=True)
+    paths = found.paths()
+    flights = [read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths))]
     with working(f"learning from {len(flights)} flights ..."):
         return learn(flights, options, created=now())

@@ -14,18 +14,6 @@ import typer
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import with_layout
 from mavdiag.baseline import Baseline
-from mavdiag.commands.inspection import (
-    Clock,
-    MonitorState,
-    Summary,
-    Units,
-    baseline_statement,
-    clock_of,
-    monitor_states,
-    rotors_of,
-    summary,
-    units_of,
-)
 from mavdiag.commands.options import AsJson, Vehicle
 from mavdiag.errors import UsageError
 from mavdiag.link.asking import Asked, Asker
@@ -39,6 +27,18 @@ from mavdiag.link.wants import Want, wants_of
 from mavdiag.logs import read_log
 from mavdiag.logs.log import read_bytes
 from mavdiag.logs.tlog import decode_tlog
+from mavdiag.look.inspection import (
+    Clock,
+    MonitorState,
+    Summary,
+    Units,
+    baseline_statement,
+    clock_of,
+    monitor_states,
+    rotors_of,
+    summary,
+    units_of,
+)
 from mavdiag.monitors import MONITORS
 from mavdiag.printable import printable
 from mavdiag.telemetry import Instant, Log, Signal

@@ -35,7 +35,7 @@ class Account:
     @property
     def outside_s(self) -> float:
         """Time outside of the envelope [s]."""
-        return sum(one.span_s for one in self.outside.values())
+        return sum((one.span_s for one in self.outside.values()), 0.0)
 
     @property
     def not_judged(self) -> Mapping[str, float]:

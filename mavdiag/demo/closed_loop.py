@@ -6,11 +6,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavdiag.demo.ground_station import GroundStation, ReceivedText
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
 from mavdiag.link.ports import open_endpoint
+from mavdiag.terminal.ground_station import GroundStation, ReceivedText
+from mavdiag.terminal.live_judge import LiveJudge
 
 __all__ = ["POLL_S", "DemoResult", "Flight", "Loop", "closed_loop"]
 
@@ -77,11 +78,17 @@ class DemoResult:
 
 
 @contextmanager
-def closed_loop(flight: Flight, baseline: Path) -> Iterator[Loop]:
-    """Vehicle, detector and ground station over UDP on loopback, on ports of their own. Raises LinkError."""
+def closed_loop(
+    flight: Flight, baseline: Path, judge: LiveJudge | None = None, record: Path | None = None
+) -> Iterator[Loop]:
+    """Vehicle, detector and ground station over UDP on loopback, on ports of their own. Raises LinkError.
+
+    judge: judges the vehicle's streams at the ground station, too. record: where the detector keeps the flight.
+    """
+    kept = () if record is None else ("--record", str(record))
     with (
         open_endpoint("udpin:127.0.0.1:0") as endpoint,
-        child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline)) as detector,
+        child("detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline), *kept) as detector,
     ):
         line = detector.wait_for("ready", READY_S)
         found = re.search(r"udpin:([\d.]+:\d+)", line)
@@ -90,4 +97,4 @@ def closed_loop(flight: Flight, baseline: Path) -> Iterator[Loop]:
         ground = endpoint.address.replace("udpin", "udpout")
         with child("sitl_plant", "run", "--out", f"udpout:{found[1]}", "--out", ground, *flight.arguments) as plant:
             plant.wait_for("flies", READY_S)
-            yield Loop(plant, detector, GroundStation(endpoint))
+            yield Loop(plant, detector, GroundStation(endpoint, judge))

@@ -12,20 +12,33 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.panel import Panel
 
 from mavdiag import __version__
 from mavdiag.baseline import Baseline
+from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
+from mavdiag.decision.diagnosis import Change
 from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
+from mavdiag.demo.story import DETECTOR, SPAN_S, THESIS, first_crossing, flight_view
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.face import with_airframe
-from mavdiag.learning import thesis_options
+from mavdiag.judging import judge
+from mavdiag.learning import LearnOptions, thesis_options
+from mavdiag.logs import read_log
 from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.storage import check_output
+from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.terminal.screen import Screen
+from mavdiag.terminal.view import Line, picture
+from mavdiag.terminal.views import line_for
+from mavdiag.units import NS_PER_S
 
-__all__ = ["demo", "own_baseline", "source_digest"]
+__all__ = ["cache_folder", "demo", "own_baselines", "source_digest"]
 
-HEALTHY_FLIGHTS = 60  # one false alarm in 61 flights of equal length, METHOD section 4
+HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
+FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0
 ONSET_SHARE = 0.4  # of the flight
 SOURCES = (".py", ".toml", ".json")
@@ -38,20 +51,33 @@ def demo(
     rotor: Annotated[int, typer.Option(help="Rotor to damage, 1 to 4.")] = 1,
     seed: Annotated[int, typer.Option(help="Seed of the flight.")] = 1,
     baseline: Annotated[Path | None, typer.Option(help="Use this baseline instead of learning one.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Where the report goes.  [default: the user's cache]")
+    ] = None,
 ) -> None:
     """Learn from fast healthy flights, fly healthy, inject a fault, and receive the alert as a ground station does.
 
-    Exit code 0 only if the fault was alerted over MAVLink and nothing was alerted before its onset, else 1.
+    The detector judges by all monitors; the thesis rule is shown beside it. Exit code 0 only if the fault was alerted
+    over MAVLink and nothing was alerted before its onset, else 1.
     """
     if duration < 10:
         raise UsageError(f"--duration {duration:g}: give the flight at least 10 s")
-    reference = baseline or own_baseline(quiet=as_json)
-    _print_baseline(reference, quiet=as_json)
-    onset_s = round(ONSET_SHARE * duration, 1)
-    with closed_loop(Flight(duration, fault, rotor, onset_s, seed), reference) as loop:
-        _watch(loop, onset_s, duration, quiet=as_json)
-    result = DemoResult(onset_s, tuple(loop.station.texts))
-    _print_result(result, as_json)
+    if report is not None:
+        check_output(report)
+    fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json)
+    _print_baseline(thesis, quiet=as_json)
+    flight = Flight(duration, fault, rotor, round(ONSET_SHARE * duration, 1), seed)
+    with tempfile.TemporaryDirectory() as folder:
+        record = Path(folder) / "flight.tlog"
+        beside = LiveJudge(Baseline.load(thesis), SPAN_S)
+        with closed_loop(flight, fused, beside, record) as loop:
+            changes = _watch(loop, flight, quiet=as_json)
+        result = DemoResult(flight.onset_s, tuple(loop.station.texts))
+        if as_json:
+            _print_json(result)
+        else:
+            _print_result(result, flight, first_crossing(changes, flight.onset_s))
+            _print_report(record, fused, report or cache_folder() / "demo-report.html")
     raise typer.Exit(0 if result.good else 1)
 
 
@@ -61,7 +87,7 @@ def _print_baseline(reference: Path, *, quiet: bool) -> None:
         raise UsageError(f"{reference}: has no fsd monitor; the demo needs one from `mavdiag identify`")
     margin_rad_s, fml_s = thesis[0]
     if not quiet:
-        typer.echo(f"baseline {reference}: margin {margin_rad_s:.4f} rad/s, FML {fml_s:.3f} s")
+        typer.echo(f"thesis rule: margin {margin_rad_s:.4f} rad/s, FML {fml_s:.3f} s")
 
 
 def _thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
@@ -70,15 +96,15 @@ def _thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
     return [(spec.margin_rad_s, fml_s) for spec, fml_s in entries if isinstance(spec, RunLengthSpec)]
 
 
-def own_baseline(*, quiet: bool) -> Path:
-    """The demo's baseline, learnt once from recorded flights of the emulator and kept in the user's cache.
+def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
+    """The demo's two baselines, of all monitors and of the thesis rule, learnt once from flights of the emulator.
 
-    It is learnt again after any change of the sources that make it.
+    They are kept in the user's cache, and learnt again after any change of the sources that make them.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
-    path = cache / f"demo-{__version__}-{source_digest()}.json"
-    if _usable(path):
-        return path
+    cache, digest = cache_folder(), source_digest()
+    fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
+    if _usable(fused) and _usable(thesis):
+        return fused, thesis
     cache.mkdir(parents=True, exist_ok=True)
     for stale in cache.glob("demo-*.json"):
         stale.unlink(missing_ok=True)
@@ -91,8 +117,15 @@ def own_baseline(*, quiet: bool) -> Path:
         logs = sorted(Path(folder).glob("*.tlog"))
         if not quiet:
             typer.echo("identifying the healthy airframe ...")
-        make_baseline(logs, with_airframe(thesis_options(), "qdrone2", "qdrone2 drone 1")).save(path)
-    return path
+        learnt = ((thesis, thesis_options(), logs), (fused, LearnOptions(), logs[:FUSED_FLIGHTS]))
+        for path, options, flights in learnt:
+            make_baseline(flights, with_airframe(options, "qdrone2", "qdrone2 drone 1")).save(path)
+    return fused, thesis
+
+
+def cache_folder() -> Path:
+    """Where the demo keeps what it made."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
 
 
 def source_digest(packages: Sequence[str] = ("mavdiag", "sitl_plant")) -> str:
@@ -122,33 +155,64 @@ def _record(folder: Path, first: int, count: int) -> None:
     )  # fmt: skip
 
 
-def _watch(loop: Loop, onset_s: float, duration_s: float, *, quiet: bool) -> None:
-    """Listen until the flight is over, showing it if there is somebody to show it to."""
-    from mavdiag.demo.display import Display
+def _watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
+    """Listen until the flight is over, showing it if there is somebody to show it to.
 
-    with Display(onset_s, duration_s, quiet=quiet) as display:
-        while loop.plant.running:
-            loop.station.listen(POLL_S)
-            display.show(loop.station)
-        loop.station.listen(POLL_S)
-        display.show(loop.station)
+    Returns how the decision of the thesis rule changed.
+    """
+    changes: list[Change] = []
+    events: list[Line] = []
+
+    def draw(width: int) -> Panel:
+        return picture(flight_view(loop.station, flight, events), width)
+
+    with Screen(quiet=quiet) as screen:
+        running = True
+        while running:
+            running = loop.plant.running
+            fresh = loop.station.listen(POLL_S)
+            changes += [one for one in fresh if isinstance(one, Change)]
+            lines = [line_for(one, DETECTOR, THESIS) for one in fresh]
+            events.extend(lines)
+            screen.show(draw, lines, last=not running)
+    return changes
 
 
-def _print_result(result: DemoResult, as_json: bool) -> None:
+def _print_json(result: DemoResult) -> None:
     detected = result.detected_s
-    latency = None if detected is None else round(detected - result.onset_s, 3)
-    if as_json:
-        content = {
-            "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
-            "onset_s": result.onset_s,
-            "detected_s": detected,
-            "latency_s": latency,
-            "alerts": [asdict(one) for one in result.alerts],
-            "false_alarms": result.false_alarms,
-        }
-        typer.echo(json.dumps(content))
-    elif result.good:
-        typer.echo(f"alerted {latency:.2f} s after the onset, and nothing before: the loop is closed")
+    content = {
+        "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
+        "onset_s": result.onset_s,
+        "detected_s": detected,
+        "latency_s": None if detected is None else round(detected - result.onset_s, 3),
+        "alerts": [asdict(one) for one in result.alerts],
+        "false_alarms": result.false_alarms,
+    }
+    typer.echo(json.dumps(content))
+
+
+def _print_result(result: DemoResult, flight: Flight, thesis: Change | None) -> None:
+    """The story in four lines."""
+    onset_s = flight.onset_s
+    say(f"injected: {flight.fault} on rotor {flight.rotor} at {onset_s:g} s")
+    if result.detected_s is None:
+        say("detector: the fault was not alerted")
     else:
-        why = f"{result.false_alarms} alerts before the onset" if result.false_alarms else "the fault was not alerted"
-        typer.echo(f"not good: {why}")
+        last = [one.text for one in result.alerts if one.t_s >= onset_s][-1]
+        say(f"detector: alerted {result.detected_s - onset_s:.2f} s after the onset; it ends with {last!r}")
+    if thesis is None:
+        say("thesis rule: it did not alarm after the onset")
+    else:
+        after_s = thesis.t_ns / NS_PER_S - onset_s
+        evidence = f"FSD {thesis.statistic:.3f} s > FML {thesis.threshold:.3f} s on {thesis.axis}"
+        say(f"thesis rule: {evidence}, {after_s:.2f} s after the onset; it names no rotor and no type")
+    if result.good:
+        say("before the onset nothing was alerted: the loop is closed")
+    else:
+        say(f"not good: {result.false_alarms} alerts before the onset" if result.false_alarms else "not good")
+
+
+def _print_report(record: Path, baseline: Path, page: Path) -> None:
+    """Judge the recorded flight once more, as a log, and draw its report where the extra `report` is installed."""
+    flown = Baseline.load(baseline)
+    say(f"the recorded flight, judged as a log: {judge(read_log(record), flown)}")

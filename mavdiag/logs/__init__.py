@@ -10,14 +10,23 @@ from importlib import import_module
 from pathlib import Path
 
 from mavdiag.errors import InputError, UsageError
+from mavdiag.logs.csv_columns import ColumnMap
+from mavdiag.logs.csv_log import read_csv
 from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log
 
-__all__ = ["Log", "LogKind", "airframe_name_for", "gate_for", "kinds", "read_log", "sha256_of"]
+__all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
-_READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog")  # in this order; tlog has the weakest signature
+_READERS = (
+    "dataflash",
+    "ulog",
+    "crazyflie",
+    "dronepropa",
+    "tlog",
+    "csv_log",
+)  # tlog: a weak signature
 
 
 @cache
@@ -27,7 +36,11 @@ def kinds() -> tuple[LogKind, ...]:
 
 
 def read_log(
-    path: Path, vehicle: int | None = None, profile: str | None = None, among: Sequence[LogKind] | None = None
+    path: Path,
+    vehicle: int | None = None,
+    profile: str | None = None,
+    among: Sequence[LogKind] | None = None,
+    columns: ColumnMap | None = None,
 ) -> Log:
     """Read a flight from a .tlog, DataFlash .bin, .ulg, Crazyflie or DronePropA log, chosen by its content.
 
@@ -35,15 +48,27 @@ def read_log(
     profile: link profile of a .tlog where its messages do not show it, or one of the variants of another kind, which
         know their own.
     among: the kinds of logs, None for all.
+    columns: the file is a CSV recording with these columns; None for any other log.
     Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
     """
+    if columns is not None:
+        return read_csv(path, columns)
     known = kinds() if among is None else among
-    head = read_bytes(path, HEAD_BYTES)
-    kind = next((k for k in known if k.recognise(head)), None)
+    kind = _kind_of(path, known)
     if kind is None:
         names = ", ".join(k.name for k in known)
         raise InputError(f"{path}: not a flight log of a known kind ({names})")
     return kind.read(path, vehicle, profile)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file is a log of a known kind, by its first bytes. Raises InputError if it cannot be read."""
+    return _kind_of(path, kinds()) is not None
+
+
+def _kind_of(path: Path, known: Sequence[LogKind]) -> LogKind | None:
+    head = read_bytes(path, HEAD_BYTES)
+    return next((kind for kind in known if kind.recognise(head)), None)
 
 
 def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:

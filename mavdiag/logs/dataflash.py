@@ -1,9 +1,10 @@
 """ArduPilot DataFlash logs (.bin): the messages of any era become one vehicle's telemetry, in SI and FRD.
 
 Eras differ: `TimeMS` or `TimeUS`, `IMU2` or an instance field, centi-degrees or degrees per second in RATE. Each is
-decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_format`).
+decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_walk`).
 """
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_format import INTEGERS, Table, read_tables
-from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
+from mavdiag.logs.dataflash_format import INTEGERS, Table
+from mavdiag.logs.dataflash_walk import Walk
+from mavdiag.logs.log import RECORDED_GATE, LogKind, windows_of
 from mavdiag.logs.records import recorded
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
 
-__all__ = ["KIND", "read_dataflash"]
+__all__ = ["KIND", "WANTED", "read_dataflash"]
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
@@ -64,7 +66,7 @@ _ROWS = (
     _Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     _Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-_WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
+WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
 
 
 def read_dataflash(path: Path) -> Log:
@@ -75,15 +77,18 @@ def read_dataflash(path: Path) -> Log:
     use. ARMED has a row for each change. Raises InputError for a file that is unreadable, of another kind, or without a
     known signal.
     """
-    data = read_bytes(path)
-    tables, notes = read_tables(data, _WANTED)
+    walk, digest = Walk(WANTED), hashlib.sha256()
+    for window in windows_of(path):
+        digest.update(window)
+        walk.feed(window)
+    tables, notes = walk.finish()
     parameters = _parameters(tables)
     motors = _motor_channels(parameters)
     series = _series(tables, motors)
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     started_ns = _started_ns(tables, series)
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, bool(motors))
+    return Log(path.name, digest.hexdigest(), PROFILE, Telemetry(series), started_ns, notes, parameters, bool(motors))
 
 
 def _series(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series, ...]:

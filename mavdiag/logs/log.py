@@ -1,7 +1,7 @@
 """What a kind of log is, and the two helpers that all readers need."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,12 +10,13 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Log
 
-__all__ = ["LOG_BYTES", "RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of"]
+__all__ = ["LOG_BYTES", "RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of", "windows_of"]
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
 
-LOG_BYTES = 2 << 30  # of a log, at most: it is held in memory (our choice; half a day at 1 kHz)
+LOG_BYTES = 2 << 30  # of a log, at most: what it records is held in memory (our choice; half a day at 1 kHz)
+WINDOW_BYTES = 8 << 20  # of a file that is read piece by piece (our choice: most logs are one piece)
 
 #: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not given.
 Reader = Callable[[Path, int | None, str | None], Log]
@@ -63,3 +64,17 @@ def read_bytes(path: Path, limit: int = -1) -> bytes:
     if not data:
         raise InputError(f"{path}: the file is empty; record the flight again")
     return data
+
+
+def windows_of(path: Path, size: int = WINDOW_BYTES) -> Iterator[bytes]:
+    """The content of a log piece by piece, in order. Raises InputError if it cannot be read or is empty."""
+    try:
+        with open_regular(path, LOG_BYTES) as file:
+            window = file.read(size)
+            if not window:
+                raise InputError(f"{path}: the file is empty; record the flight again")
+            while window:
+                yield window
+                window = file.read(size)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error

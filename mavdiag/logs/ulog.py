@@ -23,7 +23,7 @@ from mavdiag.logs.records import as_floats, recorded
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_US, RPM
 
-__all__ = ["KIND", "read_ulog"]
+__all__ = ["KIND", "TOPICS", "read_ulog"]
 
 PROFILE = "px4-log"
 SIGNATURE = b"ULog\x01\x12\x35"
@@ -34,7 +34,10 @@ PWM_ZERO_US, PWM_SPAN_US, PWM_LEAST_US = 1000.0, 1000.0, 800.0
 UTC_PLAUSIBLE_US = 10**15  # September 2001: a receiver without a fix reports 0
 
 READ_ALLOWANCE = 8  # a sound file is read once; a run of zeros, byte by byte, costs five times its length
-HEADER_BYTES = 3  # of a message; nothing more at the end of a sound file
+HEAD_BYTES = 16  # of the file
+HEADER_BYTES = 3  # of a message
+DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, text with a tag
+COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
 
@@ -134,7 +137,7 @@ _ROWS = (
     _Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
 )
 _GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")
-_TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
+TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
 
 
 def read_ulog(path: Path) -> Log:
@@ -159,23 +162,61 @@ def read_ulog(path: Path) -> Log:
 class _Metered(io.BytesIO):
     """A file in memory that may be read only so much: after some damage pyulog steps back for ever.
 
-    cut_short: whether more was asked for at the end than there was: a message that the file has no room for.
+    A read brings the end nearer, so it is enough to count at each step.
+
+    log: what reads the file.
+    since: where the last step led; from there on the messages were read one after the other.
+    """
+
+    def __init__(self, data: bytes, log: ULog) -> None:
+        super().__init__(data)
+        self._data = data
+        self._log = log
+        self._left = READ_ALLOWANCE * len(data)
+        self._checked: list[ULog.MessageFormat] = []
+        self.since = HEAD_BYTES
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
+        """As of any file. Raises InputError when the allowance is used up, or for messages that are too large.
+
+        pyulog steps back to the first subscription or text, where the definitions end, and expands them afterwards.
+        """
+        self._left -= self.tell() - self.since + 1
+        self.since = super().seek(offset, whence)
+        if self._data[self.since + 2 : self.since + 3] in DEFINITIONS_END:
+            self._check(list(self._log.message_formats.values()))
+        if self._left < 0:
+            raise InputError("it is damaged beyond use; download the log again")
+        return self.since
+
+    def _check(self, formats: list[ULog.MessageFormat]) -> None:
+        """Check the definitions, if there are others than at the last check, for what that costs of the allowance."""
+        self._left -= len(formats) // COMPARED_AT_ONCE
+        if formats != self._checked:
+            self._checked = formats
+            self._left -= sum(len(message.fields) for message in formats)
+            _check_definitions(self._log)
+
+
+class _Reading(ULog):
+    """pyulog's reader of the topics of interest from a file in memory, within the bounds that damaged files need.
+
+    since: where the messages start that were read one after the other up to the end.
     """
 
     def __init__(self, data: bytes) -> None:
-        super().__init__(data)
-        self._left = READ_ALLOWANCE * len(data)
-        self.cut_short = False
+        file = _Metered(data, self)
+        super().__init__(file, list(TOPICS))
+        self.since = file.since
+        _check_definitions(self)
 
-    def read(self, size: int | None = -1, /) -> bytes:
-        """As of any file. Raises InputError when the allowance is used up."""
-        chunk = super().read(size)
-        if size is not None and len(chunk) < size and (chunk or size != HEADER_BYTES):
-            self.cut_short = True
-        self._left -= len(chunk) + 1
-        if self._left < 0:
-            raise InputError("it is damaged beyond use; download the log again")
-        return chunk
+
+def _cut_short(data: bytes, start: int) -> bool:
+    """Whether the messages from this one on end behind the end of the file, or within a header before it."""
+    last = len(data) - HEADER_BYTES
+    while start <= last:
+        start += HEADER_BYTES + data[start] + (data[start + 1] << 8)
+    return start != len(data)
 
 
 def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tuple[str, ...]]:
@@ -183,18 +224,16 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
 
     Raises InputError if pyulog cannot make sense of the file.
     """
-    file = _Metered(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
-            _check_definitions(ULog(_Metered(data), parse_header_only=True))
-            log = ULog(file, list(_TOPICS))
+            log = _Reading(data)
     except _PARSER_ERRORS as error:
         raise InputError(f"it is damaged ({' '.join(str(error).split())}); download the log again") from error
     found: dict[str, ULog.Data] = {}
     for item in log.data_list:  # sorted by name and instance
         found.setdefault(item.name, item)
     damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
-    cut = "it ends within a message: the recording was cut off" if file.cut_short else ""
+    cut = "it ends within a message: the recording was cut off" if _cut_short(data, log.since) else ""
     changed = {name: value for _, name, value in log.changed_parameters}
     parameters = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
     return found, parameters, tuple(note for note in (damaged, cut) if note)

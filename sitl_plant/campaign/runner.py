@@ -7,22 +7,21 @@ campaigns, or of another version, stay in the file and are not counted.
 
 import hashlib
 import json
-import os
-import signal
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib import resources
-from importlib.resources.abc import Traversable
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, TypeAlias, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.archive import pool
+from mavdiag.archive.cluster import dask_executor
+from mavdiag.archive.pool import TaskExecutor
+from mavdiag.archive.sources import digest_of_sources
+from mavdiag.errors import UsageError
 from sitl_plant.campaign.plan import FlightTask, LearnTask, Plan
 from sitl_plant.campaign.worker import FlightResult, LearnResult, fly_task, learn_task
 
@@ -39,7 +38,6 @@ __all__ = [
 
 Line: TypeAlias = LearnResult | FlightResult
 Made = TypeVar("Made", LearnResult, FlightResult)
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 # What cannot change a result: bytecode, and the edges.
 UNRELATED = (
     *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
@@ -55,23 +53,7 @@ _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="reco
 @cache
 def source_key() -> str:
     """A digest of the sources and data that results follow from: results of another version are never mixed in."""
-    digest = hashlib.sha256()
-    for package in ("mavdiag", "sitl_plant"):
-        for name, content in sorted(_sources(resources.files(package), package)):
-            digest.update(name.encode())
-            digest.update(hashlib.sha256(content).digest())
-    return digest.hexdigest()[:16]
-
-
-def _sources(folder: Traversable, path: str) -> Iterator[tuple[str, bytes]]:
-    for entry in folder.iterdir():
-        name = f"{path}/{entry.name}"
-        if name.endswith(UNRELATED):
-            continue
-        if entry.is_dir():
-            yield from _sources(entry, name)
-        else:
-            yield name, entry.read_bytes()
+    return digest_of_sources(("mavdiag", "sitl_plant"), UNRELATED)
 
 
 def task_key(seed: int, task: LearnTask | FlightTask) -> str:
@@ -131,61 +113,14 @@ class Results:
     others: int
 
 
-@dataclass(frozen=True, slots=True)
-class TaskExecutor:
-    """Where the tasks run.
-
-    pool: processes, threads or a cluster.
-    in_flight: how many tasks to submit at a time, so that no worker waits.
-    """
-
-    pool: Executor
-    in_flight: int
-
-
 @contextmanager
 def local_executor(workers: int) -> Iterator[TaskExecutor]:
-    """Worker processes of this machine, each with one thread of arithmetic, so that results do not depend on it."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_ignore_interrupt)
+    """Worker processes of this machine. Raises UsageError if one of them died."""
     try:
-        yield TaskExecutor(pool, 2 * workers)
+        with pool.local_executor(workers) as executor:
+            yield executor
     except BrokenExecutor as error:
         raise UsageError("a worker process died, perhaps for want of memory; run again with fewer --workers") from error
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _ignore_interrupt() -> None:
-    """Ctrl-C goes to the whole group of processes; the first of them decides."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def dask_executor(address: str) -> Iterator[TaskExecutor]:
-    """The workers of a Dask scheduler. They need the same version of this package, with numba.
-
-    Raises UsageError without Dask, LinkError if the scheduler cannot be reached.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise UsageError("--scheduler needs Dask: install mavdiag[fleet]") from error
-    try:
-        client = Client(address, timeout=10)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise LinkError(f"no Dask scheduler at {address} ({error}); start one with `dask scheduler`") from error
-    with client:
-        threads = sum(client.nthreads().values())
-        if not threads:
-            raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-        yield TaskExecutor(client.get_executor(pure=False), 2 * threads)
 
 
 def run_campaign(

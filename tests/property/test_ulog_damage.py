@@ -1,14 +1,18 @@
 """Whatever happens to a ULog, the reader returns what is left or raises InputError, and comes back."""
 
+import io
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_logs import ULOG_HEAD, ULogTopic, ulog, ulog_message
+from pyulog import ULog
+from shared_data import shared
 
 from mavdiag.errors import InputError
-from mavdiag.logs.ulog import read_ulog
+from mavdiag.logs.ulog import TOPICS, _content, read_ulog
 
 STAMP = ("uint64_t", "timestamp")
 SENSORS = ULogTopic(1, "sensor_combined", (STAMP, ("float[3]", "gyro_rad"), ("float[3]", "accelerometer_m_s2")))
@@ -34,6 +38,7 @@ FLAGS = ulog_message("B", bytes(40))
 INFO = ulog_message("I", b"\x10char[3] sys_namePX4")
 LOG = ulog([SENSORS, SETPOINT, STATUS, GPS], [*(cycle(k) for k in range(6)), SYNC, *(cycle(k) for k in range(6, 10))])
 LOG = LOG[:16] + FLAGS + INFO + LOG[16:]
+FIRST_RECORD = LOG.index(cycle(0))
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +53,43 @@ def try_to_read(path: Path, content: bytes) -> bool:
     except InputError:
         return False
     return True
+
+
+def same_as_pyulog(content: bytes) -> None:
+    """Every field of every topic of interest, its first instance, is what pyulog alone makes of it."""
+    found, parameters, notes = _content(content)
+    with redirect_stdout(io.StringIO()):
+        plain = ULog(io.BytesIO(content), list(TOPICS))
+    expected: dict[str, ULog.Data] = {}
+    for item in plain.data_list:
+        expected.setdefault(item.name, item)
+    assert list(found) == list(expected)
+    for name, item in found.items():
+        assert item.multi_id == expected[name].multi_id
+        assert list(item.data) == list(expected[name].data)
+        for field, column in item.data.items():
+            assert column.dtype == expected[name].data[field].dtype
+            assert column.tobytes() == expected[name].data[field].tobytes()
+    assert set(parameters) == set(plain.initial_parameters) | {name for _, name, _ in plain.changed_parameters}
+    assert any("damaged" in note for note in notes) == plain.file_corruption
+
+
+def test_a_recording_is_field_by_field_what_pyulog_reads() -> None:
+    same_as_pyulog(shared("data/px4_real/pyulog_sample.ulg").read_bytes())
+
+
+@given(garbage=st.binary(max_size=64), place=st.integers(FIRST_RECORD, len(LOG)), kept=st.integers(0, len(LOG)))
+def test_a_damaged_file_is_field_by_field_what_pyulog_reads(garbage: bytes, place: int, kept: int) -> None:
+    same_as_pyulog((LOG[:place] + garbage + LOG[place:])[: FIRST_RECORD + kept])
+
+
+@given(kept=st.integers(FIRST_RECORD + 1, len(LOG)))
+def test_only_a_file_that_ends_within_a_message_says_so(kept: int) -> None:
+    ends = {FIRST_RECORD}
+    while max(ends) < len(LOG):
+        ends.add(max(ends) + 3 + int.from_bytes(LOG[max(ends) : max(ends) + 2], "little"))
+    notes = _content(LOG[:kept])[2]
+    assert any("ends within a message" in note for note in notes) == (kept not in ends)
 
 
 def test_the_whole_log_reads(path: Path) -> None:

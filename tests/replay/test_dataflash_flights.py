@@ -1,7 +1,7 @@
 """The DataFlash reader on recorded flights, against pymavlink's own reader as the oracle."""
 
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +11,8 @@ import pytest
 from shared_data import shared
 
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.dataflash_format import read_tables
+from mavdiag.logs.dataflash_format import Table
+from mavdiag.logs.dataflash_walk import Walk
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 REAL = "data/ardupilot_real/log171.bin"  # Copter 3.3-dev, 2015
@@ -37,11 +38,17 @@ def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArra
     return {name: {k: np.array([row[k] for row in all_rows]) for k in all_rows[0]} for name, all_rows in rows.items()}
 
 
+def tables(path: Path, wanted: Collection[str]) -> Mapping[str, Table]:
+    walk = Walk(wanted)
+    walk.feed(path.read_bytes())
+    return walk.finish()[0]
+
+
 @pytest.mark.parametrize(("file", "name"), [(file, name) for file, names in CHECKED.items() for name in names])
 def test_counts_and_values_are_those_of_pymavlink(file: str, name: str) -> None:
     path = shared(file)
     expected = oracle(path, CHECKED[file])[name]
-    table = read_tables(path.read_bytes(), CHECKED[file])[0][name]
+    table = tables(path, CHECKED[file])[name]
     assert len(table.records) == len(next(iter(expected.values())))
     for label, values in expected.items():
         np.testing.assert_allclose(table.column(label), values, rtol=1e-12, atol=1e-12, err_msg=label)
@@ -61,7 +68,7 @@ def test_the_upset_of_the_real_flight_is_where_it_was() -> None:
 
 def test_the_old_rate_message_agrees_with_the_gyro() -> None:
     path = shared(REAL)
-    table = read_tables(path.read_bytes(), ["RATE"])[0]["RATE"]
+    table = tables(path, ["RATE"])["RATE"]
     telemetry, t_ns = real(), table.t_ns()
     assert t_ns is not None
     loiter = (t_ns > 80e9) & (t_ns < 215e9)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from made_telemetry import flight
 
-from mavdiag.commands.inspection import summary
 from mavdiag.commands.options import between
 from mavdiag.errors import InputError, UsageError
+from mavdiag.look.inspection import summary
 from mavdiag.telemetry import Series, Signal
 from mavdiag.units import NS_PER_S
 

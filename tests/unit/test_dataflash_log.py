@@ -10,6 +10,7 @@ from made_logs import DataFlashMessage, dataflash
 from mavdiag.errors import InputError
 from mavdiag.logs import read_log
 from mavdiag.logs.dataflash import read_dataflash
+from mavdiag.logs.log import windows_of
 from mavdiag.telemetry import Log, Signal
 
 IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
@@ -149,6 +150,12 @@ def test_an_unusable_file_is_one_line_that_names_it(tmp_path: Path, content: byt
     with pytest.raises(InputError, match=r"00000007\.BIN") as caught:
         read(tmp_path, content)
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_is_read_piece_by_piece(tmp_path: Path) -> None:
+    path = tmp_path / "00000007.BIN"
+    path.write_bytes(b"abcdefg")
+    assert list(windows_of(path, 3)) == [b"abc", b"def", b"g"]
 
 
 def test_it_is_recognised_by_content(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying
 from identification_data import WELL, record
+from made_archive import archive_baseline, made
 from made_baselines import FRAME, healthy, whole
+from made_logs import ULOG_HEAD
 from made_telemetry import cut, flight
 
 import mavdiag as md
@@ -65,7 +67,7 @@ def test_sources_may_be_logs_files_folders_and_patterns(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(face, "read_log", made)
     for name in ("b.tlog", "a.tlog", "c.bin"):
-        (tmp_path / name).touch()
+        (tmp_path / name).write_bytes(ULOG_HEAD)
     (tmp_path / "folder.tlog").mkdir()
 
     def names(source: face.Source) -> list[str]:
@@ -79,6 +81,17 @@ def test_sources_may_be_logs_files_folders_and_patterns(tmp_path: Path, monkeypa
     assert names("*.bin") == ["c.bin"]
     with pytest.raises(InputError, match="no log there"):
         names("*.ulg")
+
+
+def test_all_logs_of_a_folder_are_judged_and_one_that_is_damaged_is_told(tmp_path: Path) -> None:
+    paths = made(tmp_path, "a.tlog", "b.tlog", shaken=("b.tlog",))
+    (tmp_path / "c.tlog").write_bytes(ULOG_HEAD)
+    archive_baseline().save(tmp_path / "b.json")
+    verdicts = list(md.scan(tmp_path, tmp_path / "b.json"))
+    assert [str(one.verdict) for one in verdicts] == ["healthy", "fault", "error"]
+    assert [one.log for one in verdicts[:2]] == [str(path) for path in paths]
+    assert str(verdicts[1]) == str(md.judge(paths[1], archive_baseline()))
+    assert next(md.scan([paths[1]], archive_baseline())) == verdicts[1]
 
 
 def test_an_airframe_may_be_a_value_a_name_or_a_file_and_gets_a_label() -> None:

@@ -17,13 +17,13 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import parse
 from mavdiag.commands import inspect
-from mavdiag.commands.inspection import MonitorState, Units
-from mavdiag.demo.ground_station import GroundStation
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Severity
+from mavdiag.look.inspection import MonitorState, Units
 from mavdiag.printable import printable
 from mavdiag.telemetry import Log, Telemetry
+from mavdiag.terminal.ground_station import GroundStation
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\nforged line\x9b2J\u202eleft\u2028end\x00"
 

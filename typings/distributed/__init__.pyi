@@ -1,6 +1,8 @@
-# What the campaign uses of Dask's distributed.
+# What campaigns and archives use of Dask's distributed.
 from concurrent.futures import Executor
 from types import TracebackType
+
+class KilledWorker(Exception): ...
 
 class Client:
     def __init__(self, address: str, timeout: float) -> None: ...

@@ -1,0 +1,61 @@
+"""Answers that were found before (edge): one small file for each content, baseline and set of options."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavdiag.archive.job import Record, record_from, record_text
+from mavdiag.errors import InputError, UsageError
+from mavdiag.storage import read_text, write_atomically
+
+__all__ = ["Cache", "cache_folder", "open_cache"]
+
+RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """The answers to one question. folder: of their files, named by the digest of the log."""
+
+    folder: Path
+
+    def get(self, digest: str) -> Record | None:
+        """The answer for a content; None if there is none, or its file is damaged."""
+        try:
+            record = record_from(read_text(self._file(digest), RECORD_BYTES))
+        except InputError:
+            return None
+        return record if record.digest == digest else None
+
+    def put(self, record: Record) -> None:
+        """Keep an answer at once. Raises UsageError if it cannot be written."""
+        write_atomically(self._file(record.digest), record_text(record), durable=False)
+
+    def _file(self, digest: str) -> Path:
+        return self.folder / f"{digest}.json"
+
+
+def cache_folder() -> Path | None:
+    """Where answers are kept unless told otherwise (XDG Base Directory Specification); None without a home."""
+    told = os.environ.get("XDG_CACHE_HOME", "")
+    if Path(told).is_absolute():  # others are to be ignored, says the specification
+        return Path(told) / "mavdiag"
+    try:
+        return Path.home() / ".cache" / "mavdiag"
+    except RuntimeError:
+        return None
+
+
+def open_cache(folder: Path, scope: str) -> Cache:
+    """The answers of a scope below a folder, which is made. Raises UsageError if it cannot be used."""
+    mine = folder / "scan" / scope
+    try:
+        mine.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"{folder}: no folder to keep answers in ({error.strerror or error}); name another with --cache, "
+            "or use --no-cache"
+        ) from error
+    if not os.access(mine, os.W_OK | os.X_OK):
+        raise UsageError(f"{folder}: cannot be written (no permission); name another with --cache, or use --no-cache")
+    return Cache(mine)

@@ -1,0 +1,90 @@
+"""Worker processes of this machine, or none (edge)."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
+
+from mavdiag.errors import InputError
+
+__all__ = ["TaskExecutor", "in_this_process", "local_executor"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True)
+class TaskExecutor:
+    """Where the tasks run.
+
+    pool: processes, threads or a cluster.
+    in_flight: how many tasks to submit at a time, so that no worker waits.
+    killed: errors that say that a task's workers died, one after the other.
+    """
+
+    pool: Executor
+    in_flight: int
+    killed: tuple[type[Exception], ...] = ()
+
+
+@contextmanager
+def local_executor(workers: int) -> Iterator[TaskExecutor]:
+    """Worker processes of this machine, each with one thread of arithmetic, so that results do not depend on it.
+
+    They end at once if the block is left by an exception or if this process dies, and take no Ctrl-C themselves.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    others = set(multiprocessing.active_children())
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_settle)
+    whole = False
+    try:
+        yield TaskExecutor(pool, 2 * workers)
+        whole = True
+    finally:
+        if not whole:
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+        pool.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _settle() -> None:
+    """Ctrl-C goes to the whole group of processes, and the first of them decides; no worker outlives it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+class _Here(Executor):
+    """Runs a task as it is submitted; what is no InputError is raised there and then."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except InputError as error:
+            future.set_exception(error)
+        return future
+
+
+@contextmanager
+def in_this_process() -> Iterator[TaskExecutor]:
+    """No worker: each task is done when it is submitted."""
+    yield TaskExecutor(_Here(), 1)

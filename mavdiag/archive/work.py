@@ -1,0 +1,55 @@
+"""What a worker process does with a log (edge: it reads files)."""
+
+import hashlib
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from mavdiag.archive.job import Question, Record
+from mavdiag.archive.sources import judging_version
+from mavdiag.archive.windows import windows_of
+from mavdiag.baseline import parse
+from mavdiag.errors import InputError, LinkError
+from mavdiag.judging import judge, judge_in_full
+from mavdiag.logs.csv_columns import parse_column_map
+from mavdiag.logs.log import LOG_BYTES
+from mavdiag.logs.part import read_part
+from mavdiag.storage import open_regular
+
+__all__ = ["answer_of", "digest_of_file", "judge_file"]
+
+CHUNK_BYTES = 1 << 20
+_parsed = lru_cache(maxsize=2)(parse)  # a worker gets the same baseline with every task
+
+
+def digest_of_file(path: str) -> str:
+    """SHA-256 of a file's content, hexadecimal. Raises InputError if it cannot be read."""
+    try:
+        with open_regular(Path(path), LOG_BYTES) as file:
+            digest = hashlib.sha256()
+            while part := file.read(CHUNK_BYTES):
+                digest.update(part)
+            return digest.hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+
+
+def judge_file(path: str, question: Question) -> Record:
+    """Read a log and judge it.
+
+    Raises InputError if it cannot be read, and LinkError if this process has other code than the one that asks.
+    """
+    if judging_version() != question.version:
+        raise LinkError("a worker has another version of mavdiag; install the same one everywhere")
+    options, baseline = question.options, _parsed(question.baseline)
+    columns = None if options.columns is None else parse_column_map(options.columns)
+    log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
+    if options.windows_s is None:
+        return Record(log.sha256, replace(judge(log, baseline), log=""))
+    flight = judge_in_full(log, baseline)
+    return Record(log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s))
+
+
+def answer_of(path: str, question: Question | None) -> str | Record:
+    """One task: the digest of a file, or the answer to a question about it. Raises as the two above."""
+    return digest_of_file(path) if question is None else judge_file(path, question)

@@ -1,0 +1,59 @@
+"""The part of a log between two times."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+
+from mavdiag.errors import InputError, UsageError
+from mavdiag.logs import ColumnMap, Log, read_log
+from mavdiag.telemetry import Series, Telemetry
+from mavdiag.units import NS_PER_S
+
+__all__ = ["between", "check_times", "read_part"]
+
+
+def read_part(
+    path: Path, vehicle: int | None, from_s: float | None, to_s: float | None, columns: ColumnMap | None = None
+) -> Log:
+    """A log, or the part of it between two times [s], under the path as given. Raises InputError or UsageError.
+
+    columns: the file is a CSV recording with these columns; None for any other log.
+    """
+    log = read_log(path, vehicle, columns=columns)
+    try:
+        return dataclasses.replace(log, name=str(path), telemetry=between(log.telemetry, from_s, to_s))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def between(telemetry: Telemetry, from_s: float | None, to_s: float | None) -> Telemetry:
+    """The part of a log between two times of the vehicle's clock [s].
+
+    Raises UsageError if a time is not a number, and InputError if the part is empty.
+    """
+    check_times(from_s, to_s)
+    if from_s is None and to_s is None:
+        return telemetry
+    low = -math.inf if from_s is None else from_s * NS_PER_S
+    high = math.inf if to_s is None else to_s * NS_PER_S
+    kept = tuple(_cut(series, low, high) for series in telemetry.series)
+    if not any(len(series) for series in kept):
+        times = np.concatenate([np.empty(0), *(series.t_ns / NS_PER_S for series in telemetry.series)])
+        span = f"it goes from {times.min():.1f} to {times.max():.1f} s" if len(times) else "it is empty"
+        wanted = " ".join(f"{word} {t:g} s" for word, t in (("from", from_s), ("to", to_s)) if t is not None)
+        raise InputError(f"no data {wanted} of the vehicle's clock; {span}")
+    return Telemetry(kept)
+
+
+def check_times(from_s: float | None, to_s: float | None) -> None:
+    """Raise UsageError if a time is not a number [s]."""
+    for name, value in (("--from", from_s), ("--to", to_s)):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{name} {value}: give a time in seconds of the vehicle's clock")
+
+
+def _cut(series: Series, low_ns: float, high_ns: float) -> Series:
+    keep = (series.t_ns >= low_ns) & (series.t_ns < high_ns)
+    return Series(series.signal, series.t_ns[keep], series.host_ns[keep], series.values[keep])

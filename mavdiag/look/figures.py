@@ -1,0 +1,225 @@
+"""What the rows of one flight show without a baseline, as values. Nothing here is a verdict: there is nothing to
+compare with but the limits that autopilots publish."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal as scipy_signal
+
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.traits import joined
+from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
+from mavdiag.rows.block import Block
+from mavdiag.rows.front import Rows
+from mavdiag.rows.windows import spans
+from mavdiag.telemetry import FloatArray, Series, Signal, Three
+
+__all__ = [
+    "VIBRATION_HIGH",
+    "VIBRATION_USUAL",
+    "OutputLoad",
+    "RotorLine",
+    "Trim",
+    "Vibration",
+    "output_loads",
+    "rotor_line",
+    "told_hz",
+    "trim",
+    "vibration",
+]
+
+# ArduPilot's own advice on the message VIBRATION (wiki, "Measuring Vibration"): up to 30 m/s^2 is normally acceptable,
+# above 30 there may be problems, above 60 there nearly always are.
+VIBRATION_USUAL, VIBRATION_HIGH = 30.0, 60.0
+FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
+LEAST_S = 2.0  # of unbroken flight that a spectrum needs (our choice)
+SPECTRUM_S = 1.0  # of one of its windows, so 1 Hz wide lines (our choice)
+LINE_FROM_HZ = 25.0  # slower rotors fly nothing that this tool is for (our choice)
+LINE_TO = 0.45  # of the sample rate
+AROUND = 0.2  # of the frequency: the neighbourhood that a line is compared with (our choice)
+LINE_DB = 10.0  # above its neighbourhood (our choice)
+HARMONICS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLoad:
+    """One motor's output in flight.
+
+    number: of the rotor where the layout is known, else of the output, from 1.
+    mean: 0..1. over_mean: its mean over that of all, less 1.
+    full_share, idle_share: of the flight, at its upper or lower end.
+    """
+
+    number: int
+    mean: float
+    over_mean: float
+    full_share: float
+    idle_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`)."""
+
+    roll: float
+    pitch: float
+    yaw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration:
+    """Level of the autopilot's own message, x, y, z [m/s^2].
+
+    median, high: of each axis; high is the 95th percentile. above_usual, above_high: share of the time in which an axis
+    is above 30 or 60 m/s^2.
+    """
+
+    median: Three
+    high: Three
+    above_usual: float
+    above_high: float
+
+
+@dataclass(frozen=True, slots=True)
+class RotorLine:
+    """The strongest line in the spectrum of the accelerometer's x and y, or why none can be seen.
+
+    hz, db: where it is, and how far above its neighbourhood; NaN if there is none.
+    harmonics: which of 2 and 3 times its frequency stand out as well.
+    told_hz: rotors' mean speed by the vehicle's own telemetry, in turns a second; NaN if it tells none.
+    from_hz, to_hz: where it was looked for.
+    reason: why none can be seen; empty if one was found.
+    """
+
+    hz: float
+    db: float
+    harmonics: tuple[int, ...]
+    told_hz: float
+    from_hz: float
+    to_hz: float
+    reason: str = ""
+
+
+def told_hz(speeds: Series | None) -> float:
+    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not."""
+    turning = np.empty(0) if speeds is None else speeds.values[np.nan_to_num(speeds.values) > 0]
+    return float(turning.mean() / math.tau) if len(turning) else math.nan
+
+
+def output_loads(flight: Sequence[Rows], rotors: int) -> tuple[OutputLoad, ...]:
+    """The load of each motor's output in flight; none where there are no outputs. rotors: how many there are."""
+    known = [_outputs(block, rotors) for block in joined(flight)]
+    outputs = np.concatenate([one for one in known if one.size] or [np.empty((0, rotors))])
+    if not len(outputs) or not rotors:
+        return ()
+    means = outputs.mean(axis=0)
+    level = float(means.mean())
+    return tuple(
+        OutputLoad(
+            number,
+            float(mean),
+            float(mean / level - 1),
+            float((outputs[:, number - 1] >= FULL).mean()),
+            float((outputs[:, number - 1] <= IDLE).mean()),
+        )
+        for number, mean in enumerate(means, 1)
+    )
+
+
+def trim(flight: Sequence[Rows], layout: RotorLayout) -> Trim | None:
+    """The mean trim of a flight; None where neither outputs nor torque commands show it."""
+    found = [shown_trim(block, layout) for block in joined(flight)]
+    values = np.concatenate([np.empty((0, 3)), *(value[known] for value, known in found)])
+    return Trim(*values.mean(axis=0).tolist()) if len(values) else None
+
+
+def vibration(flight: Sequence[Rows]) -> Vibration | None:
+    """The autopilot's own vibration level in flight; None if it does not send it."""
+    blocks = joined(flight)
+    levels = [block.vibration[block.valid & block.known(Signal.VIBRATION)] for block in blocks]
+    level = np.concatenate([np.empty((0, 3)), *levels])
+    if not len(level):
+        return None
+    median, high = np.median(level, axis=0).tolist(), np.percentile(level, 95, axis=0).tolist()
+    worst = level.max(axis=1)
+    above_usual, above_high = (float((worst > limit).mean()) for limit in (VIBRATION_USUAL, VIBRATION_HIGH))
+    return Vibration((median[0], median[1], median[2]), (high[0], high[1], high[2]), above_usual, above_high)
+
+
+def rotor_line(flight: Sequence[Rows], corner_hz: float | None, told_hz: float) -> RotorLine:
+    """The line of the rotors.
+
+    corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
+    """
+    blocks = joined(flight)
+    if not blocks:
+        return RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, LINE_FROM_HZ, "there is no flight in it")
+    rate_hz = 1 / blocks[0].dt_s
+    to_hz = LINE_TO * rate_hz if corner_hz is None else min(LINE_TO * rate_hz, corner_hz)
+    none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
+    if to_hz <= 1.5 * LINE_FROM_HZ:
+        why = (
+            f"the accelerometer comes at {rate_hz:.0f} Hz"
+            if corner_hz is None or corner_hz > to_hz
+            else (f"the IMU stream is low-passed at {corner_hz:g} Hz")
+        )
+        return _because(none, f"{why}, which shows no rotor's line")
+    power, hz = _spectrum(blocks, rate_hz)
+    if not len(power):
+        return _because(none, f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
+    excess = _above_neighbours(power, hz)
+    inside = (hz >= LINE_FROM_HZ) & (hz <= to_hz)
+    best = int(np.argmax(np.where(inside, excess, -np.inf)))
+    if excess[best] < LINE_DB:
+        return _because(none, f"no line stands {LINE_DB:g} dB above its neighbourhood")
+    heard = [n for n in range(2, HARMONICS + 1) if _stands_out(excess, hz, n * float(hz[best]), to_hz)]
+    return RotorLine(float(hz[best]), float(excess[best]), tuple(heard), told_hz, LINE_FROM_HZ, to_hz)
+
+
+def _because(none: RotorLine, reason: str) -> RotorLine:
+    return RotorLine(none.hz, none.db, none.harmonics, none.told_hz, none.from_hz, none.to_hz, reason)
+
+
+def _outputs(block: Block, rotors: int) -> FloatArray:
+    """Outputs of the valid rows in which all motors turn, (n, rotors)."""
+    if block.actuator.shape[1] < rotors or not rotors:
+        return np.empty((0, rotors))
+    outputs = block.actuator[:, :rotors]
+    known = block.valid & block.known(Signal.ACTUATOR, slice(0, rotors))
+    turning: FloatArray = outputs[known & (outputs.mean(axis=1) > MIN_OUTPUT)]
+    return turning
+
+
+def _spectrum(blocks: Sequence[Block], rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Power of x and y together over the frequency (Welch), over all unbroken stretches; empty if there is none."""
+    width = round(SPECTRUM_S * rate_hz)
+    total, weight, hz = np.zeros(width // 2 + 1), 0, np.empty(0)
+    for block in blocks:
+        there = block.valid & np.isfinite(block.force[:, :2]).all(axis=1)
+        for first, stop in spans(there):
+            if stop - first < LEAST_S * rate_hz:
+                continue
+            hz, power = scipy_signal.welch(block.force[first:stop, :2], rate_hz, nperseg=width, axis=0)
+            total += power.sum(axis=1) * (stop - first)
+            weight += stop - first
+    return (total / weight, hz) if weight else (np.empty(0), np.empty(0))
+
+
+def _above_neighbours(power: FloatArray, hz: FloatArray) -> FloatArray:
+    """How far each frequency stands above the median of its neighbourhood [dB]."""
+    floor = np.empty(len(power))
+    for number, at in enumerate(hz):
+        reach = max(AROUND * at, 5 * hz[1])
+        first, stop = np.searchsorted(hz, (at - reach, at + reach))
+        floor[number] = np.median(power[first:stop])
+    tiny = np.finfo(np.float64).tiny
+    excess: FloatArray = 10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny))
+    return excess
+
+
+def _stands_out(excess: FloatArray, hz: FloatArray, at: float, to_hz: float) -> bool:
+    """Whether there is a line within 2 % of a frequency."""
+    near = (np.abs(hz - at) <= 0.02 * at) & (hz <= to_hz)
+    return bool(near.any() and excess[near].max() >= LINE_DB)

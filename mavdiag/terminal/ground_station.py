@@ -1,0 +1,102 @@
+"""A small ground station (edge): it receives one link and keeps what a pilot would see."""
+
+import time
+from dataclasses import dataclass, field
+
+from mavdiag.decision.diagnosis import Change
+from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.ports import Endpoint, wait
+from mavdiag.link.signing import Signing
+from mavdiag.printable import printable
+from mavdiag.terminal.live_judge import LiveJudge
+
+__all__ = ["GroundStation", "ReceivedText"]
+
+GCS_SYSID = 255
+BEAT_S = 1.0  # between our heartbeats
+MAV_STATE_ACTIVE, MAVLINK_VERSION = 4, 3  # in HEARTBEAT
+WANTED = (MessageId.STATUSTEXT, MessageId.NAMED_VALUE_FLOAT, MessageId.ATTITUDE)
+TEXTS = 10_000  # that are kept (our choice)
+
+_BOOT_MS = field_index(MessageId.ATTITUDE, "time_boot_ms")
+_NAME = field_index(MessageId.NAMED_VALUE_FLOAT, "name")
+_VALUE = field_index(MessageId.NAMED_VALUE_FLOAT, "value")
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedText:
+    """A STATUSTEXT of the detector and the vehicle's time [s] when it came."""
+
+    severity: int
+    text: str
+    t_s: float
+
+
+@dataclass(slots=True)
+class GroundStation:
+    """What has been received so far.
+
+    judge: judges the vehicle here, too; None for nobody.
+    speak: send heartbeats, so that autopilots pass on texts to this link.
+    vehicle: the system id that is listened to; None for all.
+    signing: lets only genuine frames pass; None passes all.
+    t_s: the vehicle's time [s].
+    texts: of the detector, in order; the last ten thousand.
+    figures: the detector's latest NAMED_VALUE_FLOATs by name.
+    """
+
+    endpoint: Endpoint
+    judge: LiveJudge | None = None
+    speak: bool = True
+    vehicle: int | None = None
+    signing: Signing | None = None
+    t_s: float = 0.0
+    texts: list[ReceivedText] = field(default_factory=list)
+    figures: dict[str, float] = field(default_factory=dict)
+    _decoder: Decoder = field(init=False)
+    _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
+    _beat_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._decoder = Decoder(WANTED, signing=self.signing)
+
+    def listen(self, timeout_s: float) -> list[ReceivedText | Change]:
+        """Take in what comes within `timeout_s`, or sooner; return the new texts, and changes of the judge's decision.
+
+        Raises as `LiveJudge.take`.
+        """
+        fresh: list[ReceivedText | Change] = []
+        if self.speak and time.monotonic() >= self._beat_s:
+            self._beat_s = time.monotonic() + BEAT_S
+            beat = (MavType.GCS, Autopilot.INVALID, 0, 0, MAV_STATE_ACTIVE, MAVLINK_VERSION)
+            self.endpoint.send(self._encoder.encode(MessageId.HEARTBEAT, *beat))
+        wait([self.endpoint], timeout_s)
+        chunks = self.endpoint.receive(0.0)
+        decode = self._decoder.feed_datagram if self.endpoint.datagrams else self._decoder.feed
+        for data, host_ns in chunks:
+            for frame in decode(data, host_ns):
+                self._take(frame, fresh)
+        if self.judge is not None:
+            fresh += self.judge.take(chunks, time.monotonic_ns(), self.endpoint.sources)
+        return fresh
+
+    @property
+    def heard(self) -> bool:
+        """Whether any sound frame has come."""
+        return bool(self._decoder.senders)
+
+    def _take(self, frame: Frame, fresh: list[ReceivedText | Change]) -> None:
+        if self.vehicle not in (None, frame.sysid):
+            return
+        if frame.msgid == MessageId.ATTITUDE:
+            self.t_s = float(str(frame.fields[_BOOT_MS])) / 1e3
+        elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.STATUSTEXT:
+            text = decode_statustext(frame)
+            fresh.append(received := ReceivedText(text.severity, printable(text.text), self.t_s))
+            self.texts.append(received)
+            del self.texts[:-TEXTS]
+        elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.NAMED_VALUE_FLOAT:
+            name, value = frame.fields[_NAME], frame.fields[_VALUE]
+            if isinstance(name, bytes) and isinstance(value, float):
+                self.figures[name.rstrip(b"\0").decode(errors="replace")] = value

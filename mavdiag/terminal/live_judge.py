@@ -1,0 +1,115 @@
+"""A vehicle on a link judged as it comes, with the last seconds kept for a display."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from mavdiag.baseline import Baseline, check_link
+from mavdiag.chain import Chain, ChainState, Gauge, Piece, chain_of
+from mavdiag.decision.alarm import Change
+from mavdiag.decision.diagnosis import Diagnosis
+from mavdiag.errors import BaselineError, InputError
+from mavdiag.judging import why_not
+from mavdiag.link.sequence import LinkCount, Source
+from mavdiag.link.signing import Signing
+from mavdiag.link.vehicles import LinkDecoder
+from mavdiag.telemetry import Axis
+from mavdiag.units import NS_PER_S
+
+__all__ = ["LiveJudge"]
+
+
+@dataclass(slots=True)
+class LiveJudge:
+    """The chain of a baseline at work on one vehicle of a link.
+
+    baseline: what is judged by.
+    span_s: how much of the flight `pieces` holds [s].
+    vehicle: its system id; None takes the only one there is.
+    datagrams: whether the link's chunks are datagrams.
+    began_ns: wall-clock time of the flight, unix epoch [ns].
+    signing: lets only genuine frames pass; None passes all.
+    pieces: what the chain made of the last seconds.
+    """
+
+    baseline: Baseline
+    span_s: float
+    vehicle: int | None = None
+    datagrams: bool = True
+    began_ns: int = 0
+    signing: Signing | None = None
+    pieces: tuple[Piece, ...] = ()
+    chain: Chain = field(init=False)
+    _state: ChainState = field(init=False)
+    _decoder: LinkDecoder = field(init=False)
+    _gauges: dict[tuple[str, Axis | None], Gauge] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.chain = chain_of(self.baseline, self.began_ns)
+        self._state = self.chain.start()
+        self._decoder = LinkDecoder(None, self.vehicle, self.datagrams, signing=self.signing)
+
+    def take(
+        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+    ) -> tuple[Change, ...]:
+        """Take bytes of the link, each with its time of arrival [ns]; return the changes of the decision.
+
+        Raises InputError if there are several vehicles and none was named, BaselineError if the vehicle's link is not
+        the baseline's.
+        """
+        received = self._decoder.feed(chunks, now_ns, sources)
+        known = sorted(self._decoder.vehicles)
+        if self.vehicle is None and known:
+            if len(known) > 1:
+                raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
+            (self.vehicle,) = known
+            profile = self._decoder.vehicles[self.vehicle].profile.name
+            try:
+                check_link(self.baseline, profile=profile, dt_s=self.baseline.link.dt_s)
+            except BaselineError as error:
+                raise BaselineError(f"the vehicle's link is not the baseline's: {error}") from error
+        found = None if self.vehicle is None else received.get(self.vehicle)
+        if found is None or not found.telemetry.series:
+            return ()
+        self._state, output = self.chain.step(self._state, found.telemetry)
+        self._gauges.update({(one.monitor, one.axis): one for one in output.gauges})
+        self.pieces = _latest((*self.pieces, *output.pieces), self.span_s)
+        return output.changes
+
+    @property
+    def now_s(self) -> float | None:
+        """The vehicle's time of the latest row [s]; None before there is one."""
+        return None if self._state.now_ns is None else self._state.now_ns / NS_PER_S
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What is held of the vehicle now."""
+        return self._state.diagnosis
+
+    @property
+    def waiting(self) -> str:
+        """Why the vehicle is not judged yet; empty if its rows come."""
+        return next(iter(self._decoder.waiting.values()), "") if self.now_s is None else ""
+
+    @property
+    def count(self) -> LinkCount | None:
+        """What came from the vehicle's autopilot so far, and what was lost."""
+        return None if self.vehicle is None else self._decoder.count(self.vehicle)
+
+    @property
+    def gauges(self) -> tuple[tuple[str, Axis | None, Gauge | None, str], ...]:
+        """Of each slot: monitor, axis, its latest value, and why it does not judge (empty if it does)."""
+        found = []
+        for slot, account in zip(self.chain.slots, self._state.accounts, strict=True):
+            gauge = self._gauges.get(slot.key)
+            judges = gauge is not None and gauge.valid
+            found.append((*slot.key, gauge, "" if judges else why_not(self.chain, account) or "warming up"))
+        return tuple(found)
+
+
+def _latest(pieces: Sequence[Piece], span_s: float) -> tuple[Piece, ...]:
+    """The pieces that reach into the last seconds."""
+    filled = [piece for piece in pieces if len(piece.rows.block)]
+    if not filled:
+        return ()
+    since_ns = int(filled[-1].rows.block.t_ns[-1]) - span_s * NS_PER_S
+    return tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)

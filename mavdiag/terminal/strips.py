@@ -1,0 +1,117 @@
+"""Curves as text: each character holds 2 by 4 dots of the Braille block (Unicode 2800), so that a line moves smoothly.
+
+A column of dots stands for a span of time and shows all values in it, from the lowest to the highest: a spike of one
+sample is not lost.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.text import Text
+
+from mavdiag.telemetry import FloatArray
+
+__all__ = ["Curve", "Frame", "strip"]
+
+Grid: TypeAlias = NDArray[Any]
+
+BRAILLE = 0x2800
+ACROSS, DOWN = 2, 4  # dots of one character
+DOTS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])  # bit of each dot, by column and row
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One line. t_s, values: (n,), in order of time; NaN breaks it. style: of rich. dotted: every other column."""
+
+    t_s: FloatArray
+    values: FloatArray
+    style: str
+    dotted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What a strip shows: the times from, to [s], the values from low to high, and its size in characters."""
+
+    from_s: float
+    to_s: float
+    low: float
+    high: float
+    width: int
+    height: int
+
+
+def strip(curves: Sequence[Curve], frame: Frame) -> list[Text]:
+    """The lines of a strip, from the highest values to the lowest. Of several curves in a character the last has its
+    colour; values beyond the frame stand at its edge.
+
+    >>> flat = Curve(np.array([0.0, 1.0]), np.array([0.0, 0.0]), "")
+    >>> [line.plain for line in strip([flat], Frame(0.0, 2.0, -1.0, 1.0, 2, 1))]
+    ['⠤⠄']
+    """
+    bits = np.zeros((frame.height, frame.width), dtype=np.int64)
+    styles = np.full((frame.height, frame.width), -1)
+    for number, curve in enumerate(curves):
+        own = _characters(_dots(curve, frame))
+        bits |= own
+        styles[own > 0] = number
+    return [_line(row, style, curves) for row, style in zip(bits, styles, strict=True)]
+
+
+def _dots(curve: Curve, frame: Frame) -> Grid:
+    """Which dots a curve sets, (height * 4, width * 2), from the top."""
+    columns, rows = frame.width * ACROSS, frame.height * DOWN
+    dots = np.zeros((rows, columns), dtype=np.bool_)
+    at = np.floor((curve.t_s - frame.from_s) / (frame.to_s - frame.from_s) * columns)
+    inside, known = (at >= 0) & (at < columns), np.isfinite(curve.values)
+    keep = inside & known
+    if not keep.any():
+        return dots
+    share = (frame.high - curve.values[keep]) / (frame.high - frame.low)
+    row = np.clip(np.round(share * (rows - 1)), 0, rows - 1).astype(np.int64)
+    column = at[keep].astype(np.int64)
+    top, bottom = np.full(columns, rows), np.full(columns, -1)
+    np.minimum.at(top, column, row)
+    np.maximum.at(bottom, column, row)
+    _connect(top, bottom, np.unique(at[inside & ~known]))
+    if curve.dotted:
+        top[1::2], bottom[1::2] = rows, -1
+    every = np.arange(rows)[:, None]
+    shown: Grid = (every >= top) & (every <= bottom)
+    return shown
+
+
+def _connect(top: Grid, bottom: Grid, breaks: Grid) -> None:
+    """Fill the columns that no sample fell into, unless one of `breaks` is among them, and let neighbours meet."""
+    some = np.flatnonzero(bottom >= 0)
+    for before, after in itertools.pairwise(some):
+        if after - before > 1 and not ((breaks > before) & (breaks < after)).any():
+            between = np.arange(before + 1, after)
+            line = np.interp(between, (before, after), (bottom[before], top[after]))
+            top[between] = bottom[between] = np.round(line)
+    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
+        if after == before + 1 and top[after] > bottom[before] + 1:
+            top[after] = bottom[before] + 1
+        elif after == before + 1 and bottom[after] < top[before] - 1:
+            bottom[after] = top[before] - 1
+
+
+def _characters(dots: Grid) -> Grid:
+    """The bits of each character, (height, width)."""
+    bits = np.zeros((dots.shape[0] // DOWN, dots.shape[1] // ACROSS), dtype=np.int64)
+    for across in range(ACROSS):
+        for down in range(DOWN):
+            bits += dots[down::DOWN, across::ACROSS] * DOTS[across, down]
+    return bits
+
+
+def _line(bits: Grid, styles: Grid, curves: Sequence[Curve]) -> Text:
+    line = Text(no_wrap=True)
+    for bit, style in zip(bits, styles, strict=True):
+        line.append(chr(BRAILLE + int(bit)) if bit else " ", curves[int(style)].style if bit else "")
+    return line

@@ -1,0 +1,113 @@
+"""`mavdiag watch`: a link judged in the terminal gives what its log gives, and alerts appear as they come."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_baselines import thesis
+from plant_process import ALERT, companion, flying
+
+from mavdiag.decision.diagnosis import Change
+from mavdiag.judging import judge_in_full
+from mavdiag.link.ports.stream import frame_length
+from mavdiag.logs import read_log
+from mavdiag.logs.tlog import STAMP_BYTES
+from mavdiag.terminal.live_judge import LiveJudge
+from mavdiag.traces import rate_traces
+from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.options import FlightPlan
+from sitl_plant.plant import PlantConfig
+from sitl_plant.recording import record_flight
+
+
+def chunks(data: bytes) -> list[tuple[bytes, int]]:
+    """The frames of a telemetry log with their times of arrival."""
+    found, at = [], 0
+    while at < len(data):
+        begin = at + STAMP_BYTES
+        length = frame_length(data, begin)
+        assert length is not None
+        found.append((data[begin : begin + length], int.from_bytes(data[at:begin], "big") * 1000))
+        at = begin + length
+    return found
+
+
+def flown(folder: Path) -> Path:
+    """A flight of 12 s of the emulator."""
+    path = folder / "flight.tlog"
+    plan = FlightPlan(PlantConfig(seed=3), dialect_named("qdrone2"), 1000.0)
+    record_flight(path, plan, 12.0, lambda samples: None)
+    return path
+
+
+def test_a_link_is_judged_as_its_log(tmp_path: Path) -> None:
+    path = flown(tmp_path)
+    baseline = thesis()
+    log = judge_in_full(read_log(path), baseline)
+    assert log.chain is not None
+    live = LiveJudge(baseline, span_s=60.0)
+    changes: list[Change] = []
+    frames = chunks(path.read_bytes())
+    for first in range(0, len(frames), 200):
+        some = frames[first : first + 200]
+        changes += live.take(some, some[-1][1])
+    assert changes == list(log.verdict.changes)[: len(changes)]
+    assert len(changes) >= 1
+    for one, other in zip(rate_traces(live.chain, live.pieces), rate_traces(log.chain, log.pieces), strict=True):
+        count = len(one.t_ns)
+        assert count > 10_000
+        np.testing.assert_array_equal(one.t_ns, other.t_ns[:count])
+        np.testing.assert_allclose(one.residual, other.residual[:count], atol=1e-12)
+    assert live.vehicle == 1
+    assert live.count is not None
+    assert live.count.lost == 0
+
+
+def test_only_the_last_seconds_are_kept(tmp_path: Path) -> None:
+    path = flown(tmp_path)
+    live = LiveJudge(thesis(), span_s=2.0)
+    frames = chunks(path.read_bytes())
+    for first in range(0, len(frames), 200):
+        some = frames[first : first + 200]
+        live.take(some, some[-1][1])
+    (trace, _) = rate_traces(live.chain, live.pieces)
+    assert 1.9 <= (trace.t_ns[-1] - trace.t_ns[0]) / 1e9 <= 2.6
+
+
+@pytest.mark.realtime
+def test_watch_prints_the_alert_of_a_companion_and_ends_by_itself(tmp_path: Path) -> None:
+    with flying("--rate", "100", "--duration", "60", links=2) as (address, companion_address):
+        command = [sys.executable, "-m", "mavdiag", "watch", address, "--duration", "8"]
+        watching = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        with companion(companion_address) as alerter:
+            while watching.poll() is None:
+                alerter.alert()
+                time.sleep(0.2)
+        assert watching.stdout is not None
+        shown = watching.stdout.read()
+        watching.stdout.close()
+    assert watching.returncode == 0, shown
+    assert ALERT in shown
+    assert "CRITICAL" in shown
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.jsonl"], "none.jsonl: no such file"),
+        (["udpin:127.0.0.1:0", "--duration", "0.3"], "nothing was received"),
+        (["udpin:127.0.0.1:0", "--baseline", "none.json"], "none.json: no such file"),
+        (["events.jsonl", "--baseline", "x.json"], "--baseline and --signing-key are for a link"),
+    ],
+)
+def test_what_cannot_be_watched_is_one_line(arguments: list[str], words: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mavdiag", "watch", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=dict(os.environ), check=False)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1

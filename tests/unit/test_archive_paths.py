@@ -1,0 +1,113 @@
+"""What a list of files, folders and patterns names."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from made_archive import content
+
+from mavdiag.archive.paths import logs_named
+from mavdiag.errors import InputError
+
+LOG = content(1, 200)
+
+
+def tree(folder: Path, *names: str) -> Path:
+    """Logs below a folder; a name that ends in .txt is none."""
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"notes" if name.endswith(".txt") else LOG)
+    return folder
+
+
+def below(folder: Path, *arguments: str) -> list[str]:
+    return [str(one.path.relative_to(folder)) for one in logs_named([folder / a for a in arguments]).logs]
+
+
+def test_a_folder_is_all_logs_below_it_by_name_and_what_is_no_log_is_counted(tmp_path: Path) -> None:
+    tree(tmp_path, "b/2.tlog", "b/1.dat", "a.tlog", "z/y/x.tlog", "notes.txt", "b/notes.txt", ".git/a.tlog", ".b.tlog")
+    (tmp_path / "empty.tlog").touch()
+    found = logs_named([tmp_path])
+    assert below(tmp_path, ".") == ["a.tlog", "b/1.dat", "b/2.tlog", "z/y/x.tlog"]
+    assert found.skipped == 3
+    assert found.skipped_sentence == "3 files skipped that are no flight logs"
+    assert logs_named([tmp_path / "b"]).skipped_sentence == "1 file skipped that are no flight logs"
+
+
+def test_arguments_keep_their_order_and_may_come_twice(tmp_path: Path) -> None:
+    tree(tmp_path, "b/1.tlog", "b/2.tlog", "a.tlog")
+    assert below(tmp_path, "b", "a.tlog", "b/1.tlog") == ["b/1.tlog", "b/2.tlog", "a.tlog", "b/1.tlog"]
+
+
+def test_a_file_that_was_named_is_taken_whatever_is_in_it(tmp_path: Path) -> None:
+    tree(tmp_path, "notes.txt")
+    found = logs_named([tmp_path / "notes.txt", tmp_path / "absent.tlog"])
+    assert [one.path.name for one in found.logs] == ["notes.txt", "absent.tlog"]
+    assert (found.skipped, [one.trouble for one in found.logs]) == (0, ["", ""])
+
+
+def test_a_pattern_is_what_it_matches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tree(tmp_path, "a/1.tlog", "a/2.tlog", "b/3.tlog", "b/notes.txt", "c[1].tlog")
+    assert below(tmp_path, "*/*.tlog") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
+    assert below(tmp_path, "**/[23]*") == ["a/2.tlog", "b/3.tlog"]
+    assert below(tmp_path, "[ab]") == ["a/1.tlog", "a/2.tlog", "b/3.tlog"]
+    assert logs_named([tmp_path / "b" / "*"]).skipped == 1
+    assert below(tmp_path, "c[1].tlog") == ["c[1].tlog"]
+    monkeypatch.chdir(tmp_path)
+    assert [str(one.path) for one in logs_named(["*/1*"]).logs] == ["a/1.tlog"]
+
+
+@pytest.mark.parametrize("argument", ["nothing", "*.ulg", "nothing/*"])
+def test_what_names_no_log_is_trouble_and_an_error_where_all_are_needed(tmp_path: Path, argument: str) -> None:
+    (tmp_path / "nothing").mkdir()
+    (one,) = logs_named([tmp_path / argument]).logs
+    assert one.trouble.startswith("no log there; name files, a folder, or a pattern")
+    with pytest.raises(InputError, match="no log there"):
+        logs_named([tmp_path / argument]).paths()
+
+
+def test_a_pattern_that_is_none_is_told(tmp_path: Path) -> None:
+    (one,) = logs_named([tmp_path / "**x"]).logs
+    assert one.trouble
+
+
+def test_links_that_go_round_end_and_a_linked_folder_is_taken_once(tmp_path: Path) -> None:
+    tree(tmp_path, "a/1.tlog", "a/b/2.tlog")
+    (tmp_path / "a" / "b" / "up").symlink_to(tmp_path / "a")
+    (tmp_path / "a" / "copy.tlog").symlink_to(tmp_path / "a" / "1.tlog")
+    (tmp_path / "a" / "gone.tlog").symlink_to(tmp_path / "absent")
+    (tmp_path / "again").symlink_to(tmp_path / "a")
+    assert below(tmp_path, ".") == ["a/1.tlog", "a/b/2.tlog", "a/copy.tlog"]
+    assert logs_named([tmp_path]).skipped == 1
+
+
+def test_a_folder_that_cannot_be_read_is_trouble_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree(tmp_path, "a/1.tlog", "b/2.tlog", "c/3.tlog")
+    inside = Path.iterdir
+
+    def refusing(self: Path) -> Iterator[Path]:
+        if self.name == "b":
+            raise PermissionError(13, "Permission denied")
+        return inside(self)
+
+    monkeypatch.setattr(Path, "iterdir", refusing)
+    found = logs_named([tmp_path])
+    assert [one.path.name for one in found.logs] == ["1.tlog", "b", "3.tlog"]
+    assert found.logs[1].trouble == "the folder cannot be read (Permission denied)"
+    with pytest.raises(InputError, match="b: the folder cannot be read"):
+        found.paths()
+
+
+def test_a_file_of_a_folder_that_cannot_be_read_is_left_to_its_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree(tmp_path, "a.tlog")
+
+    def refuse(path: Path) -> bool:
+        raise InputError(f"{path}: cannot be read (Permission denied)")
+
+    monkeypatch.setattr("mavdiag.archive.paths.is_log", refuse)
+    assert below(tmp_path, ".") == ["a.tlog"]

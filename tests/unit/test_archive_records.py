@@ -1,0 +1,146 @@
+"""Answers that are kept: the same when they are read again, and only for the same question."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_archive import archive_baseline, asked, content, made
+
+from mavdiag.archive.cache import Cache, cache_folder, open_cache
+from mavdiag.archive.job import Answer, Options, Question, Record, record_from, record_text
+from mavdiag.archive.sources import digest_of_sources, judging_version
+from mavdiag.archive.windows import Window, WindowMonitor
+from mavdiag.archive.work import digest_of_file, judge_file
+from mavdiag.as_json import verdict_json
+from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.errors import InputError, LinkError, UsageError
+from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, Verdict, judge
+from mavdiag.logs import read_log, sha256_of
+from mavdiag.monitors.base import FaultKind
+from mavdiag.telemetry import Axis
+
+DIGEST = "ab" * 32
+floats = st.floats(allow_nan=False)
+spans = st.one_of(st.none(), floats)
+texts = st.text(st.characters(codec="utf-8"), max_size=8)
+axes = st.one_of(st.none(), st.sampled_from(Axis))
+kinds = st.one_of(st.none(), st.sampled_from(FaultKind))
+counts = st.integers(-(2**62), 2**62)
+rotors = st.one_of(st.none(), st.integers(1, 8))
+events = st.builds(
+    JudgedEvent,
+    floats,
+    spans,
+    st.builds(Event, texts, axes, counts, st.none() | counts, floats, floats, floats, rotors, st.none() | texts, rotors,
+              spans, kinds),
+)  # fmt: skip
+changes = st.builds(
+    Change, counts, st.sampled_from(Stage), texts, st.none() | texts, axes, texts, floats, floats, rotors, spans,
+    st.none() | texts, rotors, kinds,
+)  # fmt: skip
+monitors = st.builds(
+    MonitorSummary, texts, axes, spans, floats, texts, counts, floats, st.none() | texts, st.booleans(), floats
+)
+verdicts = st.builds(
+    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, texts, floats, st.tuples(monitors),
+    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds,
+)  # fmt: skip
+windows = st.builds(
+    Window, floats, floats, st.sampled_from(Verdict), floats, spans, st.none() | texts,
+    st.tuples(st.builds(WindowMonitor, texts, floats, spans)),
+)  # fmt: skip
+
+
+@given(st.builds(Record, texts, verdicts, st.tuples(windows)))
+def test_an_answer_is_the_same_when_it_is_read_again(record: Record) -> None:
+    assert record_from(record_text(record)) == record
+
+
+def test_no_number_stays_no_number() -> None:
+    change = Change(1, Stage.QUIET, "", None, None, "", float("nan"), float("inf"), None, None, None, None)
+    record = Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "", changes=(change,)))
+    (again,) = record_from(record_text(record)).verdict.changes
+    assert again.statistic != again.statistic
+    assert again.threshold == float("inf")
+
+
+def test_an_answer_is_that_of_a_fresh_judgement_and_prints_the_same(tmp_path: Path) -> None:
+    (path,) = made(tmp_path, "crack.tlog", shaken=("crack.tlog",))
+    fresh = replace(judge(read_log(path), archive_baseline()), log=str(path))
+    assert fresh.verdict is Verdict.FAULT
+    assert fresh.events
+    record = judge_file(str(path), asked())
+    assert record.digest == digest_of_file(str(path)) == sha256_of(path.read_bytes())
+    again = Answer(0, path, record_from(record_text(record)), fresh=True).verdict
+    assert str(again) == str(fresh)
+    assert json.dumps(verdict_json(again)) == json.dumps(verdict_json(fresh))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[1]", record_text(Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "")))[:-9]]
+)
+def test_what_is_no_answer_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="not an answer that was kept"):
+        record_from(text)
+
+
+def test_every_option_the_baseline_and_the_code_make_another_question() -> None:
+    options = [Options(), Options(vehicle=1), Options(from_s=1.0), Options(to_s=1.0), Options(windows_s=1.0)]
+    other = archive_baseline().model_copy(update={"digest": "sha256:other"})
+    scopes = [asked(one).scope for one in options]
+    scopes += [Question.of(other, Options(), "a").scope, Question.of(archive_baseline(), Options(), "a").scope]
+    assert len(set(scopes)) == len(scopes)
+    assert asked().scope == asked().scope
+
+
+def test_a_cache_gives_back_what_it_got_and_no_damaged_file(tmp_path: Path) -> None:
+    cache = open_cache(tmp_path / "new" / "cache", "scope")
+    record = Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "no alarm"))
+    assert cache.get(DIGEST) is None
+    cache.put(record)
+    assert cache.get(DIGEST) == record
+    (file,) = cache.folder.iterdir()
+    file.rename(cache.folder / f"{'cd' * 32}.json")
+    assert cache.get("cd" * 32) is None  # it is of another log
+    cache.put(record)
+    (cache.folder / f"{DIGEST}.json").write_text("{")
+    assert cache.get(DIGEST) is None
+
+
+def test_a_cache_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=r"file: no folder to keep answers in .*--no-cache"):
+        open_cache(tmp_path / "file", "scope")
+    with pytest.raises(UsageError, match="cannot be written"):
+        Cache(tmp_path / "absent").put(Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "")))
+
+
+def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "mavdiag"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert cache_folder() == tmp_path / "home" / ".cache" / "mavdiag"
+
+
+def test_a_worker_of_another_version_does_not_answer(tmp_path: Path) -> None:
+    (path,) = made(tmp_path, "a.tlog")
+    with pytest.raises(LinkError, match="another version of mavdiag"):
+        judge_file(str(path), replace(asked(), version="other"))
+
+
+def test_the_version_is_that_of_what_judges() -> None:
+    """A change of a monitor makes another version; one of a command does not."""
+    every = digest_of_sources(("mavdiag",), ())
+    assert judging_version() == judging_version.__wrapped__() != every
+    assert digest_of_sources(("mavdiag",), ("mavdiag/monitors/innovation.py",)) != every
+
+
+def test_a_file_that_cannot_be_read_has_no_digest(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"absent\.tlog: no such file"):
+        digest_of_file(str(tmp_path / "absent.tlog"))
+    (tmp_path / "a").write_bytes(content(1, 200))
+    assert digest_of_file(str(tmp_path / "a")) == sha256_of(content(1, 200))

@@ -1,0 +1,96 @@
+"""The drawing of an airframe: the right rotors at the right places, well-formed, and no text can break out of it."""
+
+import math
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavdiag.airframe.layout import LAYOUTS, Place, RotorLayout, layout_at, layout_named
+from mavdiag.drawing import SIZE, Colour, RotorMark, airframe_svg, rotor_places, text_colour, where
+
+SVG = "{http://www.w3.org/2000/svg}"
+COAXIAL = layout_at("y6", [Place(x, y, spin) for x, y in ((1, 1), (1, -1), (-1, 0)) for spin in ("cw", "ccw")])
+
+
+def discs(svg: str) -> dict[int, tuple[float, float, float]]:
+    """Centre and radius of each rotor, by its number."""
+    found = {}
+    for group in ElementTree.fromstring(svg).iter(f"{SVG}g"):
+        if "data-rotor" in group.attrib:
+            disc = disc_of(group)
+            place = float(disc["cx"]), float(disc["cy"]), float(disc["r"])
+            found[int(group.attrib["data-rotor"])] = place
+    return found
+
+
+def disc_of(group: ElementTree.Element) -> dict[str, str]:
+    disc = group.find(f"{SVG}circle")
+    assert disc is not None
+    return disc.attrib
+
+
+@pytest.mark.parametrize("layout", [*LAYOUTS.values(), COAXIAL], ids=lambda layout: layout.name)
+def test_every_rotor_is_within_the_picture_and_touches_no_other_one(layout: RotorLayout) -> None:
+    found = discs(airframe_svg(layout))
+    assert sorted(found) == list(range(1, layout.rotors + 1))
+    for number, (x, y, radius) in found.items():
+        assert radius > 8
+        assert all(radius <= at <= SIZE - radius for at in (x, y))
+        assert all(math.dist((x, y), one[:2]) > 2 * radius for other, one in found.items() if other != number)
+
+
+def test_the_rotors_of_the_thesis_are_where_it_has_them() -> None:
+    """T Eq 2.2-2.4: 1 rear right, 2 front right, 3 rear left, 4 front left; the nose is up."""
+    found = discs(airframe_svg(layout_named("qdrone2")))
+    sides = {number: (y < SIZE / 2, x > SIZE / 2) for number, (x, y, _) in found.items()}
+    assert sides == {1: (False, True), 2: (True, True), 3: (False, False), 4: (True, False)}
+    assert [where(one) for one in rotor_places(layout_named("qdrone2"))] == [
+        "rear right",
+        "front right",
+        "rear left",
+        "front left",
+    ]
+
+
+def test_the_body_turns_against_the_rotor() -> None:
+    """ArduPilot's quad X: motors 1 and 2 turn counter-clockwise, 3 and 4 clockwise."""
+    assert [one.spin for one in rotor_places(layout_named("x"))] == ["ccw", "ccw", "cw", "cw"]
+    text = airframe_svg(layout_named("x"))
+    assert "rotor 1 front right, turns counter-clockwise" in text
+    assert "rotor 3 front left, turns clockwise" in text
+
+
+def test_a_mark_fills_and_labels_its_rotor_only() -> None:
+    root = ElementTree.fromstring(airframe_svg(layout_named("x"), {3: RotorMark(Colour.FAULT, "+11 %", "suspected")}))
+    groups = {one.attrib["data-rotor"]: one for one in root.iter(f"{SVG}g") if "data-rotor" in one.attrib}
+    assert [disc_of(one)["fill"] for one in groups.values()] == ["none", "none", Colour.FAULT, "none"]
+    assert groups["3"].attrib["class"] == "rotor suspected"
+    assert groups["3"].attrib["id"] == "airframe-rotor-3"
+    assert [one.text for one in groups["3"].iter(f"{SVG}text")] == ["3", "+11 %"]
+
+
+@given(st.text(), st.text())
+def test_no_text_breaks_out(title: str, label: str) -> None:
+    layout = layout_named("x")
+    hostile = RotorMark(label=f"{label}</text><script>1</script>", kind='"><script>')
+    text = airframe_svg(layout, {1: hostile}, title=f"<{title}")
+    root = ElementTree.fromstring(text)
+    assert {one.tag.removeprefix(SVG) for one in root.iter()} == {
+        one.tag.removeprefix(SVG) for one in ElementTree.fromstring(airframe_svg(layout)).iter()
+    }
+    assert "style=" not in airframe_svg(layout)
+
+
+def test_every_colour_of_the_palette_has_a_readable_text() -> None:
+    """WCAG 2.2, 1.4.3: contrast of at least 4.5."""
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in parts]
+        return sum(share * one for share, one in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+    for colour in Colour:
+        bright, dark = sorted((luminance(colour), luminance(text_colour(colour))), reverse=True)
+        assert (bright + 0.05) / (dark + 0.05) >= 4.5, colour

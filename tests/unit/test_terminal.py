@@ -1,0 +1,127 @@
+"""Strips, pictures and journals of the terminal: nothing is lost, nothing is wider than the terminal."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from mavdiag.errors import InputError
+from mavdiag.link.messages import Severity
+from mavdiag.terminal.journal import Journal
+from mavdiag.terminal.screen import Screen
+from mavdiag.terminal.strips import Curve, Frame, strip
+from mavdiag.terminal.view import Level, Line, StripView, View, picture
+
+FRAME = Frame(from_s=0.0, to_s=10.0, low=-1.0, high=1.0, width=40, height=4)
+
+
+def test_a_spike_of_one_sample_is_seen() -> None:
+    t_s = np.arange(10_000) / 1000
+    values = np.zeros(10_000)
+    values[5000] = 1.0
+    lines = [line.plain for line in strip([Curve(t_s, values, "")], FRAME)]
+    assert lines[0].strip() != ""
+    assert lines[0][19:21].strip() != ""
+    assert (lines[0][:19] + lines[0][21:]).strip() == ""
+
+
+def test_nan_breaks_a_line_and_a_gap_without_samples_does_not() -> None:
+    t_s = np.arange(11.0)
+    broken = np.zeros(11)
+    broken[4:7] = np.nan
+    (with_break,) = strip([Curve(t_s, broken, "")], Frame(0.0, 11.0, -1.0, 1.0, 40, 1))
+    (whole,) = strip([Curve(t_s, np.zeros(11), "")], Frame(0.0, 11.0, -1.0, 1.0, 40, 1))
+    assert " " not in whole.plain[:36]
+    assert with_break.plain[15:24].strip() == ""
+
+
+def test_the_line_of_a_sine_stands_where_the_sine_is() -> None:
+    t_s = np.linspace(0.0, 10.0, 4000, endpoint=False)
+    lines = [line.plain for line in strip([Curve(t_s, np.sin(2 * np.pi * t_s / 10), "")], FRAME)]
+    assert lines[0][8:12].strip() != ""
+    assert lines[0][20:].strip() == ""
+    assert lines[3][:20].strip() == ""
+    assert lines[3][28:32].strip() != ""
+
+
+@given(
+    width=st.integers(20, 200),
+    texts=st.lists(st.text(max_size=200), max_size=12),
+    value=st.floats(allow_nan=True, allow_infinity=True),
+    reason=st.text(max_size=120),
+)
+def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value: float, reason: str) -> None:
+    t_s = np.linspace(0.0, 10.0, 50)
+    view = View(
+        title="a" * 90,
+        headline="motor 1 " * 20,
+        alert=True,
+        from_s=0.0,
+        to_s=10.0,
+        strips=(StripView("roll rate", "rad/s", (Curve(t_s, np.sin(t_s), "red"),), -1.0, 1.0),),
+        levels=(Level("unbalance", value, 1.0, "g mm"), Level("trim", 0.1, 0.2, "", reason)),
+        events=tuple(Line(1.0, Severity.CRITICAL, text) for text in texts),
+        foot="vehicle 1 " * 30,
+    )
+    console = Console(width=max(width, 44), file=io.StringIO(), record=True)
+    console.print(picture(view, width))
+    assert all(len(line) <= max(width, 44) for line in console.export_text().splitlines())
+
+
+def _line(kind: str, number: int, **content: object) -> str:
+    return json.dumps({"kind": kind, "utc": "2026-01-01T00:00:00Z", "vehicle": number, "vehicle_s": 1.5, **content})
+
+
+def test_a_journal_is_followed_over_torn_lines_and_a_rotation(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    text = _line("text", 1, severity=2, text="PROP FAULT motor 1")
+    path.write_text(text[:20])
+    journal = Journal(path)
+    assert journal.read() == []
+    with path.open("a") as file:
+        file.write(text[20:] + "\nno json\n" + _line("state", 2, **{"from": "a", "to": "b", "reason": "c"}) + "\n")
+    assert journal.read() == [
+        (1, Line(1.5, Severity.CRITICAL, "PROP FAULT motor 1")),
+        (2, Line(1.5, Severity.INFO, "a -> b: c")),
+    ]
+    assert (journal.damaged, journal.vehicles[2].state) == (1, "b")
+    with path.open("a") as file:
+        file.write(_line("note", 1, text="before") + "\n")
+    path.rename(tmp_path / "events.1.jsonl")
+    assert [line.text for _, line in journal.read()] == ["before"]
+    path.write_text(_line("note", 1, text="after") + "\n")
+    assert [line.text for _, line in journal.read()] == ["after"]
+    journal.close()
+
+
+def test_a_stage_of_a_journal_is_the_vehicles_headline(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text(
+        _line("stage", 3, stage="fault", reason="a monitor is above its threshold", rotor=2, fault_kind=None) + "\n"
+    )
+    journal = Journal(path)
+    ((_, line),) = journal.read()
+    assert line.text == "fault: a monitor is above its threshold, rotor 2"
+    assert (line.severity, journal.vehicles[3].fault) == (Severity.CRITICAL, True)
+    journal.close()
+
+
+def test_no_journal_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        Journal(tmp_path / "none.jsonl")
+
+
+def test_a_pipe_gets_each_event_once() -> None:
+    out = io.StringIO()
+    with Screen(console=Console(file=out, width=30)) as screen:
+        for number in range(3):
+            screen.show(lambda width: "never", [Line(float(number), Severity.INFO, f"event {number} " * 5)])
+        screen.show(lambda width: "never", [], last=True)
+    lines = out.getvalue().splitlines()
+    assert [line.split()[0] for line in lines] == ["0.00", "1.00", "2.00"]
+    assert lines[2].rstrip().endswith("event 2 event 2")

@@ -1,0 +1,65 @@
+"""What figures are drawn from: the same numbers as the verdict rests on, and the model's own simulation."""
+
+import numpy as np
+import pytest
+from made_baselines import logged, thesis, whole
+from made_telemetry import cut, flight
+from scipy.signal import lfilter
+
+from mavdiag.chain import Piece, chain_of
+from mavdiag.judging import judge_in_full
+from mavdiag.monitors.run_length import RunLength
+from mavdiag.telemetry import Axis, Signal
+from mavdiag.traces import traces_of
+
+
+def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
+    push = np.zeros(10_000)
+    push[5000:5600] = 0.3
+    judged = judge_in_full(logged(flight(10_000, 50, push=push), "qdrone2"), thesis())
+    assert judged.chain is not None
+    traces = traces_of(judged.chain, judged.pieces)
+    roll = next(one for one in traces.rates if one.axis is Axis.ROLL)
+    assert roll.fsd_s[roll.judged].max() == judged.verdict.monitors[0].maximum
+    assert roll.fml_s == judged.verdict.monitors[0].threshold
+    assert (roll.fsd_s > 0).sum() == (roll.judged & (np.abs(roll.residual) > roll.margin_rad_s)).sum()
+
+
+def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -> None:
+    judged = judge_in_full(logged(flight(6000, 4), "qdrone2"), thesis())
+    assert judged.chain is not None
+    (trace, _) = traces_of(judged.chain, judged.pieces).rates
+    (slot, _) = judged.chain.slots
+    assert isinstance(slot.monitor, RunLength)
+    model = slot.monitor.spec.model.model()
+    free = lfilter(model.b, model.a, trace.commanded)
+    settled = len(free) // 2  # what the start gets wrong has died out
+    np.testing.assert_allclose(trace.simulated[settled:], free[settled:], atol=2e-3)
+
+
+def test_chunks_give_the_same_traces_as_the_whole() -> None:
+    log = logged(flight(6000, 5), "qdrone2")
+    chain = chain_of(thesis())
+    state = chain.start()
+    pieces: list[Piece] = []
+    began_ns = int(log.telemetry[Signal.BODY_RATE].host_ns[0])
+    edges_ns = [began_ns + after_ms * 1_000_000 for after_ms in (1500, 3200, 3210)]
+    for chunk in cut(log.telemetry, edges_ns):
+        state, output = chain.step(state, chunk)
+        pieces += output.pieces
+    pieces += chain.finish(state)[1].pieces
+    whole_ones = traces_of(chain, judge_in_full(log, thesis()).pieces)
+    chunked = traces_of(chain, pieces)
+    for one, other in zip(whole_ones.rates, chunked.rates, strict=True):
+        np.testing.assert_array_equal(one.t_ns, other.t_ns)
+        np.testing.assert_allclose(one.simulated, other.simulated, atol=1e-12)
+    for slot, again in zip(whole_ones.slots, chunked.slots, strict=True):
+        np.testing.assert_array_equal(slot.found.value, again.found.value)
+
+
+def test_a_flight_that_was_not_judged_has_empty_traces() -> None:
+    chain = chain_of(whole())
+    traces = traces_of(chain, ())
+    assert [len(one.t_ns) for one in traces.rates] == [0] * len(traces.rates)
+    assert all(len(one.found) == 0 for one in traces.slots)
+    assert traces.slots[0].found.judged_s == pytest.approx(0.0)

@@ -1,0 +1,38 @@
+"""The records of a DataFlash log, one after the other: what the reader that takes them in arrays is compared with."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from mavdiag.logs.dataflash_format import FMT_TYPE, HEADER, Format, Table, declared, first_instance
+
+
+def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tuple[str, ...]]:
+    """Tables of the wanted messages by name, and what is wrong with the file."""
+    formats: dict[int, Format] = {}
+    starts: dict[int, list[int]] = {}
+    position, sound_end = data.find(HEADER), 0
+    while 0 <= position <= len(data) - 3:
+        kind = data[position + 2]
+        length = 89 if kind == FMT_TYPE else formats[kind].length if kind in formats else 0
+        if position + length > len(data):
+            break
+        sound_end = position + length if length else sound_end
+        if kind in starts:
+            starts[kind].append(position)
+        if kind == FMT_TYPE:
+            number, found = declared(data, position)
+            if number != FMT_TYPE and found.length >= 3 and (number not in formats or not formats[number].sound):
+                formats[number] = found
+                if found.sound and found.name in wanted:
+                    starts[number] = []
+        position = data.find(HEADER, position + (length or 1))
+    tables: dict[str, Table] = {}
+    for kind, at in starts.items():
+        form = formats[kind]
+        if at and form.name not in tables:
+            content = b"".join(data[place : place + form.length] for place in at)
+            tables[form.name] = first_instance(Table(form, np.array(at), np.frombuffer(content, form.layout())))
+    rest = data[sound_end:]
+    cut = f"it ends within a record, {len(rest)} bytes are lost: the recording was cut off"
+    return tables, (cut,) if rest.strip(b"\0\xff") else ()
