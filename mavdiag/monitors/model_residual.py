@@ -36,6 +36,7 @@ __all__ = [
     "ModelResidual",
     "ResidualState",
     "Residuals",
+    "without_jolts",
 ]
 
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
@@ -195,7 +196,7 @@ class ModelResidual:
             errors, explained = self._explained(errors, simulated, r)
             r -= explained
         busy, trace = ema(state.busy, np.square(np.concatenate((u, slope), axis=1)), self._memory)
-        unrest, n = _without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
+        unrest, n = without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
         state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors, unrest)
         known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
         return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
@@ -244,7 +245,7 @@ def _no_errors() -> _Errors:
     return _Errors(np.zeros(3), start_ema(np.zeros(6)), start_ema(np.zeros(15)), np.zeros(15))
 
 
-def _without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
+def without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
     """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`.
 
     The mean square is that of the samples that are not clipped whatever came before, and what each other one adds,
