@@ -1,7 +1,7 @@
 """Whatever the chunks, the same rows, rates and borders, to the bit: through losses, stops, yaw turns and landings."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut, series
 
@@ -106,6 +106,7 @@ def test_any_chunking_gives_the_same_rows_and_borders(
     assert np.abs(table["rate u"][table["rate commanded"].astype(bool)]).max() < 4.0  # a turn through pi is no step
 
 
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 5),
     most=st.integers(20, N),

@@ -44,4 +44,3 @@ def test_large_samples_are_cut_as_one_after_the_other(seed: int, size: float, ed
 def test_calm_samples_are_left_alone() -> None:
     calm = np.random.default_rng(1).uniform(-4.0, 4.0, (50, 3))
     assert without_jolts(start_ema(np.ones(3)), calm, ALPHA)[1] is calm
-    assert np.abs(without_jolts(start_ema(np.ones(3)), 100.0 * calm, ALPHA)[1]).max() < 5.0
