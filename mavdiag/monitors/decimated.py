@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from mavdiag.rows.front import Rows
 from mavdiag.rows.savgol import coefficients
+from mavdiag.rows.windows import windows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = ["Decimated", "Decimator", "DecimatorState", "stride_of"]
@@ -102,5 +102,5 @@ class Decimator:
         if stride == 1:
             smooth = np.stack([np.correlate(row, self._taps) for row in rows])
         else:
-            smooth = np.einsum("knw,w->kn", sliding_window_view(rows, window, axis=1)[:, ::stride], self._taps)
+            smooth = np.einsum("knw,w->kn", windows(rows, window, stride), self._taps)
         return np.asarray((smooth + base).T, dtype=np.float64)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from mavdiag.airframe.trim import YAW_FLOOR, LargeRise, rises, source_of, spread_of, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
@@ -18,7 +17,7 @@ from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max, unbroken
+from mavdiag.rows.windows import row_max, unbroken, window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -189,8 +188,7 @@ def _followed(
     shift = np.zeros((count, 5))
     if not np.count_nonzero(valid):
         return shift, reference
-    windows = sliding_window_view(ticks, window, axis=0).transpose(2, 0, 1)
-    means = np.add.reduce(windows, axis=0) / window  # of the ticks from each on
+    means = window_sums(ticks, window) / window  # of the ticks from each on
     now = np.flatnonzero(valid)
     first = len(ticks) - count + now - window + 1
     recent, before = means[first], means[first - window]

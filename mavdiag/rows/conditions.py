@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from mavdiag.rows.front import Rows
+from mavdiag.rows.windows import window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
@@ -155,7 +155,6 @@ def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
     out = np.full(fresh, np.nan)
     first = max(0, TILT_BINS - 1 - (len(setpoints) - fresh))  # of the fresh ones that has so many behind it
     if first < fresh:
-        windows = sliding_window_view(setpoints[len(setpoints) - fresh + first + 1 - TILT_BINS :], TILT_BINS, axis=0)
-        mean = np.add.reduce(windows.transpose(2, 0, 1), axis=0) / TILT_BINS
+        mean = window_sums(setpoints[len(setpoints) - fresh + first + 1 - TILT_BINS :], TILT_BINS) / TILT_BINS
         out[first:] = np.hypot(mean[:, 0], mean[:, 1])
     return out

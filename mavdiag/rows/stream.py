@@ -12,7 +12,7 @@ __all__ = ["NEVER_NS", "Stream"]
 NEVER_NS = 2**62
 TURN = 2 * math.pi
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
-FEW = 4  # rows to a sample from which on samples are looked up in the rows, and not rows in the samples
+MANY, FEW = 1000, 4  # rows, and rows to a sample, from which on samples are looked up in the rows instead
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
 
 
@@ -128,8 +128,10 @@ class Stream:
     def held(self, rows: IntArray, limit_ns: int) -> FloatArray:
         """The last value at or before each row, (n, k); nan before the first, and where it is older than the limit."""
         t, v = self.t, self.v
-        first, last = (int(i) for i in t.searchsorted(rows[[0, -1]], side="right"))
-        if first > 0 and last - first <= len(rows) // FEW:  # few samples come within the rows
+        if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
+            return v[:1].T.repeat(len(rows), axis=1).T
+        first, last = int(t.searchsorted(rows[0], side="right")), int(t.searchsorted(rows[-1], side="right"))
+        if len(rows) >= MANY and first > 0 and last - first <= len(rows) // FEW:  # few samples come within the rows
             starts = rows.searchsorted(t[first:last])  # where they take over
             values = v[first - 1 : last].T.repeat(np.diff(starts, prepend=0, append=len(rows)), axis=1).T
             if np.maximum.reduce(np.diff(t[first - 1 : last], append=rows[-1])) <= limit_ns:
@@ -158,7 +160,9 @@ class Stream:
 
 def _behind(t: IntArray, rows: IntArray) -> IntArray:
     """The last sample at or before each row, (n,), -1 where there is none. Both rise."""
-    first, last = (int(i) for i in t.searchsorted(rows[[0, -1]], side="right"))
+    if len(rows) < MANY:
+        return t.searchsorted(rows, side="right") - 1
+    first, last = int(t.searchsorted(rows[0], side="right")), int(t.searchsorted(rows[-1], side="right"))
     if last - first > len(rows) // FEW:
         return t.searchsorted(rows, side="right") - 1
     starts = rows.searchsorted(t[first:last])  # where the few samples within the rows take over

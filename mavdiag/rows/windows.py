@@ -32,6 +32,8 @@ __all__ = [
     "window_all",
     "window_mean",
     "window_rows",
+    "window_sums",
+    "windows",
 ]
 
 GROWTH, MOST_ROWS = 1e9, 4096  # of the weights of an exponential mean until it is scaled anew (our choice)
@@ -69,8 +71,14 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     [2.0, 4.0]
     """
     known, columns = max(0, len(x) - window + 1), x.shape[1]
-    if known == 0:
-        return np.empty((0, columns))
+    if known <= window:  # they share the rows between the first and the last one, which are added up once
+        out = np.empty((columns, known))
+        if known:
+            out[:] = np.add.reduce(x[known - 1 : window], axis=0)[:, None]
+            out[:, :-1] += np.add.accumulate(x[: known - 1].T[:, ::-1], axis=1)[:, ::-1]
+            out[:, 1:] += np.add.accumulate(x[window:].T, axis=1)
+            out /= window
+        return out.T
     # Each window is the end of one stretch of `window` rows and the begin of the next one.
     count = -(-len(x) // window)
     stretches = np.zeros((columns, count, window))
@@ -79,10 +87,25 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     np.add.accumulate(stretches[:, :, ::-1], axis=2, out=ends[:, :, ::-1])
     begins = np.add.accumulate(stretches, axis=2, out=stretches).reshape(columns, -1)[:, window - 1 :]
     begins[:, ::window] = 0.0  # these windows are whole stretches
-    out: FloatArray = ends.reshape(columns, -1)[:, :known]
+    out = ends.reshape(columns, -1)[:, :known]
     out += begins[:, :known]
     out /= window
     return out.T
+
+
+def window_sums(x: FloatArray, window: int) -> FloatArray:
+    """Sum over each full window of rows, (n, k) -> (n - window + 1, k), n at least `window`, one row after the other.
+
+    For short windows: each is added up by itself, so that its sum does not depend on the others.
+    """
+    return np.asarray(np.add.reduce(windows(np.ascontiguousarray(x.T), window).transpose(2, 0, 1), axis=0).T)
+
+
+def windows(x: FloatArray, window: int, stride: int = 1) -> FloatArray:
+    """The full windows of each row, (k, n) -> (k, count, window), as a view of an array that lies row by row."""
+    count = (x.shape[1] - window) // stride + 1
+    each, step = x.strides
+    return np.ndarray((len(x), count, window), x.dtype, x, strides=(each, stride * step, step))
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
