@@ -164,13 +164,13 @@ class Kept:
 
 
 class Shelf:
-    """Puts arrays aside: the first `most_bytes` in memory, all others in a file of the temporary folder.
+    """Puts arrays aside: the first `most_bytes` in memory (None: 32 MB), all others in a file of the temporary folder.
 
     The file has no name, so nothing is left of it however the program ends. Close the shelf, or use it with `with`.
     """
 
-    def __init__(self, most_bytes: int = SHELF_BYTES) -> None:
-        self._left, self._end = most_bytes, 0
+    def __init__(self, most_bytes: int | None = None) -> None:
+        self._left, self._end = SHELF_BYTES if most_bytes is None else most_bytes, 0
         self._file: BinaryIO | None = None
 
     def __enter__(self) -> Self:

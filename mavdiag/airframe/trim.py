@@ -24,6 +24,7 @@ __all__ = [
     "SIGNALS",
     "SOURCES",
     "YAW_FLOOR",
+    "LargeRise",
     "Source",
     "rises",
     "shown_trim",
@@ -86,16 +87,18 @@ def _trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatAr
         outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
         if outputs.shape[1] < layout.rotors:
             return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-        level = np.add.reduce(outputs, axis=1) / layout.rotors
+        rows = np.ascontiguousarray(outputs.T)  # (rotors, n)
+        level = np.add.reduce(rows, axis=0) / layout.rotors
         known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
-        w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
-        return np.einsum("nr,kr->nk", w, layout.unmixing), known
+        if np.count_nonzero(known) < len(known):
+            rows, level = np.where(known, rows, 1.0), np.where(known, level, 1.0)
+        return np.einsum("kr,rn->kn", layout.unmixing, rows / level - 1.0).T, known
     if layout.torque_gain is None:
         return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
     # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
     known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+    command = block.torque.T * np.array(layout.torque_gain)[:, None]
+    return np.divide(command, block.thrust, out=np.zeros((3, len(block))), where=known).T, known
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
@@ -108,7 +111,7 @@ def tilt_of(block: Block) -> FloatArray:
     """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
     if np.count_nonzero(block.setpoint_valid) == len(block):
         return block.setpoint[:, :2]
-    return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
+    return np.where(block.setpoint_valid, block.setpoint.T[:2], 0.0).T
 
 
 def spread_of(shifts: FloatArray) -> Three:
@@ -130,10 +133,34 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
     full, which tells rotors of one sense of rotation apart.
     """
-    variance = np.empty(shift.shape if len(tilt) == len(shift) else (1, 3))  # the same for all rows without a tilt
-    variance[:, 0], variance[:, 1], variance[:, 2] = spread[0] ** 2, spread[1] ** 2, spread[2] ** 2
-    if tilt is not NO_TILT:
-        variance[:, :2] += TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
-    C, W = layout.unmixing, 1.0 / variance
+    C, shifts = layout.unmixing, shift.T
+    weights = 1.0 / np.array([[one * one] for one in spread])
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
+    if tilt is NO_TILT:
+        share = weights * C / np.einsum("kn,kr->r", weights, C * C)
+        return np.asarray(np.einsum("kr,kn->rn", share, shifts).T, dtype=np.float64)
+    level = 1.0 / (TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt) + np.array([[spread[0] ** 2], [spread[1] ** 2]]))
+    found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
+    found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
+    return np.asarray(found.T, dtype=np.float64)
+
+
+class LargeRise:
+    """Whether the largest of `rises` is above a limit, of one shift at a time: for what must go tick by tick."""
+
+    def __init__(self, layout: RotorLayout, spread: Three, limit: float) -> None:
+        self._roll, self._pitch, self._yaw = (one * one for one in spread)
+        self._columns = [
+            (a, b, c, limit * a * a, limit * b * b, limit * c * c) for a, b, c in layout.unmixing.T.tolist()
+        ]
+
+    def __call__(self, shift: Sequence[float]) -> bool:
+        """shift: of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
+        roll, pitch, yaw, lean, nod = shift
+        more = TILT_TRIM**2 * (lean * lean + nod * nod)
+        w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
+        roll, pitch, yaw = roll * w0, pitch * w1, yaw * w2
+        for a, b, c, least_a, least_b, least_c in self._columns:
+            if roll * a + pitch * b + yaw * c > w0 * least_a + w1 * least_b + w2 * least_c:
+                return True
+        return False

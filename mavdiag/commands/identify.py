@@ -1,8 +1,7 @@
 """`mavdiag identify`: healthy flights to a baseline."""
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -25,14 +24,13 @@ from mavdiag.commands.options import (
     parse_order,
     read_part,
 )
-from mavdiag.commands.progress import each, sizes_of, working
+from mavdiag.commands.progress import each, followed, sizes_of
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.logs.csv_columns import is_csv, load_column_map
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
-from mavdiag.telemetry import Log
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
 
 __all__ = ["identify", "make_baseline"]
@@ -133,12 +131,6 @@ def make_baseline(
     if found.skipped:
         say(found.skipped_sentence, err=True)
     paths = found.paths()
-    with ExitStack() as shown:
-
-        def taken() -> Iterator[Log]:
-            """Each flight is read when it is taken in."""
-            for path in each(paths, "read", sizes_of(paths)):
-                yield read_part(path, vehicle, from_s, to_s, mapped)
-            shown.enter_context(working(f"learning from {len(paths)} flights ..."))
-
-        return learn(taken(), options, created=now())
+    flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))
+    with followed(flights, f"learning from {len(paths)} flights ...") as taken:
+        return learn(taken, options, created=now())

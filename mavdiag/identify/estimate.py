@@ -24,6 +24,7 @@ def fit(
     method: Method | str = Method.SRIV,
     settle_s: float = 0.0,
     figures: bool = True,
+    near: ArxModel | None = None,
 ) -> ArxModel:
     """Identify A(z^-1) y = B(z^-1) u + e from one record or several (T 4.1.2, 5.4).
 
@@ -32,7 +33,8 @@ def fit(
     the output) or "ls" (the thesis's least squares). Offsets are not removed. settle_s: seconds at the start of each
     record that r2t, nrmse_fit, mse and yic leave out, because the simulation starts from rest and a record that is cut
     out of a flight does not; the estimate itself uses every row and, by SRIV, leaves initial states free. figures:
-    False leaves the standard errors and figures of fit unknown, which takes half the time.
+    False leaves the standard errors and figures of fit unknown, which takes half the time. near: a model of the same
+    order that was fitted to nearly the same data, from which SRIV begins.
 
     >>> rng = np.random.default_rng(1)
     >>> u = rng.standard_normal(500)
@@ -51,7 +53,8 @@ def fit(
         raise IdentificationError(f"the sample time must be positive, not {dt} s")
     segments = to_segments(u, y, order)
     check_excitation(segments, order)
-    estimate = sriv(segments, order, figures) if method == Method.SRIV else least_squares(segments, order)
+    begin = near.theta if near is not None and near.order == order and near.stable else None
+    estimate = sriv(segments, order, figures, begin) if method == Method.SRIV else least_squares(segments, order)
     bare = _bare(estimate, order, dt, Method(method))
     return _graded(bare, estimate, segments, settle_s) if figures else bare
 

@@ -112,7 +112,7 @@ def _settled(
         if kind in gathered.errors:
             raise InputError(gathered.errors[kind])
         specs = kind.settle(gathered.of(kind, flights), context)
-        plain = replace(context, figures=False)
+        plain = replace(context, figures=False, near=specs)
         return Fitted(kind, specs), [
             [kind(spec) for spec in kind.settle(gathered.of(kind, rest), plain)] for rest in rests
         ]

@@ -70,6 +70,7 @@ class LearnContext:
     method, order: how ARX models are fitted.
     margin_rule: "p90" or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1).
     figures: standard errors and figures of fit are wanted; a fit that only scores flights needs none.
+    near: the monitor's fits to all flights, for one to some of them to begin from.
     """
 
     airframe: Airframe
@@ -81,6 +82,7 @@ class LearnContext:
     order: Order = (2, 2, 1)
     margin_rule: str = "p90"
     figures: bool = True
+    near: tuple[Any, ...] = ()
 
     @property
     def layout(self) -> RotorLayout:

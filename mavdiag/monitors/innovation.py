@@ -20,7 +20,18 @@ from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, row_max, sliding_mean, start_mean, window_all, window_rows
+from mavdiag.rows.windows import (
+    EmaState,
+    MeanState,
+    ema,
+    forgetting,
+    row_max,
+    sliding_mean,
+    start_ema,
+    start_mean,
+    window_all,
+    window_rows,
+)
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -74,14 +85,14 @@ class InnovationState:
     waiting_ns, waiting: (w,) and (w, 3), raw gyro whose commanded rate is not known yet.
     past, past_valid: (4, 6) commanded and measured rates of the last rows, and (4,) whether they may be used.
     busy: (3,) exponential mean of the squared command.
-    mean: of the squared normalised innovation.
+    mean: of the squared normalised innovation of the three axes together.
     """
 
     waiting_ns: IntArray
     waiting: FloatArray
     past: FloatArray
     past_valid: BoolArray
-    busy: FloatArray
+    busy: EmaState
     mean: MeanState
 
 
@@ -201,11 +212,12 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         z = np.minimum(np.maximum(e / np.sqrt(self._k0 + self._k1 * pairs.busy), -LIMIT), LIMIT)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        kept, all_of_them = z if count == len(z) else z[used], np.ones(count, dtype=np.bool_)
+        squares = np.einsum("nk,nk->n", z, z)
+        kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
         mean_state, mean, full = sliding_mean(
-            state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s)
+            state.mean, kept[:, None], all_of_them, window_rows(spec.window_s, rates.dt_s)
         )
-        level = np.sqrt(np.maximum((mean[:, 0] + mean[:, 1] + mean[:, 2]) / 3, 0.0))
+        level = np.sqrt(np.maximum(mean[:, 0] / 3, 0.0))
         if count < len(z):
             some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
             level[used], full[used] = some, whole
@@ -217,7 +229,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, np.zeros(3), start_mean(3))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(1))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
@@ -242,18 +254,18 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
     both = np.concatenate((state.past, fresh))
     valid = np.concatenate((state.past_valid, good))
     whole = window_all(valid, LAG + 1)
-    busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
+    busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
     return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """One-step prediction errors e(t) = y(t) + a_1 y(t-1) + .. - b_1 u(t-1) - .., (LAG + n, 3) -> (n, 3)."""
-    n = len(y) - LAG
-    lagged = [y[LAG - i : LAG - i + n] for i in range(NA + 1)] + [u[LAG - i : LAG - i + n] for i in range(1, NB + 1)]
-    weights = np.concatenate((np.ones((1, 3)), a.T, -b.T))
-    terms = np.concatenate(lagged).reshape(len(lagged), n, 3) * weights[:, None]
-    return np.asarray(np.add.reduce(terms, axis=0), dtype=np.float64)
+    e = np.empty((3, len(y) - LAG))
+    for axis in range(3 if len(y) > LAG else 0):  # numpy turns a correlation with fewer rows than weights about
+        e[axis] = np.correlate(y[:, axis], [*a[axis, ::-1], 1.0])
+        e[axis] -= np.correlate(u[:-1, axis], b[axis, ::-1])
+    return e.T
 
 
 def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:

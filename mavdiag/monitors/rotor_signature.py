@@ -156,7 +156,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         pieces = _pieces(flights, motion)
         if not pieces:
             raise IdentificationError(f"no unbroken {MIN_PIECE_S:g} s of flight to identify from; fly longer")
-        roll, pitch = (_rate(pieces, axis, motion, context.figures) for axis in (0, 1))
+        roll, pitch = (_rate(pieces, axis, motion, context) for axis in (0, 1))
         motion = replace(motion, roll=roll, pitch=pitch, heave=_heave(pieces, motion))
         return (RotorSignatureSpec(layout=layout, motion=with_variances(flights, motion)),)
 
@@ -239,13 +239,13 @@ def _effects(layout: RotorLayout) -> FloatArray:
 
 def _products(d: Residuals) -> FloatArray:
     """(k, 9): n_r^2, n_p^2, n_r n_p, n_h^2, n_r n_h, n_p n_h, then r_r^2, r_p^2, r_r r_p before normalising."""
-    out = np.empty((len(d.t_ns), 9))
+    out = np.empty((9, len(d.t_ns)))
     roll, pitch, heave = d.n.T
-    out[:, 0], out[:, 1], out[:, 2] = roll * roll, pitch * pitch, roll * pitch
-    out[:, 3], out[:, 4], out[:, 5] = heave * heave, roll * heave, pitch * heave
+    out[0], out[1], out[2] = roll * roll, pitch * pitch, roll * pitch
+    out[3], out[4], out[5] = heave * heave, roll * heave, pitch * heave
     roll, pitch = d.r[:, 0], d.r[:, 1]
-    out[:, 6], out[:, 7], out[:, 8] = roll * roll, pitch * pitch, roll * pitch
-    return out
+    out[6], out[7], out[8] = roll * roll, pitch * pitch, roll * pitch
+    return out.T
 
 
 def _square(effects: FloatArray) -> FloatArray:
@@ -263,9 +263,8 @@ def _signs(effects: FloatArray) -> FloatArray:
 
 def _correlations(mean: FloatArray) -> FloatArray:
     """Roll-pitch, roll-heave and pitch-heave, (n, 3)."""
-    rms = np.sqrt(np.maximum(mean[:, [0, 1, 0, 3, 1, 3]], LEAST_POWER))
-    out: FloatArray = mean[:, [2, 4, 5]] / (rms[:, 0::2] * rms[:, 1::2])
-    return out
+    roll, pitch, _, heave = np.sqrt(np.maximum(mean.T[:4], LEAST_POWER))
+    return np.stack((mean[:, 2] / (roll * pitch), mean[:, 4] / (roll * heave), mean[:, 5] / (pitch * heave))).T
 
 
 def _pieces(flights: Summaries, motion: HealthyMotion) -> list[Decimated]:
@@ -286,13 +285,14 @@ def _cut(one: Decimated, kept: slice) -> Decimated:
     return Decimated(one.t_ns, one.u[kept], one.y[kept], one.heave[kept], one.valid[kept])
 
 
-def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, figures: bool) -> ModelRecord:
-    """The rate model of one axis: of order 3 if the flights carry it, else of order 2. figures: see `identify.fit`."""
+def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
+    """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
+    near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
     u, y = [one.u[:, axis] for one in pieces], [one.y[:, axis] for one in pieces]
     reason = ""
     for order in ORDERS:
         try:
-            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=figures))
+            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=context.figures, near=near))
         except IdentificationError as error:
             reason = str(error)
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")

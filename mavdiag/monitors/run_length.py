@@ -289,7 +289,8 @@ def _fit_axis(summaries: Summaries, column: int, axis: Axis, context: LearnConte
         for stretches, u, y, commanded in summaries
         for first, stop in training_spans(stretches, commanded, context.dt_s)
     ]
-    model = trained(pieces, axis, context.dt_s, context.order, context.method, context.figures)
+    near = next((one.model.model() for one in context.near if one.axis == axis), None)
+    model = trained(pieces, axis, context.dt_s, context.order, context.method, context.figures, near)
     rule = MarginRule(context.margin_rule)
     levels = [
         level

@@ -141,10 +141,19 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         state, d, valid = _differences(state, block)
         z = np.minimum(np.abs(d / spec.rms), LIMIT)
         mean_state, mean, full = sliding_mean(before, z * z, valid, window_rows(spec.window_s, block.dt_s))
-        power = np.sort(np.log(np.maximum(mean, LEAST_POWER)), axis=1)
-        value = np.maximum(power[:, -1] - 2.0 * np.maximum(power[:, -2], 0.0), 0.0)
+        first, second = (np.log(np.maximum(one, LEAST_POWER)) for one in _highest(mean))
+        value = np.maximum(first - 2.0 * np.maximum(second, 0.0), 0.0)
         state = SensorNoiseState(state.rows, state.valid, mean_state)
-        return state, Statistic(block.t_ns, block.dt_s, value, full, value, power[:, -1])
+        return state, Statistic(block.t_ns, block.dt_s, value, full, value, first)
+
+
+def _highest(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The highest and the second highest value of each row, (n, k) -> (n,) each, k at least 2."""
+    first, second = np.maximum(x[:, 0], x[:, 1]), np.minimum(x[:, 0], x[:, 1])
+    for column in x.T[2:]:
+        second = np.maximum(second, np.minimum(first, column))
+        first = np.maximum(first, column)
+    return first, second
 
 
 def _fresh() -> SensorNoiseState:

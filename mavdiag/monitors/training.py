@@ -49,15 +49,16 @@ def trained(
     order: Order,
     method: Method,
     figures: bool = True,
+    near: ArxModel | None = None,
 ) -> ArxModel:
-    """As `train`, from all pieces. figures: as in `identify.fit`."""
+    """As `train`, from all pieces. figures, near: as in `identify.fit`."""
     if not pieces:
         raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
     taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
     u = [piece[0][:count] for piece, count in zip(pieces, taken, strict=True)]
     y = [piece[1][:count] for piece, count in zip(pieces, taken, strict=True)]
     try:
-        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures)
+        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S, figures=figures, near=near)
     except IdentificationError as error:
         raise IdentificationError(f"{axis}: {error}") from error
     # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.

@@ -15,6 +15,7 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import (
     SOURCES,
     YAW_FLOOR,
+    LargeRise,
     Source,
     rises,
     source_among,
@@ -29,7 +30,7 @@ from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max
+from mavdiag.rows.windows import row_max, unbroken, window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -72,8 +73,8 @@ class TrimStepSpec(TrimSpec):
 class TrimStepState:
     """What the next rows need.
 
-    t_ns, rows, known: (h,), (h, 6) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
-    ticks: (k, 5) means of the last unbroken ticks, at most two windows of them.
+    t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
+    ticks: (k, 5) means of the last unbroken ticks, fewer than two windows of them.
     reference: (5,) what the present window is compared with; None before there is one.
     """
 
@@ -157,7 +158,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
 
 
 def _start() -> TrimStepState:
-    waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
+    waiting, ticks = np.empty((6, 0)), np.empty((0, 5))
     return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
 
 
@@ -194,14 +195,14 @@ def _ticks(
     tick = _tick(block)
     trim, flown = trim_of(block, layout, source)
     t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-    rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
+    rows = np.concatenate((state.rows, np.concatenate((trim.T, tilt_of(block).T, block.rate.T[2:]))), axis=1)
     count = len(t_ns) // tick
     used = count * tick
-    waiting = TrimStepState(t_ns[used:], rows[used:], known[used:], state.ticks, state.reference)
+    waiting = TrimStepState(t_ns[used:], rows[:, used:], known[used:], state.ticks, state.reference)
     if count == 0:
         return waiting, t_ns[:0], np.empty((0, 6)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
-    means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
+    means = np.add.reduce(rows[:, :used].reshape(6, count, tick), axis=2).T / tick
     return waiting, t_ns[tick - 1 : used : tick], means, whole
 
 
@@ -210,32 +211,48 @@ def _compared(
 ) -> tuple[TrimStepState, FloatArray, BoolArray]:
     """Shift of trim and tilt, (k, 5), and validity of each of the next ticks."""
     count = len(means)
+    if count == 0:
+        return state, np.empty((0, 5)), whole
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
-    shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
-    ticks, reference = state.ticks, state.reference
     window = max(1, round(spec.window_s / tick_s))
-    for i in range(count):
-        ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
-        if len(ticks) < 2 * window:
-            continue
-        before = ticks[:window].mean(axis=0)
-        reference = before if reference is None else reference
-        shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
-        reference = _followed(spec, reference, before, shift[i], tick_s)
-    return TrimStepState(state.t_ns, state.rows, state.known, ticks, reference), shift, valid
+    ticks = np.concatenate((state.ticks, means[:, :5]))
+    usable = np.concatenate((np.ones(len(state.ticks), dtype=np.bool_), straight))
+    valid = unbroken(usable, 2 * window)[-count:]
+    shift, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
+    broken = np.flatnonzero(~usable[-(2 * window - 1) :])
+    kept = ticks[-(2 * window - 1) :][(int(broken[-1]) + 1 if len(broken) else 0) :]
+    return TrimStepState(state.t_ns, state.rows, state.known, kept, reference), shift, valid
 
 
 def _followed(
-    spec: TrimStepSpec, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float
-) -> FloatArray:
-    """The reference a tick later. before: (5,) mean of the window that lies one window back."""
-    both = np.stack((shift, before - reference))
-    if rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]).max() > HOLD:
-        return reference
-    step = (before - reference) * (tick_s / spec.memory_s)
-    most = spec.drift_per_s * tick_s
-    step[:3] = np.clip(step[:3], -most, most)
-    return np.asarray(reference + step, dtype=np.float64)
+    spec: TrimStepSpec,
+    reference: FloatArray | None,
+    ticks: FloatArray,
+    valid: BoolArray,
+    window: int,
+    tick_s: float,
+) -> tuple[FloatArray, FloatArray | None]:
+    """The shift at each of the last ticks, (n, 5), zero where it is not valid, (n,); and the reference after them."""
+    count = len(valid)
+    shift = np.zeros((count, 5))
+    if not np.count_nonzero(valid):
+        return shift, reference
+    means = window_sums(ticks, window) / window  # of the ticks from each on
+    now = np.flatnonzero(valid)
+    first = len(ticks) - count + now - window + 1
+    recent, before = means[first], means[first - window]
+    large = LargeRise(spec.layout, spec.spread, HOLD)
+    follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
+    ref = before[0].tolist() if reference is None else reference.tolist()
+    for i, new, old in zip(now.tolist(), recent.tolist(), before.tolist(), strict=True):
+        moved, behind = [a - b for a, b in zip(new, ref, strict=True)], [a - b for a, b in zip(old, ref, strict=True)]
+        shift[i] = moved
+        if large(moved) or large(behind):
+            continue
+        steps = [one * follow for one in behind]
+        steps[:3] = [min(max(one, -most), most) for one in steps[:3]]
+        ref = [a + b for a, b in zip(ref, steps, strict=True)]
+    return shift, np.array(ref)
 
 
 def _turn(block: Block) -> float:

@@ -18,7 +18,7 @@ from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import BoolArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["VibrationLevel", "VibrationLevelSpec"]
@@ -107,10 +107,16 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
         """The mean level at each of the next rows."""
         block = rows.block
         known = _known(block)
-        size = np.linalg.norm(np.clip(np.where(known[:, None], block.vibration, 0.0), -LIMIT_M_S2, LIMIT_M_S2), axis=1)
+        shaking = block.vibration if np.count_nonzero(known) == len(known) else _zeroed(block.vibration, known)
+        shaking = np.minimum(np.maximum(shaking, -LIMIT_M_S2), LIMIT_M_S2)
+        size = np.sqrt(np.einsum("nk,nk->n", shaking, shaking))
         state, mean, full = sliding_mean(state, size[:, None], known, window_rows(self.spec.window_s, block.dt_s))
         value = mean[:, 0]
         return state, Statistic(block.t_ns, block.dt_s, value, full, value - self.spec.healthy, size)
+
+
+def _zeroed(values: FloatArray, known: BoolArray) -> FloatArray:
+    return np.where(known, values.T, 0.0).T
 
 
 def _known(block: Block) -> BoolArray:
