@@ -26,11 +26,13 @@ class TaskExecutor:
     pool: processes, threads or a cluster.
     in_flight: how many tasks to submit at a time, so that no worker waits.
     killed: errors that say that a task's workers died, one after the other.
+    manned: whether there is any worker; a pool of processes tells by an error if there is none.
     """
 
     pool: Executor
     in_flight: int
     killed: tuple[type[Exception], ...] = ()
+    manned: Callable[[], bool] = lambda: True
 
 
 @contextmanager

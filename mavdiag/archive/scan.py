@@ -23,6 +23,7 @@ from mavdiag.errors import InputError, LinkError, MavdiagError, UsageError
 __all__ = ["in_order", "scan"]
 
 Opened = Callable[[], AbstractContextManager[TaskExecutor]]
+QUIET_S = 15.0  # without an answer, until it is looked whether there is any worker (our choice)
 MOST_IDLE = 3  # times that workers may die without work (our choice)
 DIED = "the process that judged it died, perhaps for want of memory; judge it alone, or a part of it (--from, --to)"
 
@@ -47,7 +48,7 @@ def scan(
 
     opened: opens the workers; a second time if a worker died.
     cache: answers from before, and where new ones are kept as they come.
-    warn: is told once if they cannot be kept.
+    warn: is told once if they cannot be kept, and if no worker is left.
     Raises UsageError or LinkError if the workers cannot go on.
     """
     run = _Run(logs, question, cache, warn)
@@ -95,6 +96,7 @@ class _Run:
         self._suspected: deque[_Call] = deque()  # one of them ended a worker: they are done alone
         self._running: dict[Future[str | Record], _Call] = {}
         self._waiting: dict[str, list[int]] = {}  # logs of a content that is being judged, by its digest
+        self._told = False  # that no worker is left
         self._known: dict[str, Record] = {}  # answers that are not in the cache, by digest
 
     @property
@@ -117,7 +119,9 @@ class _Run:
         """Keep the workers busy until nothing is left. Raises BrokenExecutor if one of them died."""
         while self.left:
             self._submit(executor)
-            done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+            done, _ = wait(self._running, timeout=QUIET_S, return_when=FIRST_COMPLETED)
+            if not done and not executor.manned():
+                self._say_unmanned()
             for future in done:
                 if isinstance(future.exception() if not future.cancelled() else None, BrokenExecutor):
                     continue  # told of all that run, below
@@ -197,6 +201,11 @@ class _Run:
 
     def _answer(self, number: int, record: Record, *, fresh: bool) -> Answer:
         return Answer(number, self._logs[number].path, record, fresh)
+
+    def _say_unmanned(self) -> None:
+        if not self._told:
+            self._warn("no worker is left; waiting for another one (Ctrl-C stops, what is finished is kept)")
+        self._told = True
 
     def _keep(self, call: _Call, record: Record) -> None:
         """Keep an answer; an error is not kept beyond this scan, for the next one may do better."""

@@ -72,7 +72,9 @@ def made_workers(
         now[:] = [Workers(order, deadly, judged)]
         yield TaskExecutor(now[0], 4)
 
-    def wait(running: dict[Future[Any], Any], return_when: str) -> tuple[set[Future[Any]], set[Future[Any]]]:
+    def wait(
+        running: dict[Future[Any], Any], timeout: float, return_when: str
+    ) -> tuple[set[Future[Any]], set[Future[Any]]]:
         if not any(one.done() for one in running):
             now[0].finish_one()
         return {one for one in running if one.done()}, set()
@@ -221,6 +223,35 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(tmp_path: Path, error: Ex
     answers = list(scan(logs_named(paths).logs, asked(), failing(error)))
     assert len(answers) == 2
     assert all(words in one.verdict.reason for one in answers)
+
+
+def test_that_no_worker_is_left_is_told_once_and_the_scan_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for: list[Future[Any]] = []
+    looks: list[bool] = []
+
+    class Deserted(Executor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            asked_for.append(Future())
+            return asked_for[-1]
+
+    def manned() -> bool:
+        looks.append(len(looks) >= 3)
+        if looks[-1]:
+            asked_for[-1].set_result(Record("ab", LogVerdict("", Verdict.HEALTHY, "no alarm")))
+        return looks[-1]
+
+    @contextmanager
+    def opened() -> Iterator[TaskExecutor]:
+        yield TaskExecutor(Deserted(), 2, (), manned)
+
+    monkeypatch.setattr(module, "QUIET_S", 0.001)
+    warned: list[str] = []
+    logs = logs_named(made(tmp_path, "a.tlog")).logs
+    (answer,) = scan(logs, asked(), opened, None, warned.append)
+    assert answer.verdict.verdict is Verdict.HEALTHY
+    assert (len(warned), warned[0].startswith("no worker is left; waiting")) == (1, True)
 
 
 def test_workers_that_never_live_are_told(tmp_path: Path) -> None:
