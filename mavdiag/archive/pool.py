@@ -17,8 +17,8 @@ __all__ = ["TaskExecutor", "in_this_process", "local_executor"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
-#: Of a worker: one thread of arithmetic; and glibc keeps the arrays' memory for the next log instead of giving it back to
-#: the system, which makes a third of the page faults and half of the system's time (measured).
+#: Of a worker: one thread of arithmetic; and glibc keeps the arrays' memory for the next log instead of giving it back
+#: to the system, which makes a third of the page faults and half of the system's time (measured).
 ENVIRONMENT: Mapping[str, str] = MappingProxyType(
     {
         **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"),
