@@ -210,7 +210,7 @@ def run_emulated(arguments: argparse.Namespace) -> None:
         faults = [FLIGHTS - (_first_fault(one.records) or FLIGHTS) for one in worn]
         ahead = [(lead or 0) - fault for (_, lead), fault in zip(leads, faults, strict=True) if fault]
         print(
-            f"a flight before the last one judged as a fault: {len(ahead)} airframes, warned of so many before: {ahead}"
+            f"judged as a fault before the last flight: {len(ahead)} airframes, warned of so many before that: {ahead}"
         )
     warned = [one.number for one in healthy if first_warned(_series(one.records), FLIGHTS)]
     faults = sum(record.verdict is Verdict.FAULT for one in healthy for record in one.records)
