@@ -213,10 +213,10 @@ def run_emulated(arguments: argparse.Namespace) -> None:
             f"judged as a fault before the last flight: {len(ahead)} airframes, warned of so many before that: {ahead}"
         )
     warned = [one.number for one in healthy if first_warned(_series(one.records), FLIGHTS)]
-    faults = sum(record.verdict is Verdict.FAULT for one in healthy for record in one.records)
+    wrong = sum(record.verdict is Verdict.FAULT for one in healthy for record in one.records)
     if healthy:
         print(f"healthy airframes warned of in {FLIGHTS} flights: {interval(len(warned), len(healthy))} {warned}")
-        print(f"healthy flights judged as faults: {faults} of {len(healthy) * FLIGHTS}")
+        print(f"healthy flights judged as faults: {wrong} of {len(healthy) * FLIGHTS}")
         scatter(healthy)
 
 
