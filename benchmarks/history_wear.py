@@ -205,15 +205,18 @@ def run_emulated(arguments: argparse.Namespace) -> None:
         worn = list(_each(workers, partial(fly, seed=seed, worn=True, keep=keep), arguments.wearing))
         healthy = list(_each(workers, partial(fly, seed=seed + 1, worn=False, keep=keep), arguments.flown_healthy))
     if worn:
-        table(f"Emulated airframes, seed {seed}", [lead_emulated(one) for one in worn])
-        before = [_first_fault(one.records) for one in worn]
-        leads = [FLIGHTS - one for one in before if one is not None and one < FLIGHTS]
-        print(f"first verdict of a fault before the last flight: {len(leads)} airframes, flights before: {leads}")
+        leads = [lead_emulated(one) for one in worn]
+        table(f"Emulated airframes, seed {seed}", leads)
+        faults = [FLIGHTS - (_first_fault(one.records) or FLIGHTS) for one in worn]
+        ahead = [(lead or 0) - fault for (_, lead), fault in zip(leads, faults, strict=True) if fault]
+        print(
+            f"judged as a fault before the last flight: {len(ahead)} airframes, warned of so many before that: {ahead}"
+        )
     warned = [one.number for one in healthy if first_warned(_series(one.records), FLIGHTS)]
-    faults = sum(record.verdict is Verdict.FAULT for one in healthy for record in one.records)
+    wrong = sum(record.verdict is Verdict.FAULT for one in healthy for record in one.records)
     if healthy:
         print(f"healthy airframes warned of in {FLIGHTS} flights: {interval(len(warned), len(healthy))} {warned}")
-        print(f"healthy flights judged as faults: {faults} of {len(healthy) * FLIGHTS}")
+        print(f"healthy flights judged as faults: {wrong} of {len(healthy) * FLIGHTS}")
         scatter(healthy)
 
 

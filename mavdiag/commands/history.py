@@ -148,7 +148,7 @@ def mark(
         raise UsageError("say what was done: --new-propellers or --repair")
     kind = MarkKind.NEW_PROPELLERS if new_propellers else MarkKind.REPAIR
     t_ns = time.time_ns() if at is None else _time(at)
-    with _open(database) as history:
+    with _open(database, write=True) as history:
         history.mark(Mark(airframe, t_ns, kind, note))
     say(f"{airframe}: {kind.value}, {day(t_ns)}")
 
@@ -170,13 +170,13 @@ def _judged(log: Log, baseline: Baseline, airframe: str, vehicle: int | None) ->
     return record_of(log, judged, baseline, airframe=airframe, added_ns=time.time_ns(), vehicle=vehicle)
 
 
-def _open(database: str, *, create: bool = False) -> "AbstractContextManager[History]":
+def _open(database: str, *, create: bool = False, write: bool = False) -> "AbstractContextManager[History]":
     """The history. SQLAlchemy is loaded here and nowhere else. Raises UsageError if it is not installed."""
     try:
         store = importlib.import_module("mavdiag.history.store")
     except ImportError as error:
         raise UsageError("a history needs SQLAlchemy and Alembic: pip install 'mavdiag[history]'") from error
-    opened: AbstractContextManager[History] = store.open_history(database, create=create)
+    opened: AbstractContextManager[History] = store.open_history(database, create=create, write=write)
     return opened
 
 

@@ -121,10 +121,11 @@ class History:
 
 
 @contextmanager
-def open_history(database: str, *, create: bool = False) -> Iterator[History]:
+def open_history(database: str, *, create: bool = False, write: bool = False) -> Iterator[History]:
     """A history, by the path of its SQLite file or a URL such as postgresql://user@host/fleet.
 
     create: make the SQLite file if there is none; an empty PostgreSQL database gets its tables in any case.
+    write: something will be kept, so that an SQLite file is locked from the begin of each transaction.
     Raises UsageError if it cannot be used, also out of the block.
     """
     url = address_of(database)
@@ -132,7 +133,7 @@ def open_history(database: str, *, create: bool = False) -> Iterator[History]:
     if url.get_backend_name() == "sqlite":
         _check_file(Path(url.database or ""), create)
     try:
-        engine = _engine(url)
+        engine = _engine(url, "BEGIN IMMEDIATE" if create or write else "BEGIN")
         try:
             _bring_up(engine)
             yield History(engine)
@@ -179,7 +180,8 @@ def _check_file(path: Path, create: bool) -> None:
         raise UsageError(f"{path}: there is no folder {path.parent}; make it, or name another file")
 
 
-def _engine(url: URL) -> Engine:
+def _engine(url: URL, begin: str) -> Engine:
+    """begin: how SQLite begins a transaction; a reader must not need rights to write."""
     if url.get_backend_name() != "sqlite":
         return create_engine(url, poolclass=NullPool)
     engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": BUSY_S, "isolation_level": None})
@@ -190,7 +192,7 @@ def _engine(url: URL) -> Engine:
 
     @event.listens_for(engine, "begin")
     def begun(connection: Connection) -> None:
-        connection.exec_driver_sql("BEGIN IMMEDIATE")
+        connection.exec_driver_sql(begin)
 
     return engine
 

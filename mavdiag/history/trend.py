@@ -30,7 +30,7 @@ from mavdiag.telemetry import FloatArray, IntArray
 
 __all__ = ["MEMORY", "Remaining", "Sessions", "Trend", "scale_of_steps", "sessions_of", "trend_of"]
 
-MEMORY = 20.0  # flights after which a session counts 1/e (tuned, see `warn`)
+MEMORY = 14.0  # flights after which a session counts 1/e (tuned, see `warn`)
 LEAST_SESSIONS = 5  # fewer show no trend (our choice)
 LEAST_SCALE = 0.01  # of the threshold: smallest scatter that is believed (our choice)
 HUBER = 1.345

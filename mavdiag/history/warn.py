@@ -42,8 +42,8 @@ class Policy:
     kept: share of the way below which the level must fall back for a warning to be over.
     """
 
-    horizon: float = 30.0
-    progress: float = 0.82
+    horizon: float = 40.0
+    progress: float = 0.8
     grown: float = 1.5
     first: int = 20
     confirmed: int = 3

@@ -136,6 +136,20 @@ def test_what_is_no_history_is_said_in_one_line(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "other"]
 
 
+def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
+    """As little as while another one writes: a lock to write would have to wait for it."""
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True) as history:
+        history.add(record(1))
+    before = path.stat().st_mtime_ns
+    held = sqlite3.connect(path, isolation_level=None)
+    held.execute("BEGIN IMMEDIATE")  # another one writes at the moment
+    with open_history(str(path)) as history:
+        assert len(history.flights("one")) == 1
+    held.close()
+    assert path.stat().st_mtime_ns == before
+
+
 def test_a_table_that_is_missing_is_an_error_of_one_line(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     with open_history(str(path), create=True):
