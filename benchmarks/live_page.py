@@ -140,13 +140,16 @@ def cost(driver: Any, folder: Path, options: argparse.Namespace) -> None:
 
 
 class Deaf:
-    """In place of the server: somebody looks at vehicle 1, and lines go nowhere."""
+    """In place of the server; lines go nowhere. says: what it has to say, once."""
 
-    where, watched = "", False
+    where = ""
+
+    def __init__(self, *says: str) -> None:
+        self._says = list(says)
 
     def look(self, now: Instant) -> tuple[bool, list[str]]:
-        """Says once who is looked at."""
-        said, self.watched = [] if self.watched else ["watch 1"], True
+        """What it has to say."""
+        said, self._says = self._says, []
         return False, said
 
     def put(self, data: bytes) -> bool:
@@ -170,9 +173,14 @@ class TimedFeed(Feed):
 
 
 def own_share(folder: Path, rate: int) -> None:
-    """What the daemon itself does for an open page, of all that it does: one flight on a virtual clock."""
-    feed, spent_ns = TimedFeed(Deaf(), Instant(START_NS)), 0
+    """What the daemon itself does for a page, of all that it does: one flight on a virtual clock."""
     frames = frames_of(record(folder / "flight.tlog", rate, 60.0, "--seed", "5"))
+    shut, looked = _share(folder, frames), _share(folder, frames, "watch 1")
+    print(f"    the page's share of the daemon's processor time: {100 * looked:.1f} %, closed {100 * shut:.1f} %")
+
+
+def _share(folder: Path, frames: list[tuple[float, int, bytes]], *says: str) -> float:
+    feed, spent_ns = TimedFeed(Deaf(*says), Instant(START_NS)), 0
     baseline = Baseline.load(folder / "baseline.json")
     bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=folder / "baseline.json"), baseline, web=feed)
     at = 0
@@ -185,7 +193,7 @@ def own_share(folder: Path, rate: int) -> None:
         bench.daemon.tick()
         spent_ns += time.thread_time_ns() - since_ns
     bench.close()
-    print(f"    the page's share of the daemon's processor time: {100 * feed.spent_ns / spent_ns:.1f} %")
+    return feed.spent_ns / spent_ns
 
 
 def fly(far: Any, vehicle: MadeVehicle, done: Callable[[str], bool], limit_s: float) -> tuple[str, float] | None:
