@@ -5,7 +5,7 @@
 Cost: one emulated vehicle sends to one detector; spans with the page open and closed alternate in the order A B B A, in
 one run. Figures are processor time of the daemon's threads, by the system's account, and the ratio of each pair. The
 same is done with a reader that takes the page's stream and draws nothing: on a machine of few cores a browser that
-draws slows whatever runs beside it.
+draws slows whatever runs beside it. Last, a flight on a virtual clock: the page's share of what the daemon itself does.
 
 Alerts: a made vehicle turns without a command until a text says FAULT, again and again. What is measured is from the
 ground station's receipt of the STATUSTEXT until the page has drawn it (wall clock of one machine, 1 ms).
@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,12 +29,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from detector_load import baseline_file
 from made_session import baseline_for
-from made_vehicle import MadeVehicle
+from made_vehicle import START_NS, TICK_S, Bench, MadeVehicle
+from many_vehicles import frames_of, record
 from web_page import browser, give, serving
 
+from detector.config import Settings
+from detector.fleet import Fleet, Turn
+from detector.web.feed import Feed
+from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, decode_statustext
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import open_endpoint
+from mavdiag.telemetry import Instant
 
 SETTLE_S = 8.0  # from the first message until the detector judges everything
 REST_S = 1.5  # after a page was opened or closed
@@ -133,6 +139,63 @@ def cost(driver: Any, folder: Path, options: argparse.Namespace) -> None:
             plant.wait(20.0)
 
 
+class Deaf:
+    """In place of the server; lines go nowhere. says: what it has to say, once."""
+
+    where = ""
+
+    def __init__(self, *says: str) -> None:
+        self._says = list(says)
+
+    def look(self, now: Instant) -> tuple[bool, list[str]]:
+        """What it has to say."""
+        said, self._says = self._says, []
+        return False, said
+
+    def put(self, data: bytes) -> bool:
+        """There is always room."""
+        return True
+
+    def close(self) -> None:
+        """Nothing."""
+
+
+class TimedFeed(Feed):
+    """spent_ns: processor time of its looks."""
+
+    spent_ns = 0
+
+    def look(self, fleet: Fleet, turns: Sequence[Turn], now: Instant) -> None:
+        """As `Feed`."""
+        since_ns = time.thread_time_ns()
+        super().look(fleet, turns, now)
+        self.spent_ns += time.thread_time_ns() - since_ns
+
+
+def own_share(folder: Path, rate: int) -> None:
+    """What the daemon itself does for a page, of all that it does: one flight on a virtual clock."""
+    frames = frames_of(record(folder / "flight.tlog", rate, 60.0, "--seed", "5"))
+    shut, looked = _share(folder, frames), _share(folder, frames, "watch 1")
+    print(f"    the page's share of the daemon's processor time: {100 * looked:.1f} %, closed {100 * shut:.1f} %")
+
+
+def _share(folder: Path, frames: list[tuple[float, int, bytes]], *says: str) -> float:
+    feed, spent_ns = TimedFeed(Deaf(*says), Instant(START_NS)), 0
+    baseline = Baseline.load(folder / "baseline.json")
+    bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=folder / "baseline.json"), baseline, web=feed)
+    at = 0
+    for tick in range(1, round(60.0 / TICK_S)):
+        while at < len(frames) and frames[at][0] < tick * TICK_S:
+            bench.far.send(frames[at][2])
+            at += 1
+        bench.host.sleep(TICK_S)
+        since_ns = time.thread_time_ns()
+        bench.daemon.tick()
+        spent_ns += time.thread_time_ns() - since_ns
+    bench.close()
+    return feed.spent_ns / spent_ns
+
+
 def fly(far: Any, vehicle: MadeVehicle, done: Callable[[str], bool], limit_s: float) -> tuple[str, float] | None:
     """Fly in real time until a text will do: the text, and when it came [ms, wall clock]."""
     decoder, give_up = Decoder({MessageId.STATUSTEXT}), time.monotonic() + limit_s
@@ -219,6 +282,8 @@ def main() -> None:
             burst(driver)
             print("processor time")
             cost(driver, folder, options)
+            print(f"  one flight on a virtual clock, {options.rate} Hz")
+            own_share(folder, options.rate)
 
 
 if __name__ == "__main__":

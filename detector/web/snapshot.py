@@ -7,8 +7,10 @@ one. Both are plain values that `as_line` writes as JSON.
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+
+import numpy as np
 
 from detector.alerts import label_of
 from detector.fleet import VehicleFigures
@@ -211,7 +213,7 @@ def _taken(memory: Memory, judge: Judge, pieces: Sequence[Piece], now: Instant) 
 
 
 def _seen(found: Sequence[Statistic], now: Instant, *, rises: bool) -> Seen:
-    highest = (float(one.value[one.valid].max()) for one in found if one.valid.any())
+    highest = (float(np.maximum.reduce(one.value, where=one.valid, initial=-np.inf)) for one in found)
     values = [one for one in highest if math.isfinite(one)]
     last = found[-1]
     known = tuple(round(one, 4) for one in last.rotors[-1].tolist()) if rises and len(last.rotors) else ()
@@ -281,11 +283,15 @@ def level_of(state: SessionState, now: Instant) -> tuple[Level, str]:
 
 def as_line(value: object) -> str:
     """The JSON of a dataclass of figures, in one line of ASCII; a number that is not finite becomes null."""
-    return json.dumps(value, default=_plain, allow_nan=False)
+    return _encoded(value)
 
 
 def _plain(value: object) -> object:
-    if is_dataclass(value) and not isinstance(value, type):
-        found = {one.name: getattr(value, one.name) for one in fields(value)}
-        return {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in found.items()}
+    names: tuple[str, ...] | None = getattr(type(value), "__slots__", None)  # of a dataclass here: its fields
+    if names is not None:
+        found = [(name, getattr(value, name)) for name in names]
+        return {name: None if type(one) is float and not math.isfinite(one) else one for name, one in found}
     raise TypeError(f"{type(value).__name__} has no JSON")
+
+
+_encoded = json.JSONEncoder(default=_plain, allow_nan=False).encode  # made once, for it is used five times a second

@@ -15,6 +15,7 @@ __all__ = ["BIN_NS", "Strip", "strips_of"]
 
 BIN_NS = NS_PER_S // 20  # of vehicle time that one point stands for (our choice)
 DIGITS = 5
+_FIRST: IntArray = np.zeros(1, dtype=np.int64)
 MOST = 1e6  # that a point may show: what is not finite, or beyond it, is no figure for a strip
 
 
@@ -49,20 +50,19 @@ def _strip(axis: Axis, found: Sequence[Statistic]) -> Strip:
     if not found:
         return Strip(axis, (), (), (), (), ())
     bins: IntArray = np.concatenate([one.t_ns for one in found]) // BIN_NS
-    signal = _bounded([one.signal for one in found])
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(bins)) + 1))
-    low, high = np.minimum.reduceat(signal, starts), np.maximum.reduceat(signal, starts)
-    fsd_s = np.maximum.reduceat(_bounded([one.value for one in found]), starts)
-    judged = np.logical_or.reduceat(np.concatenate([one.valid for one in found]), starts)
+    starts = np.concatenate((_FIRST, (bins[1:] != bins[:-1]).nonzero()[0] + 1))
+    signal = np.concatenate([one.signal for one in found])
+    fsd_s = np.concatenate([one.value for one in found])
+    valid = np.concatenate([one.valid for one in found])
     return Strip(
         axis,
         tuple(bins[starts].tolist()),
-        tuple(low.round(DIGITS).tolist()),
-        tuple(high.round(DIGITS).tolist()),
-        tuple(fsd_s.round(DIGITS).tolist()),
-        tuple(judged.tolist()),
+        _shown(np.minimum.reduceat(signal, starts)),
+        _shown(np.maximum.reduceat(signal, starts)),
+        _shown(np.maximum.reduceat(fsd_s, starts)),
+        tuple(np.logical_or.reduceat(valid, starts).tolist()),
     )
 
 
-def _bounded(parts: Sequence[FloatArray]) -> FloatArray:
-    return np.clip(np.nan_to_num(np.concatenate(parts)), -MOST, MOST)
+def _shown(values: FloatArray) -> tuple[float, ...]:
+    return tuple(round(max(-MOST, min(MOST, one)), DIGITS) if one == one else 0.0 for one in values.tolist())

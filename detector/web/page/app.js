@@ -136,9 +136,9 @@ const PARTS = {
 
 function render() {
   page.asked = false;
-  const parts = [...page.changed];
-  page.changed.clear();
-  for (const part of parts) PARTS[part]();
+  const changed = page.changed;
+  page.changed = new Set();
+  for (const part of Object.keys(PARTS)) if (changed.has(part)) PARTS[part](); // what a part rests on comes before it
 }
 
 function text(id, value) {
@@ -301,7 +301,8 @@ function renderStrips() {
   if (page.paused) return;
   for (const place of byId("axes").children) {
     const axis = place.dataset.axis, trace = page.traces.get(axis) || new Trace();
-    const slot = page.about.slots.find((one) => one.margin !== null && one.axis === axis);
+    const slot = page.about && page.about.slots.find((one) => one.margin !== null && one.axis === axis);
+    if (!slot) continue;
     const [residual, run] = place.querySelectorAll("canvas"), values = place.querySelectorAll(".value");
     drawResidual(residual, trace, slot.margin);
     drawRun(run, trace, slot.threshold);
