@@ -194,7 +194,7 @@ function renderFleet() {
   figures("machine", [
     ["Running for", span(uptime_s)],
     ["Processor", uptime_s > 0 ? `${(100 * cpu_s / uptime_s).toFixed(1)} % of a core` : "–"],
-    ["Looks that came late", String(late), late ? "warn" : ""],
+    ["Late looks", String(late), late ? "warn" : ""],
     ...links.flatMap((one, i) => [[i ? "Link behind" : "Vehicles' link", one.address],
       ["", `${one.connected ? "connected" : "nobody there"}, ${one.sent} sent`
         + (one.dropped ? `, ${one.dropped} dropped` : "") + (one.overflowed ? `, ${one.overflowed} overflowed` : ""),
@@ -242,7 +242,7 @@ function renderNow() {
     ["State", now.state],
     ...([now.state, now.sentence].includes(now.reason) ? [] : [["", now.reason]]),
     ["Flight judged", `${span(now.judged_s)} of ${span(now.flight_s)}`],
-    ["Alarms of monitors", String(now.events)],
+    ["Monitor alarms", String(now.events)],
   ] : []);
   const alarm = now && (level === "fault" || level === "suspected");
   byId("alert").hidden = !alarm;
