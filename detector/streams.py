@@ -12,8 +12,8 @@ import numpy as np
 from mavdiag.link.profiles import Profile, scale_doubt
 from mavdiag.link.samples import joined
 from mavdiag.link.scale import gravity_of
-from mavdiag.rows.align import NATIVE_TOLERANCE
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.grid import NATIVE_TOLERANCE
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 

@@ -1,11 +1,14 @@
 """Judge a whole log by a baseline: one verdict, with its reason, for every log that can be opened."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from mavdiag.airframe.fingerprint import Likeness, Outcome, compare
+import numpy as np
+
+from mavdiag.airframe.fingerprint import FIRST_S, Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
@@ -31,6 +34,7 @@ __all__ = [
     "why_not",
 ]
 
+PIECE_ROWS = 8192  # rows that are judged together: their arrays fit a processor's cache (our choice)
 MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
 
 
@@ -125,12 +129,19 @@ class JudgedFlight:
 
 
 def judge(log: Log, baseline: Baseline) -> LogVerdict:
-    """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason."""
-    return judge_in_full(log, baseline).verdict
+    """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason.
+
+    Rows are made and judged some thousands at a time, so that it takes little memory beside the log's own.
+    """
+    return _judged(log, baseline, keep=False).verdict
 
 
 def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
     """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
+    return _judged(log, baseline, keep=True)
+
+
+def _judged(log: Log, baseline: Baseline, keep: bool) -> JudgedFlight:
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
@@ -143,15 +154,15 @@ def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
     chain = replace(chain_of(baseline, log.started_ns), fingerprint=None)  # compared here, before it is judged
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
-    parts = chain.front.whole(log.telemetry)
-    likeness = _likeness(parts, baseline)
+    parts = chain.front.pieces(log.telemetry, PIECE_ROWS)
+    first = _beginning(parts, baseline)
+    likeness = _likeness(first, baseline)
     alike = likeness.sentence(baseline.airframe.name)
     if likeness.outcome is Outcome.FAR:
         reason = f"another vehicle: {alike}"
         return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
-    state, first = chain.judge(chain.start(), parts)
-    state, last = chain.finish(state)
-    events, changes = _merged((*first.events, *last.events)), (*first.changes, *last.changes)
+    state, found, changes, kept = _run(chain, itertools.chain(first, parts), keep)
+    events = _merged(found)
     monitors = _summaries(chain, state, events)
     verdict, reason = _verdict(monitors, state, events, changes)
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
@@ -169,7 +180,32 @@ def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
         notes,
         _kind(changes),
     )
-    return JudgedFlight(told, chain, (*first.pieces, *last.pieces))
+    return JudgedFlight(told, chain, tuple(kept))
+
+
+def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
+    """The first rows, as many as are compared with the vehicle of the baseline, and those of half a window more."""
+    taken: list[Rows | Border] = []
+    left_s = FIRST_S + baseline.window.samples * baseline.link.dt_s
+    while left_s > 0 and baseline.fingerprint is not None and (part := next(parts, None)) is not None:
+        taken.append(part)
+        if isinstance(part, Rows):
+            left_s -= float(np.count_nonzero(part.block.valid)) * part.block.dt_s
+    return taken
+
+
+def _run(
+    chain: Chain, parts: Iterable[Rows | Border], keep: bool
+) -> tuple[ChainState, list[Event], list[Change], list[Piece]]:
+    """All parts through the chain: its last state, all events and changes, and the pieces if they are to be kept."""
+    state, events, changes, kept = chain.start(), list[Event](), list[Change](), list[Piece]()
+    for part in parts:
+        state, output = chain.judge(state, (part,))
+        events += output.events
+        changes += output.changes
+        kept += output.pieces if keep else ()
+    state, output = chain.finish(state)
+    return state, [*events, *output.events], [*changes, *output.changes], [*kept, *output.pieces]
 
 
 def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:

@@ -139,18 +139,26 @@ def beginning(flight: Sequence[Rows], span_s: float) -> list[Rows]:
     """The first rows of a flight that hold so much valid flight [s]."""
     out: list[Rows] = []
     left_s = span_s
-    for rows in flight:
-        block, rates = rows.block, rows.rates
+    for number, rows in enumerate(flight):
+        block = rows.block
         seen_s = np.cumsum(block.valid) * block.dt_s
         stop = int(np.searchsorted(seen_s, left_s, side="right"))
         if stop < len(block):
-            last = int(np.searchsorted(rates.t_ns, block.t_ns[stop]))
-            columns = (getattr(rates, field.name)[:last] for field in fields(RateBlock)[2:])
-            out.append(Rows(block.rows(0, stop), RateBlock(rates.segment, rates.dt_s, *columns)))
+            out.append(_until(rows, block.rows(0, stop), int(block.t_ns[stop])))
+            later = (one for one in flight[number + 1 : number + 3] if one.block.segment == block.segment)
+            out += [_until(one, one.block.rows(0, 0), int(block.t_ns[stop])) for one in later]
             break
         out.append(rows)
         left_s -= float(seen_s[-1]) if len(seen_s) else 0.0
     return out
+
+
+def _until(rows: Rows, block: Block, stop_ns: int) -> Rows:
+    """That block, with the rates of the rows before a time; they come half a window later, with the next rows."""
+    rates = rows.rates
+    last = int(np.searchsorted(rates.t_ns, stop_ns))
+    columns = (getattr(rates, field.name)[:last] for field in fields(RateBlock)[2:])
+    return Rows(block, RateBlock(rates.segment, rates.dt_s, *columns))
 
 
 def _noise(signals: Sequence[tuple[FloatArray, BoolArray]], blocks: Sequence[Block]) -> FloatArray:

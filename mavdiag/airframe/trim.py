@@ -22,11 +22,16 @@ __all__ = [
     "LEVEL_RATIO",
     "MIN_OUTPUT",
     "SIGNALS",
+    "SOURCES",
     "YAW_FLOOR",
+    "LargeRise",
     "Source",
     "rises",
     "shown_trim",
+    "source_among",
     "source_of",
+    "sources_of",
+    "spread_from",
     "spread_of",
     "tilt_of",
     "trim_of",
@@ -39,10 +44,16 @@ NO_TILT = np.zeros((1, 2))
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]
+SOURCES: tuple[Source, ...] = ("actuator", "torque")
 SIGNALS: dict[Source, frozenset[Signal]] = {
     "actuator": frozenset({Signal.ACTUATOR}),
     "torque": frozenset({Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}),
 }
+
+
+def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
+    """(2,) whether a flight shows a trim by each of `SOURCES`."""
+    return np.array([any(trim_of(rows.block, layout, one)[1].any() for rows in flight) for one in SOURCES])
 
 
 def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
@@ -50,9 +61,13 @@ def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
 
     Raises InputError if there is neither.
     """
-    sources: tuple[Source, ...] = ("actuator", "torque")
-    for source in sources:
-        if any(trim_of(rows.block, layout, source)[1].any() for flight in flights for rows in flight):
+    return source_among([sources_of(flight, layout) for flight in flights], layout)
+
+
+def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
+    """As `source_of`, from what `sources_of` says of each flight."""
+    for number, source in enumerate(SOURCES):
+        if any(one[number] for one in shown):
             return source
     raise InputError(
         f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
@@ -72,16 +87,18 @@ def _trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatAr
         outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
         if outputs.shape[1] < layout.rotors:
             return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-        level = np.add.reduce(outputs, axis=1) / layout.rotors
+        rows = np.ascontiguousarray(outputs.T)  # (rotors, n)
+        level = np.add.reduce(rows, axis=0) / layout.rotors
         known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
-        w = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None]) - 1.0
-        return np.einsum("nr,kr->nk", w, layout.unmixing), known
+        if np.count_nonzero(known) < len(known):
+            rows, level = np.where(known, rows, 1.0), np.where(known, level, 1.0)
+        return np.einsum("kr,rn->kn", layout.unmixing, rows / level - 1.0).T, known
     if layout.torque_gain is None:
         return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
     # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
     known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque * np.array(layout.torque_gain)
-    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
+    command = block.torque.T * np.array(layout.torque_gain)[:, None]
+    return np.divide(command, block.thrust, out=np.zeros((3, len(block))), where=known).T, known
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
@@ -94,12 +111,17 @@ def tilt_of(block: Block) -> FloatArray:
     """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
     if np.count_nonzero(block.setpoint_valid) == len(block):
         return block.setpoint[:, :2]
-    return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
+    return np.where(block.setpoint_valid, block.setpoint.T[:2], 0.0).T
 
 
 def spread_of(shifts: FloatArray) -> Three:
     """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
-    roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
+    return spread_from(np.mean(np.square(shifts), axis=0))
+
+
+def spread_from(squares: FloatArray) -> Three:
+    """As `spread_of`, from the mean squares of the shifts, (3,)."""
+    roll, pitch, yaw = np.sqrt(squares).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
 
@@ -111,10 +133,34 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
     full, which tells rotors of one sense of rotation apart.
     """
-    variance = np.empty(shift.shape if len(tilt) == len(shift) else (1, 3))  # the same for all rows without a tilt
-    variance[:, 0], variance[:, 1], variance[:, 2] = spread[0] ** 2, spread[1] ** 2, spread[2] ** 2
-    if tilt is not NO_TILT:
-        variance[:, :2] += TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt)[:, None]
-    C, W = layout.unmixing, 1.0 / variance
+    C, shifts = layout.unmixing, shift.T
+    weights = 1.0 / np.array([[one * one] for one in spread])
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    return np.asarray(np.einsum("nk,kr->nr", shift * W, C) / np.einsum("nk,kr->nr", W, C * C), dtype=np.float64)
+    if tilt is NO_TILT:
+        share = weights * C / np.einsum("kn,kr->r", weights, C * C)
+        return np.asarray(np.einsum("kr,kn->rn", share, shifts).T, dtype=np.float64)
+    level = 1.0 / (TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt) + np.array([[spread[0] ** 2], [spread[1] ** 2]]))
+    found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
+    found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
+    return np.asarray(found.T, dtype=np.float64)
+
+
+class LargeRise:
+    """Whether the largest of `rises` is above a limit, of one shift at a time: for what must go tick by tick."""
+
+    def __init__(self, layout: RotorLayout, spread: Three, limit: float) -> None:
+        self._roll, self._pitch, self._yaw = (one * one for one in spread)
+        self._columns = [
+            (a, b, c, limit * a * a, limit * b * b, limit * c * c) for a, b, c in layout.unmixing.T.tolist()
+        ]
+
+    def __call__(self, shift: Sequence[float]) -> bool:
+        """shift: of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
+        roll, pitch, yaw, lean, nod = shift
+        more = TILT_TRIM**2 * (lean * lean + nod * nod)
+        w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
+        roll, pitch, yaw = roll * w0, pitch * w1, yaw * w2
+        for a, b, c, least_a, least_b, least_c in self._columns:
+            if roll * a + pitch * b + yaw * c > w0 * least_a + w1 * least_b + w2 * least_c:
+                return True
+        return False

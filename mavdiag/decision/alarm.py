@@ -17,7 +17,6 @@ on how the data were cut: a live link and its recording give the same events, ro
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import TypeAlias
 
 import numpy as np
@@ -25,33 +24,21 @@ import numpy as np
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.decision.events import Event, EventSpec, EventState
 from mavdiag.decision.grading import FaultTypes, Gathered, assess
+from mavdiag.decision.heights import STALE_NS, Ahead, Height, height_of, look_ahead
 from mavdiag.decision.kinds import KindReading, grown, named
-from mavdiag.decision.looks import Looks, Reading, Waiting, cut, known_from
+from mavdiag.decision.looks import MANY, Looks, Reading, Waiting, cut, known_from
 from mavdiag.monitors.base import FaultKind, RotorEvidence
 from mavdiag.rows.statistic import Statistic
 from mavdiag.units import NS_PER_S
 
 __all__ = ["NEXT", "Change", "DecisionSpec", "DecisionState", "Diagnosis", "Event", "Height", "SlotSpec", "Stage"]
 
-CALM_BELOW, RAISED_FROM = 0.7, 0.8  # of the threshold (our choice); one emulated flight in 62 healthy h was suspected
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a fault (our choice)
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
 # A propeller fault that names no rotor is declared so much later: a noisy sensor shows as one until then (our choice).
 DOUBT_NS = 3 * LOOK_NS
 NAN = float("nan")
 NOTHING_SEEN = Diagnosis()
-STALE_NS = NS_PER_S  # a slot whose last valid value is older does not count (our choice)
-
-
-class Height(IntEnum):
-    """How high the highest ratio is. SETTLED: calm for 2 s. UNKNOWN: nothing judged."""
-
-    UNKNOWN = -1
-    SETTLED = 0
-    CALM = 1
-    HELD = 2
-    RAISED = 3
-    OVER = 4
 
 
 NEXT: dict[tuple[Stage, Height], tuple[Stage, str]] = {
@@ -161,7 +148,14 @@ class DecisionSpec:
         parts = [cut(some, slot.delay_s, times) for slot, some in zip(self.slots, waiting, strict=True)]
         events: list[Event] = []
         changes: list[Change] = []
+        ahead = None if len(looks) < MANY else look_ahead(parts, state.latest, [slot.decides for slot in self.slots])
+        passed = 0  # looks until here are done
         for number, t_ns in enumerate(looks):
+            if number < passed:
+                continue
+            if ahead is not None and (passed := self._passed(state, ahead, number)) > number:
+                state = self._after(state, ahead, number, passed)
+                continue
             state, fresh = self._read(state, parts, number)
             state, change = self._decide(state, t_ns)
             if state.diagnosis.stage is Stage.FAULT:
@@ -200,14 +194,36 @@ class DecisionSpec:
         looks = list(range((first_ns // LOOK_NS + 1) * LOOK_NS, until_ns + 1, LOOK_NS))
         return [*looks, until_ns] if final and until_ns > first_ns and until_ns not in looks[-1:] else looks
 
+    def _passed(self, state: DecisionState, ahead: Ahead, number: int) -> int:
+        """The next look at which something may happen."""
+        if any(one.open is not None for one in state.events):
+            return number
+        return ahead.until(state.diagnosis.stage, number)
+
+    def _after(self, state: DecisionState, ahead: Ahead, first: int, stop: int) -> DecisionState:
+        """The state after the looks [first, stop), at which nothing happens."""
+        latest = ahead.latest(stop - 1)
+        now = _leading(state.diagnosis, self._fresh(latest, ahead.parts[0].times[stop - 1]))
+        return replace(
+            state, latest=latest, calm_ns=ahead.calm_ns(first, stop, state.calm_ns), over_ns=None, diagnosis=now
+        )
+
+    def _fresh(self, latest: Sequence[Reading | None], t_ns: int) -> list[Fresh]:
+        """The slots that count now, and their readings."""
+        return [
+            (reading, slot)
+            for reading, slot in zip(latest, self.slots, strict=True)
+            if reading is not None and t_ns - reading.t_ns <= STALE_NS
+        ]
+
     def _read(self, state: DecisionState, parts: Sequence[Looks], number: int) -> tuple[DecisionState, list[Event]]:
         """Take one look's values: the latest reading and the events of every slot."""
         # What was read last ages while nothing is valid.
-        latest = tuple([one.readings[number] or old for one, old in zip(parts, state.latest, strict=True)])
+        latest = tuple([one.reading(number) or old for one, old in zip(parts, state.latest, strict=True)])
         events, fresh = state.events, list[Event]()
         for i, (slot, one) in enumerate(zip(self.slots, parts, strict=True)):
             ratio = one.highest[number]
-            if ratio is None or (ratio <= 1.0 and events[i].open is None):
+            if ratio != ratio or (ratio <= 1.0 and events[i].open is None):  # nan: the look has no value
                 continue
             if (part := one.part(number)) is not None:
                 after, seen = slot.events.step(events[i], part)
@@ -217,11 +233,7 @@ class DecisionSpec:
 
     def _decide(self, state: DecisionState, t_ns: int) -> tuple[DecisionState, bool]:
         """Look the transition up, and see whether the rotor can be named; True if anything changed."""
-        fresh = [
-            (reading, slot)
-            for reading, slot in zip(state.latest, self.slots, strict=True)
-            if reading is not None and t_ns - reading.t_ns <= STALE_NS
-        ]
+        fresh = self._fresh(state.latest, t_ns)
         state, height = _height_now(state, fresh, t_ns)
         now = _leading(state.diagnosis, fresh)
         stage, reason = NEXT.get((now.stage, height), (now.stage, now.reason))
@@ -304,7 +316,7 @@ def _height_now(state: DecisionState, fresh: Sequence[Fresh], t_ns: int) -> tupl
     """How high the highest ratio is, and since when; see `DOUBT_NS` for what waits before it is over."""
     height = Height.UNKNOWN
     if any(slot.decides for _, slot in fresh):
-        height = max(_height(reading.ratio, slot.decides) for reading, slot in fresh)
+        height = max(height_of(reading.ratio, slot.decides) for reading, slot in fresh)
     calm_ns = None if height is not Height.CALM else t_ns if state.calm_ns is None else state.calm_ns
     over_ns = None if height is not Height.OVER else t_ns if state.over_ns is None else state.over_ns
     if calm_ns != state.calm_ns or over_ns != state.over_ns:
@@ -333,13 +345,3 @@ def _leading(diagnosis: Diagnosis, fresh: Sequence[Fresh]) -> Diagnosis:
     evidence = (named.monitor, named.axis, slot.unit, statistic, named.threshold)
     fault = (it.rotor, it.confidence, it.fault_type, it.severity, it.kind)
     return Diagnosis(it.stage, it.reason, it.since_ns, *evidence, *fault)
-
-
-def _height(ratio: float, decides: bool) -> Height:
-    if not decides:
-        return Height.RAISED if ratio > 1.0 else Height.CALM
-    if ratio > 1.0:
-        return Height.OVER
-    if ratio >= RAISED_FROM:
-        return Height.RAISED
-    return Height.HELD if ratio >= CALM_BELOW else Height.CALM

@@ -1,7 +1,10 @@
 """One slot's values cut at the times at which the decision looks at them."""
 
+import itertools
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -9,7 +12,13 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Looks", "Reading", "Waiting", "cut", "known_from"]
+__all__ = ["MANY", "Looks", "Reading", "Waiting", "cut", "known_from"]
+
+NAN = float("nan")
+MANY = 4  # looks from which on it is quicker to take them all at once
+
+
+_Found: TypeAlias = tuple[list[float] | FloatArray, list[int] | IntArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +63,28 @@ class Waiting:
 class Looks:
     """The values of each look, and what waits for a later one.
 
+    times: of the looks [ns].
     chunks: where they lie; at: of each chunk the (looks + 1,) rows where the looks begin and end.
-    highest: of each look the highest ratio, -1 if no value is valid, None if there is none.
-    readings: of each look what it gave, None if no value is valid.
+    highest: of each look the highest ratio, -1 if no value is valid, nan if there is none.
+    chunk, row: of each look the chunk and the row of its last valid value; row is -1 if there is none.
     """
 
+    times: Sequence[int]
     chunks: tuple[Waiting, ...]
     rest: tuple[Waiting, ...]
-    at: list[list[int]]
-    highest: list[float | None]
-    readings: list[Reading | None]
+    at: list[Sequence[int]]
+    highest: list[float] | FloatArray
+    chunk: list[int]
+    row: list[int] | IntArray
+
+    def reading(self, number: int) -> Reading | None:
+        """What a look gave, None if no value is valid."""
+        row, ratio = int(self.row[number]), float(self.highest[number])
+        if row < 0 or not ratio >= 0:
+            return None
+        values = self.chunks[self.chunk[number]].values
+        rotors = tuple(values.rotors[row].tolist()) if len(values.rotors) else ()
+        return Reading(self.times[number], ratio, values.value.item(row), rotors)
 
     def part(self, number: int) -> Statistic | None:
         """The values of a look, None if it has none."""
@@ -82,47 +103,53 @@ def known_from(waiting: Sequence[Waiting], delay_s: float) -> int | None:
 def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
     """Cut values at these times [ns]. delay_s: how much later than its time stamp a value is known."""
     t_ns, times = looks - round(delay_s * NS_PER_S), looks.tolist()
-    at, rest = list[list[int]](), list[Waiting]()
-    highest: list[float | None] = [None] * len(times)
-    readings: list[Reading | None] = [None] * len(times)
-    for one in waiting:
-        edges = [one.first, *one.values.t_ns.searchsorted(t_ns, side="right").tolist()]
+    at, rest, found = list[Sequence[int]](), list[Waiting](), list[tuple[int, _Found]]()
+    for number, one in enumerate(waiting):
+        stops = one.values.t_ns.searchsorted(t_ns, side="right")
+        edges = [one.first, *stops.tolist()]
         at.append(edges)
         stop = edges[-1]
         if stop < len(one.ratio):
             rest.append(one if stop == one.first else Waiting(one.values, one.ratio, stop))
         if edges[0] < stop:
-            _look(one, edges, times, highest, readings)
-    return Looks(tuple(waiting), tuple(rest), at, highest, readings)
+            found.append((number, _few(one, edges) if len(times) < MANY else _many(one, stops)))
+    if not found:
+        nothing = [-1] * len(times)
+        return Looks(times, tuple(waiting), tuple(rest), at, [NAN] * len(times), nothing, nothing)
+    newest, (highest, row) = found[-1]
+    chunk = [newest] * len(times)
+    for number, (tops, rows) in reversed(found[:-1]):  # of an older chunk only the first looks hold something
+        for k in range(bisect_left(at[number], at[number][-1])):
+            if highest[k] != highest[k] or tops[k] > highest[k]:  # the first is nan
+                highest[k] = tops[k]
+            if row[k] < 0:
+                chunk[k], row[k] = number, rows[k]
+    return Looks(times, tuple(waiting), tuple(rest), at, highest, chunk, row)
 
 
-def _look(
-    one: Waiting,
-    edges: Sequence[int],
-    times: Sequence[int],
-    highest: list[float | None],
-    readings: list[Reading | None],
-) -> None:
-    """Add one chunk's values to the looks that hold some of them."""
-    values, valid = one.values, one.values.valid
-    for k, t_ns in enumerate(times):
-        if edges[k] == edges[k + 1]:
-            continue
-        ratio = float(np.maximum.reduce(one.ratio[edges[k] : edges[k + 1]]))
-        before = highest[k]
-        highest[k] = top = ratio if before is None else max(before, ratio)
-        last = edges[k + 1] - 1
-        if top < 0:
-            continue
-        if not valid[last]:
-            good = np.flatnonzero(valid[edges[k] : last])
-            if len(good) == 0:
-                held = readings[k]
-                readings[k] = None if held is None else replace(held, ratio=top)
-                continue
-            last = edges[k] + int(good[-1])
-        rotors = tuple(values.rotors[last].tolist()) if len(values.rotors) else ()
-        readings[k] = Reading(t_ns, top, values.value.item(last), rotors)
+def _few(one: Waiting, edges: Sequence[int]) -> _Found:
+    """The highest ratio of each look, nan for none, and the row of its last valid value, -1 for none."""
+    tops, rows = list[float](), list[int]()
+    for first, stop in itertools.pairwise(edges):
+        tops.append(float(np.maximum.reduce(one.ratio[first:stop])) if first < stop else NAN)
+        row = stop - 1 if first < stop else -1
+        if row >= 0 and not one.values.valid[row]:
+            good = np.flatnonzero(one.values.valid[first:row])
+            row = first + int(good[-1]) if len(good) else -1
+        rows.append(row)
+    return tops, rows
+
+
+def _many(one: Waiting, stops: IntArray) -> _Found:
+    """The same for many looks at once. stops: (looks,) rows where they end."""
+    starts = np.concatenate(([one.first], stops[:-1]))
+    some = stops > starts
+    tops = np.full(len(stops), NAN)
+    tops[some] = np.maximum.reduceat(one.ratio[: stops[-1]], starts[some])
+    rows, valid = stops - 1, one.values.valid[: stops[-1]]
+    if np.count_nonzero(valid) < len(valid):
+        rows = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))[np.maximum(rows, 0)]
+    return tops, np.where(some & (rows >= starts), rows, -1)
 
 
 def _joined(parts: Sequence[Statistic]) -> Statistic:

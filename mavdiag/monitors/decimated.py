@@ -7,12 +7,12 @@ import numpy as np
 
 from mavdiag.rows.front import Rows
 from mavdiag.rows.savgol import coefficients
+from mavdiag.rows.windows import windows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = ["Decimated", "Decimator", "DecimatorState", "stride_of"]
 
 PERIOD_S = 0.01  # our choice: ten times what the 0.1 s window passes
-TOGETHER = 16  # windows that one matrix product smooths (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,9 +61,6 @@ class Decimator:
     def __init__(self, stride: int, window: int) -> None:
         self._stride, self._window = stride, window
         self._taps = coefficients(window, min(2, window - 1))[0]
-        self._shifted = np.zeros(((TOGETHER - 1) * stride + window, TOGETHER))
-        for i in range(TOGETHER):
-            self._shifted[i * stride : i * stride + window, i] = self._taps
 
     def start(self) -> DecimatorState:
         """Before the first row of a segment."""
@@ -75,7 +72,7 @@ class Decimator:
         block, rates, stride = rows.block, rows.rates, self._stride
         at = slice(state.skip, None, stride)
         commanded = rates.commanded[at]
-        fresh = np.empty((len(commanded), 5))
+        fresh = np.empty((len(commanded), 5), order="F")
         fresh[:, :2], fresh[:, 2:4], fresh[:, 4] = rates.u[at, :2], rates.y[at, :2], commanded
         skip = state.skip + len(commanded) * stride - len(rates)
 
@@ -97,16 +94,13 @@ class Decimator:
     def _smooth(self, raw: FloatArray) -> FloatArray:
         """(2, h) -> (count, 2): the full windows that begin at rows 0, stride, 2 stride .."""
         window, stride = self._window, self._stride
-        count = max(0, (raw.shape[1] - window) // stride + 1)
-        out = np.empty((count, 2))
-        for first in range(0, count, TOGETHER):
-            n = min(TOGETHER, count - first)
-            reach = (n - 1) * stride + window
-            rows = raw[:, first * stride : first * stride + reach]
-            if math.isfinite(float(np.add.reduce(rows, axis=None))):
-                base = rows[:, :1]  # the taps add up to 1; without it a constant would get the rounding of its sums
-                out[first : first + n] = ((rows - base) @ self._shifted[:reach, :n] + base).T
-            else:  # what is unknown spoils the windows that hold it, and no other
-                for i in range(n):
-                    out[first + i] = rows[:, i * stride : i * stride + window] @ self._taps
-        return out
+        if raw.shape[1] < window:
+            return np.empty((0, 2))
+        base = np.where(np.isfinite(raw[:, :1]), raw[:, :1], 0.0)
+        rows = raw - base  # the taps add up to 1; without it a constant would get the rounding of its sums
+        # What is unknown spoils the windows that hold it, and no other.
+        if stride == 1:
+            smooth = np.stack([np.correlate(row, self._taps) for row in rows])
+        else:
+            smooth = np.einsum("knw,w->kn", windows(rows, window, stride), self._taps)
+        return np.asarray((smooth + base).T, dtype=np.float64)

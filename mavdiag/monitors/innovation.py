@@ -5,8 +5,9 @@ is new in each sample. That makes it the monitor for upsets and for a rough, fas
 is trimmed away leaves no trace in it.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,12 +15,23 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
 from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, row_max, sliding_mean, start_mean, window_all, window_rows
+from mavdiag.rows.windows import (
+    EmaState,
+    MeanState,
+    ema,
+    forgetting,
+    row_max,
+    sliding_mean,
+    start_ema,
+    start_mean,
+    window_all,
+    window_rows,
+)
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["Innovation", "InnovationSpec", "InnovationState"]
@@ -73,14 +85,14 @@ class InnovationState:
     waiting_ns, waiting: (w,) and (w, 3), raw gyro whose commanded rate is not known yet.
     past, past_valid: (4, 6) commanded and measured rates of the last rows, and (4,) whether they may be used.
     busy: (3,) exponential mean of the squared command.
-    mean: of the squared normalised innovation.
+    mean: of the squared normalised innovation of the three axes together.
     """
 
     waiting_ns: IntArray
     waiting: FloatArray
     past: FloatArray
     past_valid: BoolArray
-    busy: FloatArray
+    busy: EmaState
     mean: MeanState
 
 
@@ -131,10 +143,25 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     unit = "x healthy rms"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether rates are commanded, the rows of each stretch, and all pairs: (p, 6), (n,) and (n, 3)."""
+        commanded = any(rows.rates.commanded.any() for rows in flight)
+        pairs = [one for segment in segments(flight) for one in _pairs_of(segment)] if commanded else []
+        if not pairs:
+            return np.array([False]), np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, bool), np.empty((0, 3))
+        rows = np.concatenate([np.concatenate((one.u, one.y), axis=1) for one in pairs])
+        valid, busy = np.concatenate([one.valid for one in pairs]), np.concatenate([one.busy for one in pairs])
+        return np.array([True]), np.array([len(one.valid) for one in pairs]), rows, valid, busy
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[InnovationSpec, ...]:
         """Identify the healthy one-step prediction, of a like share of every flight's valid rows."""
-        _check(flights)
-        pairs = _training_pairs(flights)
+        if not any(one[0][0] for one in summaries):
+            raise InputError("no flight with a gyro and an attitude set-point")
+        if 1 / context.dt_s < MIN_RATE_HZ:
+            rate_hz = 1 / context.dt_s
+            raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
+        pairs = _training_pairs(summaries)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
@@ -185,11 +212,12 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         z = np.minimum(np.maximum(e / np.sqrt(self._k0 + self._k1 * pairs.busy), -LIMIT), LIMIT)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        kept, all_of_them = z if count == len(z) else z[used], np.ones(count, dtype=np.bool_)
+        squares = np.einsum("nk,nk->n", z, z)
+        kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
         mean_state, mean, full = sliding_mean(
-            state.mean, kept * kept, all_of_them, window_rows(spec.window_s, rates.dt_s)
+            state.mean, kept[:, None], all_of_them, window_rows(spec.window_s, rates.dt_s)
         )
-        level = np.sqrt(np.maximum((mean[:, 0] + mean[:, 1] + mean[:, 2]) / 3, 0.0))
+        level = np.sqrt(np.maximum(mean[:, 0] / 3, 0.0))
         if count < len(z):
             some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
             level[used], full[used] = some, whole
@@ -198,20 +226,10 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 
-def _check(flights: Flights) -> None:
-    """Raise InputError if these flights cannot be predicted."""
-    rates = [rows.rates for flight in flights for rows in flight if rows.rates.commanded.any()]
-    if not rates:
-        raise InputError("no flight with a gyro and an attitude set-point")
-    if 1 / rates[0].dt_s < MIN_RATE_HZ:
-        rate_hz = 1 / rates[0].dt_s
-        raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
-
-
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, np.zeros(3), start_mean(3))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(1))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
@@ -236,32 +254,46 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
     both = np.concatenate((state.past, fresh))
     valid = np.concatenate((state.past_valid, good))
     whole = window_all(valid, LAG + 1)
-    busy, trace = ema(state.busy, both[LAG:, :3] ** 2, forgetting(memory_s, rates.dt_s))
+    busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
     return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """One-step prediction errors e(t) = y(t) + a_1 y(t-1) + .. - b_1 u(t-1) - .., (LAG + n, 3) -> (n, 3)."""
-    n = len(y) - LAG
-    lagged = [y[LAG - i : LAG - i + n] for i in range(NA + 1)] + [u[LAG - i : LAG - i + n] for i in range(1, NB + 1)]
-    weights = np.concatenate((np.ones((1, 3)), a.T, -b.T))
-    terms = np.concatenate(lagged).reshape(len(lagged), n, 3) * weights[:, None]
-    return np.asarray(np.add.reduce(terms, axis=0), dtype=np.float64)
+    e = np.empty((3, len(y) - LAG))
+    for axis in range(3 if len(y) > LAG else 0):  # numpy turns a correlation with fewer rows than weights about
+        e[axis] = np.correlate(y[:, axis], [*a[axis, ::-1], 1.0])
+        e[axis] -= np.correlate(u[:-1, axis], b[axis, ::-1])
+    return e.T
 
 
-def _training_pairs(flights: Flights) -> list[_Pairs]:
-    """The pairs of all flights; of each stretch a like share stays valid."""
-    pairs: list[_Pairs] = []
-    for segment in (segment for flight in flights for segment in segments(flight)):
-        state = _fresh()
-        for rows in segment:
-            state, one = _pair(state, rows, MEMORY_S)
-            pairs.append(one)
-    taken = cut_to_share([int(one.valid.sum()) for one in pairs], TRAIN_ROWS, 0)
-    return [
-        replace(one, valid=one.valid & (np.cumsum(one.valid) <= most)) for one, most in zip(pairs, taken, strict=True)
+def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:
+    """The pairs of each stretch of rows of a segment."""
+    state = _fresh()
+    for rows in segment:
+        state, pairs = _pair(state, rows, MEMORY_S)
+        yield pairs
+
+
+def _training_pairs(summaries: Summaries) -> list[_Pairs]:
+    """Of each stretch of all flights the first pairs, so many that a like share of it is valid."""
+    stretches = [
+        (number, first, stop)
+        for number, (_, lengths, *_) in enumerate(summaries)
+        for first, stop in itertools.pairwise(np.append(0, np.cumsum(lengths)).tolist())
     ]
+    counts = [int(np.count_nonzero(summaries[number][3][first:stop])) for number, first, stop in stretches]
+    pairs, before, last = [], 0, -1
+    for (number, first, stop), most in zip(stretches, cut_to_share(counts, TRAIN_ROWS, 0), strict=True):
+        before = before + LAG if number == last else 0  # rows that the stretches before had behind them
+        last = number
+        _, _, rows, valid, busy = summaries[number]
+        good = valid[first:stop]
+        n = int(np.searchsorted(np.cumsum(good), most)) + 1 if most else 0
+        part = rows[first + before : first + before + LAG + n]
+        pairs.append(_Pairs(part[:, :3], part[:, 3:], good[:n], busy[first : first + n]))
+    return pairs
 
 
 def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.decimated import Decimator, DecimatorState
 from mavdiag.monitors.healthy import MEMORY_S, Three
 from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import ema, forgetting
+from mavdiag.rows.windows import EmaState, ema, forgetting, raised, start_ema
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "ModelResidual",
     "ResidualState",
     "Residuals",
+    "without_jolts",
 ]
 
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
@@ -123,12 +124,12 @@ class ResidualState:
     waiting: DecimatorState
     seen: int
     runs: tuple[FreeRunState, ...]
-    level: FloatArray
-    drift: FloatArray
-    busy: FloatArray
+    level: EmaState
+    drift: EmaState
+    busy: EmaState
     thrust: float
     errors: "_Errors"
-    unrest: FloatArray
+    unrest: EmaState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +137,13 @@ class _Errors:
     """Memory of the gain and speed errors.
 
     simulated: (3,) the last simulated values. slow: (6,) running means of f and df/dt. sums: (15,) running means of
-    f f, f df, df df, f r and df r, each of roll, pitch and heave.
+    f f, f df, df df, f r and df r, each of roll, pitch and heave. means: (15,) their values.
     """
 
     simulated: FloatArray
-    slow: FloatArray
-    sums: FloatArray
+    slow: EmaState
+    sums: EmaState
+    means: FloatArray
 
 
 class ModelResidual:
@@ -163,12 +165,12 @@ class ModelResidual:
             waiting=self._decimator.start(),
             seen=0,
             runs=(),
-            level=np.zeros(2),
-            drift=np.zeros(3),
-            busy=np.zeros(3),
+            level=start_ema(np.zeros(2)),
+            drift=start_ema(np.zeros(3)),
+            busy=start_ema(np.zeros(3)),
             thrust=0.0,
             errors=_no_errors(),
-            unrest=np.ones(3),
+            unrest=start_ema(np.ones(3)),
         )
 
     def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
@@ -194,7 +196,7 @@ class ModelResidual:
             errors, explained = self._explained(errors, simulated, r)
             r -= explained
         busy, trace = ema(state.busy, np.square(np.concatenate((u, slope), axis=1)), self._memory)
-        unrest, n = _without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
+        unrest, n = without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
         state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors, unrest)
         known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
         return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
@@ -206,19 +208,19 @@ class ModelResidual:
             for i, model in enumerate(self._models[:2])
         ]
         runs = (*rates, freerun.start(self._models[2]))
-        return replace(state, runs=runs, level=heave[0].copy(), thrust=float(heave[0, 1]))
+        return replace(state, runs=runs, level=start_ema(heave[0]), thrust=float(heave[0, 1]))
 
     def _simulate(
         self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
     ) -> tuple[tuple[FreeRunState, ...], FloatArray, FloatArray]:
         """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: a_z and thrust."""
-        runs, r, y_sim = [], np.empty((len(u), 3)), np.empty((len(u), 3))
+        runs, r, y_sim = [], np.empty((3, len(u))), np.empty((3, len(u)))
         pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
         for i, (command, measured) in enumerate(pairs):
             run, simulated = freerun.step(self._models[i], state.runs[i], command)
             runs.append(run)
-            r[:, i], y_sim[:, i] = measured - simulated, simulated
-        return tuple(runs), r, y_sim
+            r[i], y_sim[i] = measured - simulated, simulated
+        return tuple(runs), r.T, y_sim.T
 
     def _explained(self, errors: _Errors, simulated: FloatArray, r: FloatArray) -> tuple[_Errors, FloatArray]:
         """What the errors of gain and speed, as known before each sample, explain of it: (k, 3)."""
@@ -231,38 +233,44 @@ class ModelResidual:
         # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
         products = np.concatenate((f * f, f * df, df * df, f * r, df * r), axis=1)
         sums, means = ema(errors.sums, products, self._follow)
-        before = np.concatenate((errors.sums[None], means[:-1]))
+        before = np.concatenate((errors.means[None], means[:-1]))
         ff, fd, dd, fr, dr = (before[:, i : i + 3] for i in range(0, 15, 3))
         ff, dd = ff + self._prior, dd + self._prior
         determinant = ff * dd - fd * fd
         g, h = (dd * fr - fd * dr) / determinant, (ff * dr - fd * fr) / determinant
-        return _Errors(simulated[-1], slow, sums), g * f + h * df
+        return _Errors(simulated[-1], slow, sums, means[-1]), g * f + h * df
 
 
 def _no_errors() -> _Errors:
-    return _Errors(np.zeros(3), np.zeros(6), np.zeros(15))
+    return _Errors(np.zeros(3), start_ema(np.zeros(6)), start_ema(np.zeros(15)), np.zeros(15))
 
 
-def _without_jolts(unrest: FloatArray, n: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`."""
-    if np.maximum.reduce(np.abs(n), axis=None) <= JOLT:  # nothing to clip, whatever came before
+def without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
+    """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`.
+
+    The mean square is that of the samples that are not clipped whatever came before, and what each other one adds,
+    which decays: so one sample after the other is looked at only where one is large.
+    """
+    large = np.abs(n) > JOLT
+    if not np.count_nonzero(large):
         return ema(unrest, np.square(n), alpha)[0], n
-    out = np.empty(n.shape)
-    last = unrest.tolist()
-    for column, values in enumerate(n.T.tolist()):
-        square, kept = last[column], []
-        for value in values:
+    unrest, trace = ema(unrest, np.square(np.where(large, 0.0, n)), alpha)
+    out, added, kept = n.copy(), np.zeros(n.shape[1]), 1.0 - alpha
+    for column in range(n.shape[1]):
+        more, last = 0.0, 0  # what the large ones have added, after the row before `last`
+        for row in np.flatnonzero(large[:, column]).tolist():
+            more *= kept ** (row - last)
+            square, value = float(trace[row, column]) / kept + more, float(n[row, column])
             most = JOLT * math.sqrt(square) if square > 1.0 else JOLT
-            clipped = most if value > most else -most if value < -most else value
-            square += alpha * (clipped * clipped - square)
-            kept.append(clipped)
-        out[:, column], last[column] = kept, square
-    return np.array(last), out
+            clipped = min(max(value, -most), most)
+            out[row, column], more, last = clipped, kept * more + alpha * clipped * clipped, row + 1
+        added[column] = more * kept ** (len(n) - last)
+    return raised(unrest, added, alpha), out
 
 
 def _steps(x: FloatArray, before: FloatArray) -> FloatArray:
     """Differences of rows, (n, k) after (k,) -> (n, k)."""
-    out = np.empty(x.shape)
+    out = np.empty_like(x)
     out[0] = x[0] - before
     np.subtract(x[1:], x[:-1], out=out[1:])
     return out

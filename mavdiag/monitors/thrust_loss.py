@@ -5,6 +5,7 @@ collective command gave until now, and the airframe turns towards the empty arm 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,11 +13,11 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, RotorEvidence, Summaries, Summary
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, ema, forgetting, sliding_mean, start_mean, window_rows
+from mavdiag.rows.windows import EmaState, MeanState, ema, forgetting, sliding_mean, start_ema, start_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -59,7 +60,7 @@ class ThrustLossSpec:
 class ThrustLossState:
     """What the command gave lately, (1,) in units of the healthy one, and the means of the last 0.1 s."""
 
-    usual: FloatArray
+    usual: EmaState
     mean: MeanState
 
 
@@ -99,17 +100,23 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     unit = "share of thrust"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows tell it, and the sum of their specific force per command."""
+        count, total = 0, 0.0
+        for block in (rows.block for rows in flight):
+            known = _known(block)
+            count += int(np.count_nonzero(known))
+            total -= float(np.sum(block.force[known, 2] / block.thrust[known]))
+        return (np.array([count, total]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
         context.need_rate(MIN_RATE_HZ)
-        ratios = [np.empty(0)]
-        for rows in (rows for flight in flights for rows in flight):
-            known = _known(rows.block)
-            ratios.append(-rows.block.force[known, 2] / rows.block.thrust[known])
-        pooled = np.concatenate(ratios)
-        if len(pooled) == 0 or not pooled.mean() > 0:
+        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        if not total > 0:
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
-        return (ThrustLossSpec(layout=context.airframe.layout, per_command=float(pooled.mean())),)
+        return (ThrustLossSpec(layout=context.airframe.layout, per_command=total / count),)
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""
@@ -118,28 +125,29 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     def __init__(self, spec: ThrustLossSpec) -> None:
         super().__init__(spec)
         lost = np.empty((0, 2)) if spec.layout is None else -spec.layout.mixing[:, :2]
-        self._lost, self._sizes = lost.T, np.linalg.norm(lost, axis=1)
+        sizes = np.linalg.norm(lost, axis=1)
+        self._lost = (lost / np.where(sizes > 0, sizes, np.inf)[:, None]).T
 
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
-        return ThrustLossState(np.ones(1), start_mean(COLUMNS))
+        return ThrustLossState(start_ema(np.ones(1)), start_mean(COLUMNS))
 
     def step(self, state: ThrustLossState, rows: Rows) -> tuple[ThrustLossState, Statistic]:
         """The missing share at each of the next rows."""
         spec, block = self.spec, rows.block
         known = _known(block)
-        columns = np.empty((len(block), COLUMNS))
+        columns = np.empty((COLUMNS, len(block)))
         if np.count_nonzero(known) == len(block):
             thrust, up, rate = block.thrust, -block.force[:, 2], block.rate
         else:
             thrust = np.where(known, block.thrust, 1.0)
             up = np.where(known, -block.force[:, 2], spec.per_command)
-            rate = np.where(known[:, None], block.rate, 0.0)
+            rate = np.where(known, block.rate.T, 0.0).T
         given = np.minimum(np.maximum(up / (spec.per_command * thrust), 0.0), CUT)
         usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
-        columns[:, 0], columns[:, 1], columns[:, 2:4] = up, thrust, rate[:, :2]
-        np.sqrt(np.einsum("nk,nk->n", rate, rate), out=columns[:, 4])
-        mean_state, mean, full = sliding_mean(state.mean, columns, known, window_rows(WINDOW_S, block.dt_s))
+        columns[0], columns[1], columns[2:4] = up, thrust, rate.T[:2]
+        np.sqrt(np.einsum("nk,nk->n", rate, rate), out=columns[4])
+        mean_state, mean, full = sliding_mean(state.mean, columns.T, known, window_rows(WINDOW_S, block.dt_s))
         expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
         loss = 1.0 - mean[:, 0] / expected
         value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
@@ -149,9 +157,11 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
 
     def _towards(self, turning: FloatArray) -> FloatArray:
         """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
-        sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))[:, None] * self._sizes
-        cosine: FloatArray = np.divide(turning @ self._lost, sizes, out=np.zeros(sizes.shape), where=sizes > 0)
-        return cosine
+        sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))
+        sizes = np.where(sizes > 0, sizes, np.inf)
+        cosine: FloatArray = np.einsum("kr,nk->rn", self._lost, turning)
+        cosine /= sizes
+        return cosine.T
 
 
 def _known(block: Block) -> BoolArray:

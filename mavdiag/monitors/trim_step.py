@@ -5,19 +5,32 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import (
+    SOURCES,
+    YAW_FLOOR,
+    LargeRise,
+    Source,
+    rises,
+    source_among,
+    sources_of,
+    spread_of,
+    tilt_of,
+    trim_of,
+)
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Flights, LearnContext, segments
+from mavdiag.monitors.base import LearnContext, Summaries, Summary, segments
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max
+from mavdiag.rows.windows import row_max, unbroken, window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Three
 from mavdiag.thresholds.guard import Guard
 
@@ -60,8 +73,8 @@ class TrimStepSpec(TrimSpec):
 class TrimStepState:
     """What the next rows need.
 
-    t_ns, rows, known: (h,), (h, 6) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
-    ticks: (k, 5) means of the last unbroken ticks, at most two windows of them.
+    t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
+    ticks: (k, 5) means of the last unbroken ticks, fewer than two windows of them.
     reference: (5,) what the present window is compared with; None before there is one.
     """
 
@@ -102,20 +115,25 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     spec_type = TrimStepSpec
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[TrimStepSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Which sources show a trim, the fastest turn, and by each source the ticks of the flight: (2 t, 8)."""
+        layout, shown = context.layout, sources_of(flight, context.layout)
+        fastest = max((_turn(rows.block) for rows in flight), default=0.0)
+        found = [_gathered(flight, layout, one) if shown[i] else np.empty((0, 8)) for i, one in enumerate(SOURCES)]
+        return shown, np.array([fastest]), found[0], found[1]
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[TrimStepSpec, ...]:
         """The spread of healthy shifts within flights."""
-        layout, source = context.layout, source_of(flights, context.layout)
-        fastest = max((_turn(rows.block) for flight in flights for rows in flight), default=0.0)
+        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
+        fastest = max((float(one[1][0]) for one in summaries), default=0.0)
         first = TrimStepSpec(
             layout=layout, source=source, spread=UNKNOWN, turn_rad_s=max(TURN_ROOM * fastest, STRAIGHT_RAD_S)
         )
-        shifts = [np.empty((0, 3))]
-        for segment in (segment for flight in flights for segment in segments(flight)):
-            state = _start()
-            for rows in segment:
-                state, _, shift, _, valid = _shifts(first, state, rows.block)
-                shifts.append(shift[valid])
-        found = np.concatenate(shifts)
+        at = 2 + SOURCES.index(source)
+        tick_s = max(1, round(TICK_S / context.dt_s)) * context.dt_s
+        shifts = [_of_ticks(first, one[at], tick_s) for one in summaries]
+        found = np.concatenate([np.empty((0, 3)), *shifts])
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
         return (replace(first, spread=spread_of(found)),)
@@ -127,9 +145,11 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
         spec, block = self.spec, rows.block
-        state, t_ns, shift, tilt, valid = _shifts(spec, state, block)
+        state, t_ns, means, whole = _ticks(spec.layout, spec.source, state, block)
+        state, both, valid = _compared(spec, state, means, whole, _tick(block) * block.dt_s)
+        shift = both[:, :3]
         if len(t_ns):
-            rise = row_max(rises(shift, spec.layout, spec.spread, tilt))
+            rise = row_max(rises(shift, spec.layout, spec.spread, both[:, 3:]))
             rotors = rises(shift, spec.layout, spec.spread)
         else:
             rise, rotors = np.empty(0), np.empty((0, spec.layout.rotors))
@@ -138,7 +158,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
 
 
 def _start() -> TrimStepState:
-    waiting, ticks = np.empty((0, 6)), np.empty((0, 5))
+    waiting, ticks = np.empty((6, 0)), np.empty((0, 5))
     return TrimStepState(np.empty(0, dtype=np.int64), waiting, np.empty(0, dtype=np.bool_), ticks, None)
 
 
@@ -147,49 +167,92 @@ def _tick(block: Block) -> int:
     return max(1, round(TICK_S / block.dt_s))
 
 
-def _shifts(
-    spec: TrimStepSpec, state: TrimStepState, block: Block
-) -> tuple[TrimStepState, IntArray, FloatArray, FloatArray, BoolArray]:
-    """Time, shift of the trim (k, 3), shift of the tilt (k, 2) and validity of each tick that is completed."""
+def _gathered(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
+    """The ticks of a flight, (t, 8): their means, whether they are whole, and the number of their segment."""
+    found = [np.empty((0, 8))]
+    for number, segment in enumerate(segments(flight)):
+        state = _start()
+        for rows in segment:
+            state, _, means, whole = _ticks(layout, source, state, rows.block)
+            found.append(np.column_stack((means, whole, np.full(len(means), number))))
+    return np.concatenate(found)
+
+
+def _of_ticks(spec: TrimStepSpec, ticks: FloatArray, tick_s: float) -> FloatArray:
+    """The valid shifts of a flight whose ticks were gathered, (k, 3)."""
+    found = [np.empty((0, 3))]
+    for number in np.unique(ticks[:, 7]):
+        part = ticks[ticks[:, 7] == number]
+        _, shift, valid = _compared(spec, _start(), part[:, :6], part[:, 6] > 0.5, tick_s)
+        found.append(shift[valid, :3])
+    return np.concatenate(found)
+
+
+def _ticks(
+    layout: RotorLayout, source: Source, state: TrimStepState, block: Block
+) -> tuple[TrimStepState, IntArray, FloatArray, BoolArray]:
+    """Time, means (k, 6) and wholeness of each tick that is completed."""
     tick = _tick(block)
-    trim, flown = trim_of(block, spec.layout, spec.source)
+    trim, flown = trim_of(block, layout, source)
     t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-    rows = np.concatenate((state.rows, np.concatenate((trim, tilt_of(block), block.rate[:, 2:]), axis=1)))
+    rows = np.concatenate((state.rows, np.concatenate((trim.T, tilt_of(block).T, block.rate.T[2:]))), axis=1)
     count = len(t_ns) // tick
     used = count * tick
+    waiting = TrimStepState(t_ns[used:], rows[:, used:], known[used:], state.ticks, state.reference)
     if count == 0:
-        waiting = TrimStepState(t_ns, rows, known, state.ticks, state.reference)
-        return waiting, t_ns[:0], np.empty((0, 3)), np.empty((0, 2)), known[:0]
+        return waiting, t_ns[:0], np.empty((0, 6)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
-    means = np.add.reduce(rows[:used].reshape(count, tick, 6), axis=1) / tick
+    means = np.add.reduce(rows[:, :used].reshape(6, count, tick), axis=2).T / tick
+    return waiting, t_ns[tick - 1 : used : tick], means, whole
+
+
+def _compared(
+    spec: TrimStepSpec, state: TrimStepState, means: FloatArray, whole: BoolArray, tick_s: float
+) -> tuple[TrimStepState, FloatArray, BoolArray]:
+    """Shift of trim and tilt, (k, 5), and validity of each of the next ticks."""
+    count = len(means)
+    if count == 0:
+        return state, np.empty((0, 5)), whole
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
-    shift, valid = np.zeros((count, 5)), np.zeros(count, dtype=np.bool_)
-    ticks, reference = state.ticks, state.reference
-    tick_s = tick * block.dt_s
     window = max(1, round(spec.window_s / tick_s))
-    for i in range(count):
-        ticks = np.concatenate((ticks[-(2 * window - 1) :], means[i : i + 1, :5])) if straight[i] else ticks[:0]
-        if len(ticks) < 2 * window:
-            continue
-        before = ticks[:window].mean(axis=0)
-        reference = before if reference is None else reference
-        shift[i], valid[i] = ticks[window:].mean(axis=0) - reference, True
-        reference = _followed(spec, reference, before, shift[i], tick_s)
-    state = TrimStepState(t_ns[used:], rows[used:], known[used:], ticks, reference)
-    return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
+    ticks = np.concatenate((state.ticks, means[:, :5]))
+    usable = np.concatenate((np.ones(len(state.ticks), dtype=np.bool_), straight))
+    valid = unbroken(usable, 2 * window)[-count:]
+    shift, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
+    broken = np.flatnonzero(~usable[-(2 * window - 1) :])
+    kept = ticks[-(2 * window - 1) :][(int(broken[-1]) + 1 if len(broken) else 0) :]
+    return TrimStepState(state.t_ns, state.rows, state.known, kept, reference), shift, valid
 
 
 def _followed(
-    spec: TrimStepSpec, reference: FloatArray, before: FloatArray, shift: FloatArray, tick_s: float
-) -> FloatArray:
-    """The reference a tick later. before: (5,) mean of the window that lies one window back."""
-    both = np.stack((shift, before - reference))
-    if rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]).max() > HOLD:
-        return reference
-    step = (before - reference) * (tick_s / spec.memory_s)
-    most = spec.drift_per_s * tick_s
-    step[:3] = np.clip(step[:3], -most, most)
-    return np.asarray(reference + step, dtype=np.float64)
+    spec: TrimStepSpec,
+    reference: FloatArray | None,
+    ticks: FloatArray,
+    valid: BoolArray,
+    window: int,
+    tick_s: float,
+) -> tuple[FloatArray, FloatArray | None]:
+    """The shift at each of the last ticks, (n, 5), zero where it is not valid, (n,); and the reference after them."""
+    count = len(valid)
+    shift = np.zeros((count, 5))
+    if not np.count_nonzero(valid):
+        return shift, reference
+    means = window_sums(ticks, window) / window  # of the ticks from each on
+    now = np.flatnonzero(valid)
+    first = len(ticks) - count + now - window + 1
+    recent, before = means[first], means[first - window]
+    large = LargeRise(spec.layout, spec.spread, HOLD)
+    follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
+    ref = before[0].tolist() if reference is None else reference.tolist()
+    for i, new, old in zip(now.tolist(), recent.tolist(), before.tolist(), strict=True):
+        moved, behind = [a - b for a, b in zip(new, ref, strict=True)], [a - b for a, b in zip(old, ref, strict=True)]
+        shift[i] = moved
+        if large(moved) or large(behind):
+            continue
+        steps = [one * follow for one in behind]
+        steps[:3] = [min(max(one, -most), most) for one in steps[:3]]
+        ref = [a + b for a, b in zip(ref, steps, strict=True)]
+    return shift, np.array(ref)
 
 
 def _turn(block: Block) -> float:

@@ -5,19 +5,20 @@ before that filter and passes 30-150 Hz at 95 % (METHOD section 4).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, Summaries, Summary
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import BoolArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["VibrationLevel", "VibrationLevelSpec"]
@@ -72,16 +73,21 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
     unit = "m/s^2"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows have a level, and the sum of their levels."""
+        sizes = [np.linalg.norm(rows.block.vibration[_known(rows.block)], axis=1) for rows in flight]
+        return (np.array([sum(map(len, sizes)), sum(float(one.sum()) for one in sizes)]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
         """Healthy mean level. Raises InputError if the vehicle sends no VIBRATION in flight.
 
         A profile whose message means something else (PX4's) gives no such signal.
         """
-        blocks = [rows.block for flight in flights for rows in flight]
-        sizes = [np.linalg.norm(block.vibration[_known(block)], axis=1) for block in blocks]
-        if not sum(map(len, sizes)):
+        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        if not count:
             raise InputError("the vehicle sends no VIBRATION message with acceleration per axis")
-        return (VibrationLevelSpec(healthy=float(np.concatenate(sizes).mean())),)
+        return (VibrationLevelSpec(healthy=total / count),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, float]:
         """The level of the new propellers."""
@@ -101,10 +107,16 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
         """The mean level at each of the next rows."""
         block = rows.block
         known = _known(block)
-        size = np.linalg.norm(np.clip(np.where(known[:, None], block.vibration, 0.0), -LIMIT_M_S2, LIMIT_M_S2), axis=1)
+        shaking = block.vibration if np.count_nonzero(known) == len(known) else _zeroed(block.vibration, known)
+        shaking = np.minimum(np.maximum(shaking, -LIMIT_M_S2), LIMIT_M_S2)
+        size = np.sqrt(np.einsum("nk,nk->n", shaking, shaking))
         state, mean, full = sliding_mean(state, size[:, None], known, window_rows(self.spec.window_s, block.dt_s))
         value = mean[:, 0]
         return state, Statistic(block.t_ns, block.dt_s, value, full, value - self.spec.healthy, size)
+
+
+def _zeroed(values: FloatArray, known: BoolArray) -> FloatArray:
+    return np.where(known, values.T, 0.0).T
 
 
 def _known(block: Block) -> BoolArray:

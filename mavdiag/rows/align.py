@@ -22,9 +22,8 @@ further, if gyro and interpolated signals miss no sample up to it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -32,6 +31,7 @@ import numpy as np
 
 from mavdiag.errors import InputError
 from mavdiag.rows.block import Block
+from mavdiag.rows.grid import Grid, measure_grid
 from mavdiag.rows.order import ORDER_NS, calm_from_ns
 from mavdiag.rows.places import pieces, uneven_places
 from mavdiag.rows.stream import NEVER_NS, Stream
@@ -39,10 +39,6 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["AlignSpec", "AlignState", "Grid", "measure_grid"]
-
-NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
-NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
-PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (our choice)
 
 # Interpolated to the row where two samples this near surround it [s]; a slow command stream may have 4 Hz (our choice).
 LINEAR = {  # or max_gap_s if longer
@@ -70,13 +66,6 @@ ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 
 FINITE = (*MAIN, Signal.ATTITUDE)
 
 Streams: TypeAlias = dict[Signal, Stream]
-
-
-class Grid(StrEnum):
-    """How rows are placed."""
-
-    NATIVE = "native"  # one row a gyro sample
-    RESAMPLED = "resampled"  # fixed period, linear interpolation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +120,23 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return _emit(self, state, state.streams, NEVER_NS, state.calm_ns)
 
+    def whole(self, telemetry: Telemetry, most: int) -> Iterator[Block]:
+        """The rows of a whole log, as `step` and `finish` give them, in blocks of about `most` samples.
+
+        One block is made at a time, so that a long log takes no more memory than its telemetry and a block.
+        """
+        merged = _merged(self, {}, telemetry)
+        streams = {signal: stream.unwrapped() for signal, stream in merged.items()}
+        gyro, state = streams.get(Signal.BODY_RATE), self.start()
+        stretches = [] if gyro is None else pieces(gyro.t, None, _ns(self.break_s))
+        for stretch, broken in stretches:
+            state = _begun(self, state, int(stretch[0])) if broken else state
+            for first in range(0, len(stretch), most):
+                rows = _place(self, state.last_ns, stretch[first : first + most])
+                if len(rows):
+                    state, block = _fill(self, state, streams, rows)
+                    yield block
+
     def reached_ns(self, state: AlignState, chunks: Sequence[Telemetry]) -> int | None:
         """No row later than this comes of the next chunks [ns]; None if they hold no sample."""
         fresh = {series.signal: int(series.t_ns[-1]) for one in chunks for series in one.series if len(series)}
@@ -146,26 +152,6 @@ class AlignSpec:
     def hurries(self, gyro_ns: int, calm_ns: int) -> bool:
         """Whether rows wait only for what is missing. gyro_ns: the gyro's newest; calm_ns: as in `AlignState`."""
         return self.grid is Grid.NATIVE and gyro_ns > calm_ns
-
-
-def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
-    """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
-
-    The period of a uniform stream is the mean of the steps within 25 % of their median, so losses do not stretch it; of
-    any other the mean of all steps but pauses above 1 s. Raises InputError if there are fewer than 20 gyro samples.
-    """
-    t = np.unique(telemetry.need(Signal.BODY_RATE).t_ns)
-    if len(t) < 20:
-        raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
-    steps = np.diff(t).astype(np.float64)
-    median = float(np.median(steps))
-    usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
-    dt_ns = float(np.mean(usual if len(usual) else steps))
-    places = np.maximum(np.round(steps / dt_ns), 1.0)
-    uniform = np.abs(steps - places * dt_ns) <= NATIVE_TOLERANCE * dt_ns
-    if float(np.mean(uniform)) >= NATIVE_SHARE:
-        return dt_ns / NS_PER_S, Grid.NATIVE
-    return float(np.mean(steps[steps <= max(PAUSE_NS, median)])) / NS_PER_S, Grid.RESAMPLED
 
 
 @lru_cache(maxsize=64)  # every step asks for the same spans many times
@@ -238,9 +224,7 @@ def _emit(
     done_ns = int(fresh[-1]) if len(fresh) else state.done_ns
     blocks: list[Block] = []
     for piece, broken in pieces(fresh, state.last_ns, _ns(spec.break_s)):
-        if broken:
-            blank_ns = int(piece[0]) + _ns(spec.settle_start_s)
-            state = replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
+        state = _begun(spec, state, int(piece[0])) if broken else state
         rows = _place(spec, state.last_ns, piece)
         if len(rows):
             state, block = _fill(spec, state, streams, rows)
@@ -249,6 +233,12 @@ def _emit(
     blank_ns, setpoint_blank_ns = state.blank_until_ns, state.setpoint_blank_ns
     state = AlignState(kept, state.segment, state.last_ns, done_ns, calm_ns, blank_ns, setpoint_blank_ns)
     return state, tuple(blocks)
+
+
+def _begun(spec: AlignSpec, state: AlignState, first_ns: int) -> AlignState:
+    """With a new segment, whose first sample that is."""
+    blank_ns = first_ns + _ns(spec.settle_start_s)
+    return replace(state, segment=state.segment + 1, last_ns=None, blank_until_ns=blank_ns)
 
 
 def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
@@ -275,18 +265,18 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
         segment=state.segment,
         dt_s=spec.dt_s,
         t_ns=rows,
-        setpoint=setpoint,
-        rate=rate,
-        force=force,
-        torque=torque,
-        rate_setpoint=rate_setpoint,
+        setpoint=np.asfortranarray(setpoint),
+        rate=np.asfortranarray(rate),
+        force=np.asfortranarray(force),
+        torque=np.asfortranarray(torque),
+        rate_setpoint=np.asfortranarray(rate_setpoint),
         thrust=thrust[:, 0],
-        attitude=attitude,
+        attitude=np.asfortranarray(attitude),
         height=height[:, 0],
         voltage=voltage[:, 0],
         armed=armed[:, 0],
-        vibration=vibration,
-        actuator=actuator,
+        vibration=np.asfortranarray(vibration),
+        actuator=np.asfortranarray(actuator),
         valid=valid,
         setpoint_valid=setpoint_valid,
     )
@@ -318,7 +308,7 @@ def _linear(spec: AlignSpec, streams: Streams, signal: Signal, rows: IntArray) -
     """Interpolated values; nan where no two samples within the limit surround the row."""
     stream, limit_ns = streams.get(signal), _limit_ns(spec, signal)
     if stream is None:
-        return np.full((len(rows), 3), np.nan)
+        return np.full((len(rows), 3), np.nan, order="F")
     values, gap = stream.interpolated(rows, limit_ns)
     if np.maximum.reduce(gap) > limit_ns:
         values[gap > limit_ns] = np.nan

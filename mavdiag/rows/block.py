@@ -20,7 +20,8 @@ class Block:
     """Consecutive rows of one segment, on a uniform grid of period `dt_s`.
 
     A signal is nan in a row where it is unknown: never sent, or its last sample is too old (see `rows.align`). Only the
-    set-point stays finite; `setpoint_valid` says where it may be used.
+    set-point stays finite; `setpoint_valid` says where it may be used. Arrays of several columns lie column by column
+    in memory, so that numpy's loops run over the rows.
 
     segment: number of the unbroken span of flight; it changes after every break and landing.
     dt_s: row period [s].

@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.rows.front import Rows
+from mavdiag.rows.windows import window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 from mavdiag.units import NS_PER_S
 
@@ -50,9 +51,9 @@ class Conditions:
 class ConditionState:
     """Memory.
 
-    block_ns, block: (h,) and (h, 7) rows of an unfinished bin: roll and pitch set-point, thrust, voltage, measured yaw
+    block_ns, block: (h,) and (7, h) rows of an unfinished bin: roll and pitch set-point, thrust, voltage, measured yaw
         rate, height and yaw set-point.
-    rates_ns, rates: (h,) and (h, 2) commanded roll and pitch rate.
+    rates_ns, rates: (h,) and (2, h) commanded roll and pitch rate.
     tilt: (w, 2) mean set-points of the last bins.
     last: (4,) commanded roll and pitch rate, height and yaw set-point at the end of the last bin.
     """
@@ -68,13 +69,15 @@ class ConditionState:
 def start_conditions() -> ConditionState:
     """Before the first row of a segment."""
     never = np.empty(0, dtype=np.int64)
-    return ConditionState(never, np.empty((0, 7)), never, np.empty((0, 2)), np.empty((0, 2)), np.full(4, np.nan))
+    return ConditionState(never, np.empty((7, 0)), never, np.empty((2, 0)), np.empty((0, 2)), np.full(4, np.nan))
 
 
 def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditions]:
     """The bins that the next rows of the same segment complete."""
-    block_ns, block = np.concatenate((state.block_ns, rows.block.t_ns)), np.concatenate((state.block, _block(rows)))
-    rates_ns, rates = np.concatenate((state.rates_ns, rows.rates.t_ns)), np.concatenate((state.rates, _rates(rows)))
+    block_ns = np.concatenate((state.block_ns, rows.block.t_ns))
+    block = np.concatenate((state.block, _block(rows)), axis=1)
+    rates_ns = np.concatenate((state.rates_ns, rows.rates.t_ns))
+    rates = np.concatenate((state.rates, _rates(rows)), axis=1)
     until_ns = 0 if len(rates_ns) == 0 else int(rates_ns[-1]) // _BIN_NS * _BIN_NS
     m, n = int(rates_ns.searchsorted(until_ns)), int(block_ns.searchsorted(until_ns))
     if m == 0 or n == 0:
@@ -82,23 +85,23 @@ def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditio
     end_ns, starts = _bins(rates_ns[:m])
     # A bin of the rates has rows of the block too, since each rate row is one of theirs, half a window earlier.
     at = block_ns[:n].searchsorted(end_ns - _BIN_NS)
-    mean = _means(block[:n, :5], at)
+    mean = _means(block[:5, :n], at).T
     tilt = np.concatenate((state.tilt, mean[:, :2]))
     values = np.full((len(end_ns), COUNT), np.nan)
     values[:, 0] = _tilt(tilt, len(end_ns))
     values[:, 1:3] = mean[:, 2:4]
-    values[:, 3] = np.fmax.reduceat(np.abs(rates[:m]), starts, axis=0).max(axis=1)
-    values[:, 6] = np.fmin.reduceat(block[:n, 5], at)
+    values[:, 3] = np.fmax.reduceat(np.abs(rates[:, :m]), starts, axis=1).max(axis=0)
+    values[:, 6] = np.fmin.reduceat(block[5, :n], at)
     edge = np.empty((len(end_ns), 4))
-    edge[:-1, :2], edge[-1, :2] = rates[starts[1:] - 1], rates[m - 1]
-    edge[:-1, 2:], edge[-1, 2:] = block[at[1:] - 1, 5:], block[n - 1, 5:]
+    edge[:-1, :2], edge[-1, :2] = rates[:, starts[1:] - 1].T, rates[:, m - 1]
+    edge[:-1, 2:], edge[-1, 2:] = block[5:, at[1:] - 1].T, block[5:, n - 1]
     steps = edge.copy()
     steps[0] -= state.last
     steps[1:] -= edge[:-1]
     steps = np.abs(steps) / BIN_S
     values[:, 4], values[:, 7] = np.fmax(steps[:, 0], steps[:, 1]), steps[:, 2]
     values[:, 5] = np.where(np.isfinite(steps[:, 3]), steps[:, 3], np.abs(mean[:, 4]))
-    state = ConditionState(block_ns[n:], block[n:], rates_ns[m:], rates[m:], tilt[-TILT_BINS:], edge[-1])
+    state = ConditionState(block_ns[n:], block[:, n:], rates_ns[m:], rates[:, m:], tilt[-TILT_BINS:], edge[-1])
     return state, Conditions(end_ns, values)
 
 
@@ -107,20 +110,22 @@ _NOTHING = Conditions(np.empty(0, dtype=np.int64), np.empty((0, COUNT)))
 
 def _block(rows: Rows) -> FloatArray:
     block = rows.block
-    setpoint = block.setpoint
+    out = np.empty((7, len(block)))
+    out[:2], out[6] = block.setpoint.T[:2], block.setpoint[:, 2]
+    out[2], out[3], out[4], out[5] = block.thrust, block.voltage, block.rate[:, 2], block.height
     if np.count_nonzero(block.setpoint_valid) < len(block):
-        setpoint = np.where(block.setpoint_valid[:, None], setpoint, np.nan)
-    out = np.empty((len(block), 7))
-    out[:, :2], out[:, 6] = setpoint[:, :2], setpoint[:, 2]
-    out[:, 2], out[:, 3], out[:, 4], out[:, 5] = block.thrust, block.voltage, block.rate[:, 2], block.height
-    return out if np.count_nonzero(block.valid) == len(block) else np.where(block.valid[:, None], out, np.nan)
+        unknown = ~block.setpoint_valid
+        out[:2, unknown], out[6, unknown] = np.nan, np.nan
+    if np.count_nonzero(block.valid) < len(block):
+        out[:, ~block.valid] = np.nan
+    return out
 
 
 def _rates(rows: Rows) -> FloatArray:
     rates = rows.rates
     if np.count_nonzero(rates.commanded) == len(rates):
-        return rates.u[:, :2]
-    return np.where(rates.commanded[:, None], rates.u[:, :2], np.nan)
+        return rates.u.T[:2]
+    return np.where(rates.commanded, rates.u.T[:2], np.nan)
 
 
 def _bins(t_ns: IntArray) -> tuple[IntArray, IntArray]:
@@ -134,13 +139,13 @@ def _bins(t_ns: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _means(values: FloatArray, starts: IntArray) -> FloatArray:
-    """Means of the finite values from each start to the next, nan where there is none."""
+    """Means of the finite values of each row of (k, n) from each start to the next, nan where there is none."""
     if math.isfinite(float(np.add.reduce(values, axis=None))):
-        counts = np.diff(np.append(starts, len(values)))[:, None] if len(starts) > 1 else len(values)
-        return np.asarray(np.add.reduceat(values, starts, axis=0) / counts, dtype=np.float64)
+        counts = np.diff(starts, append=values.shape[1]) if len(starts) > 1 else values.shape[1]
+        return np.asarray(np.add.reduceat(values, starts, axis=1) / counts, dtype=np.float64)
     known: BoolArray = np.isfinite(values)
-    sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
-    number = np.add.reduceat(known.astype(np.float64), starts, axis=0)
+    sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=1)
+    number = np.add.reduceat(known.astype(np.float64), starts, axis=1)
     means: FloatArray = np.divide(sums, number, out=np.full(sums.shape, np.nan), where=number > 0)
     return means
 
@@ -148,8 +153,8 @@ def _means(values: FloatArray, starts: IntArray) -> FloatArray:
 def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
     """Tilt of the mean set-point over 5 s, for the last `fresh` bins; nan before there are 5 s."""
     out = np.full(fresh, np.nan)
-    for i in range(fresh):
-        stop = len(setpoints) - fresh + i + 1
-        if stop >= TILT_BINS:
-            out[i] = np.hypot(*(np.add.reduce(setpoints[stop - TILT_BINS : stop], axis=0) / TILT_BINS))
+    first = max(0, TILT_BINS - 1 - (len(setpoints) - fresh))  # of the fresh ones that has so many behind it
+    if first < fresh:
+        mean = window_sums(setpoints[len(setpoints) - fresh + first + 1 - TILT_BINS :], TILT_BINS) / TILT_BINS
+        out[first:] = np.hypot(mean[:, 0], mean[:, 1])
     return out

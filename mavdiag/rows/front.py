@@ -1,5 +1,6 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mavdiag.rows.align import AlignSpec, AlignState
@@ -62,6 +63,16 @@ class Front:
         """All that a whole flight gives."""
         state, first = self.step(self.start(), telemetry)
         return (*first, *self.finish(state)[1])
+
+    def pieces(self, telemetry: Telemetry, most: int) -> Iterator[Rows | Border]:
+        """The same in pieces of about `most` rows, made one at a time: what a long log needs."""
+        state = self.start()
+        for block in self.align.whole(telemetry, most):
+            gated, parts = self.gate.step(state.gate, (block,))
+            state, rows = self._rows(state.align, gated, state.rates, parts)
+            yield from rows
+        gated, rest = self.gate.finish(state.gate)
+        yield from self._rows(state.align, gated, state.rates, rest)[1]
 
     def _rows(
         self, aligned: AlignState, gated: GateState, filtered: RateState, parts: tuple[Block | Border, ...]

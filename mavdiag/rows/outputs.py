@@ -21,6 +21,6 @@ def in_rotor_order(block: Block, outputs: Sequence[int] | None) -> Block:
         return block
     columns = [one - 1 for one in outputs]
     if max(columns) < width:
-        return replace(block, actuator=block.actuator[:, columns])
+        return replace(block, actuator=block.actuator.T[columns].T)
     absent = np.full((len(block), max(columns) + 1 - width), np.nan)
-    return replace(block, actuator=np.hstack((block.actuator, absent))[:, columns])
+    return replace(block, actuator=np.hstack((block.actuator, absent)).T[columns].T)

@@ -24,6 +24,14 @@ def uneven_places(points: IntArray, first_is_new: bool, dt_ns: float) -> IntArra
 
     points: (n,) [ns], the first one a row already unless `first_is_new`.
     """
+    steps = points[1:] - points[:-1]
+    counts = np.rint(steps / dt_ns).astype(np.int64)
+    if np.minimum.reduce(counts, initial=1) == 1:  # no sample is too near to the one before
+        ends = np.add.accumulate(counts)
+        number = np.arange(1, counts.sum() + 1) - np.repeat(ends - counts, counts)  # 1, 2, .. within each step
+        share = number * np.repeat(steps, counts) / np.repeat(counts, counts)
+        rest = np.repeat(points[:-1], counts) + np.rint(share).astype(np.int64)
+        return np.concatenate((points[:1], rest)) if first_is_new else rest
     rows = [int(points[0])] if first_is_new else []
     last = int(points[0])
     for t in points[1:].tolist():

@@ -115,8 +115,8 @@ def _body_rates(phi: FloatArray, theta: FloatArray, slope: FloatArray) -> FloatA
     sin_phi, cos_phi = np.sin(phi), np.cos(phi)
     dphi, dtheta, dpsi = slope.T
     turn = np.cos(theta) * dpsi
-    u = np.empty(slope.shape)
-    u[:, 0] = dphi - np.sin(theta) * dpsi
-    u[:, 1] = cos_phi * dtheta + sin_phi * turn
-    u[:, 2] = cos_phi * turn - sin_phi * dtheta
-    return u
+    u = np.empty((3, len(slope)))
+    u[0] = dphi - np.sin(theta) * dpsi
+    u[1] = cos_phi * dtheta + sin_phi * turn
+    u[2] = cos_phi * turn - sin_phi * dtheta
+    return u.T

@@ -139,8 +139,8 @@ class SavgolFilter:
             raise UsageError(f"block of shape {block.shape} does not fit a stream of {len(state.history)} columns")
         rows = np.concatenate((state.history, block.T), axis=1)
         known = max(0, rows.shape[1] - self.window + 1)
-        out = np.empty((known, len(rows)))
+        out = np.empty((len(rows), known))  # column by column
         if known:
             for column, row in enumerate(rows):
-                out[:, column] = np.correlate(row, self.taps)  # mode "valid"
-        return SavgolState(rows[:, known:].copy()), out
+                out[column] = np.correlate(row, self.taps)  # mode "valid"
+        return SavgolState(rows[:, known:].copy()), out.T

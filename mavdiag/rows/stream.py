@@ -12,6 +12,7 @@ __all__ = ["NEVER_NS", "Stream"]
 NEVER_NS = 2**62
 TURN = 2 * math.pi
 MISSING = 1.5  # usual steps: in a longer one a sample is missing
+MANY, FEW = 1000, 4  # rows, and rows to a sample, from which on samples are looked up in the rows instead
 SLOWER = 1.0625  # by how much the usual step may grow with each chunk, so that losses do not stretch it (our choice)
 
 
@@ -107,7 +108,7 @@ class Stream:
         first = int(t.searchsorted(rows[0], side="left"))
         if len(t) >= first + len(rows) and np.count_nonzero(t[first : first + len(rows)] == rows) == len(rows):
             return v[first : first + len(rows)], np.zeros(len(rows), dtype=np.int64)
-        left = t.searchsorted(rows, side="right") - 1
+        left = _behind(t, rows)
         inside = left[0] >= 0 and left[-1] < len(t) - 1
         right = left + 1 if inside else np.minimum(left + 1, len(t) - 1)
         before = t[left]
@@ -117,26 +118,36 @@ class Stream:
         gap: IntArray = span * (since != 0)
         share = since / span
         share[gap > limit_ns] = 0.0
-        first_v = v.take(left, axis=0)
-        values: FloatArray = first_v + share[:, None] * (v.take(right, axis=0) - first_v)
+        columns = v.T  # so that the loops run over the rows
+        first_v = columns.take(left, axis=1)
+        values: FloatArray = (first_v + share * (columns.take(right, axis=1) - first_v)).T
         if left[0] < 0:
             values[left < 0] = np.nan
         return values, gap
 
     def held(self, rows: IntArray, limit_ns: int) -> FloatArray:
         """The last value at or before each row, (n, k); nan before the first, and where it is older than the limit."""
-        t = self.t
+        t, v = self.t, self.v
         if t[0] <= rows[0] and rows[-1] - t[0] <= limit_ns and (len(t) == 1 or t[1] > rows[-1]):  # one for all rows
-            return self.v[:1].repeat(len(rows), axis=0)
-        at = t.searchsorted(rows, side="right") - 1
-        if at[0] >= 0:
-            values: FloatArray = self.v.take(at, axis=0)
-            if rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
+            return v[:1].T.repeat(len(rows), axis=1).T
+        first, last = int(t.searchsorted(rows[0], side="right")), int(t.searchsorted(rows[-1], side="right"))
+        if len(rows) >= MANY and first > 0 and last - first <= len(rows) // FEW:  # few samples come within the rows
+            starts = rows.searchsorted(t[first:last])  # where they take over
+            values = v[first - 1 : last].T.repeat(np.diff(starts, prepend=0, append=len(rows)), axis=1).T
+            if np.maximum.reduce(np.diff(t[first - 1 : last], append=rows[-1])) <= limit_ns:
                 return values
+            at = np.repeat(np.arange(first - 1, last), np.diff(starts, prepend=0, append=len(rows)))
         else:
-            values = self.v[np.maximum(at, 0)]
+            at = t.searchsorted(rows, side="right") - 1
+            values = v.T.take(np.maximum(at, 0), axis=1).T
+            if at[0] >= 0 and rows[-1] - t[at[0]] <= limit_ns:  # no sample is older than that
+                return values
         values[(at < 0) | (rows - t[at] > limit_ns)] = np.nan
         return values
+
+    def unwrapped(self) -> "Stream":
+        """The same samples; angles once and for all without jumps of 2 pi."""
+        return Stream(self.t, self._unwrapped(), self.newest, self.floor_ns) if self.angle else self
 
     def _unwrapped(self) -> FloatArray:
         """The angles without jumps. Whole turns are added to what came, so that any cut gives the same bits."""
@@ -145,6 +156,17 @@ class Stream:
             return self.v
         turns = np.cumsum(np.concatenate((self.turns[None], -np.round(steps / TURN))), axis=0)
         return self.v + TURN * turns
+
+
+def _behind(t: IntArray, rows: IntArray) -> IntArray:
+    """The last sample at or before each row, (n,), -1 where there is none. Both rise."""
+    if len(rows) < MANY:
+        return t.searchsorted(rows, side="right") - 1
+    first, last = int(t.searchsorted(rows[0], side="right")), int(t.searchsorted(rows[-1], side="right"))
+    if last - first > len(rows) // FEW:
+        return t.searchsorted(rows, side="right") - 1
+    starts = rows.searchsorted(t[first:last])  # where the few samples within the rows take over
+    return np.repeat(np.arange(first - 1, last), np.diff(starts, prepend=0, append=len(rows)))
 
 
 def _rising(t: IntArray) -> bool:

@@ -17,19 +17,26 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 
 __all__ = [
+    "EmaState",
     "MeanState",
     "ema",
     "forgetting",
     "highpass",
+    "raised",
     "row_max",
     "sliding_mean",
     "spans",
+    "start_ema",
     "start_mean",
+    "unbroken",
     "window_all",
     "window_mean",
     "window_rows",
+    "window_sums",
+    "windows",
 ]
 
+GROWTH, MOST_ROWS = 1e9, 4096  # of the weights of an exponential mean until it is scaled anew (our choice)
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
@@ -63,25 +70,42 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     >>> window_mean(np.array([[1.0], [3.0], [5.0]]), 2)[:, 0].tolist()
     [2.0, 4.0]
     """
-    known = max(0, len(x) - window + 1)
-    out = np.empty((known, x.shape[1]))
-    for first in range(0, known, window):
-        part = out[first : first + window]
-        last = len(part) - 1  # windows first .. first + last share the rows between the first and the last `last`
-        part[:] = _ones(window - last) @ x[first + last : first + window]
-        if last:
-            part[:last] += np.add.accumulate(x[first : first + last][::-1], axis=0)[::-1]
-            part[1:] += np.add.accumulate(x[first + window : first + window + last], axis=0)
+    known, columns = max(0, len(x) - window + 1), x.shape[1]
+    if known <= window:  # they share the rows between the first and the last one, which are added up once
+        out = np.empty((columns, known))
+        if known:
+            out[:] = np.add.reduce(x[known - 1 : window], axis=0)[:, None]
+            out[:, :-1] += np.add.accumulate(x[: known - 1].T[:, ::-1], axis=1)[:, ::-1]
+            out[:, 1:] += np.add.accumulate(x[window:].T, axis=1)
+            out /= window
+        return out.T
+    # Each window is the end of one stretch of `window` rows and the begin of the next one.
+    count = -(-len(x) // window)
+    stretches = np.zeros((columns, count, window))
+    stretches.reshape(columns, -1)[:, : len(x)] = x.T
+    ends = np.empty(stretches.shape)
+    np.add.accumulate(stretches[:, :, ::-1], axis=2, out=ends[:, :, ::-1])
+    begins = np.add.accumulate(stretches, axis=2, out=stretches).reshape(columns, -1)[:, window - 1 :]
+    begins[:, ::window] = 0.0  # these windows are whole stretches
+    out = ends.reshape(columns, -1)[:, :known]
+    out += begins[:, :known]
     out /= window
-    return out
+    return out.T
 
 
-@lru_cache(maxsize=64)
-def _ones(count: int) -> FloatArray:
-    """(count,) ones, which nobody may write to."""
-    ones = np.ones(count)
-    ones.setflags(write=False)
-    return ones
+def window_sums(x: FloatArray, window: int) -> FloatArray:
+    """Sum over each full window of rows, (n, k) -> (n - window + 1, k), n at least `window`, one row after the other.
+
+    For short windows: each is added up by itself, so that its sum does not depend on the others.
+    """
+    return np.asarray(np.add.reduce(windows(np.ascontiguousarray(x.T), window).transpose(2, 0, 1), axis=0).T)
+
+
+def windows(x: FloatArray, window: int, stride: int = 1) -> FloatArray:
+    """The full windows of each row, (k, n) -> (k, count, window), as a view of an array that lies row by row."""
+    count = (x.shape[1] - window) // stride + 1
+    each, step = x.strides
+    return np.ndarray((len(x), count, window), x.dtype, x, strides=(each, stride * step, step))
 
 
 def window_all(flags: BoolArray, window: int) -> BoolArray:
@@ -92,6 +116,11 @@ def window_all(flags: BoolArray, window: int) -> BoolArray:
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
     return whole
+
+
+def unbroken(flags: BoolArray, window: int) -> BoolArray:
+    """Whether each flag and the window - 1 before it are there and True, (n,) -> (n,)."""
+    return np.concatenate((np.zeros(min(window - 1, len(flags)), dtype=np.bool_), window_all(flags, window)))
 
 
 def spans(flags: BoolArray) -> list[tuple[int, int]]:
@@ -156,8 +185,9 @@ def sliding_mean(
         return state, np.empty(x.shape), np.empty(0, dtype=np.bool_)
     good = np.count_nonzero(valid) == n
     # sums[h + i] = x[0] + .. + x[i], in that order whatever the chunks; mean[i] = (sums[h + i] - sums[h + i - w]) / w
-    used = x if good else np.where(valid[:, None], x, 0.0)
-    fresh = np.add.accumulate(np.concatenate((state.sums[-1][-1:], used)), axis=0)[1:]
+    sums = np.empty((x.shape[1], n + 1))  # column by column
+    sums[:, 0], sums[:, 1:] = state.sums[-1][-1], x.T if good else np.where(valid, x.T, 0.0)
+    fresh = np.add.accumulate(sums, axis=1, out=sums)[:, 1:].T
     pieces = (*state.sums, fresh)
     mean = fresh - _before(pieces, state.skip, state.rows - window, n)
     mean /= window
@@ -211,17 +241,57 @@ def forgetting(memory_s: float, dt_s: float) -> float:
     return -math.expm1(-dt_s / memory_s)
 
 
-def ema(state: FloatArray, x: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Exponential mean s(t) = s(t-1) + alpha (x(t) - s(t-1)): state (k,), x (n, k) -> state (k,), s (n, k).
+@dataclass(frozen=True, slots=True, eq=False)
+class EmaState:
+    """What an exponential mean remembers: its present value is sums (1 - alpha)^place.
 
-    Begin with zeros. About 0.1 us a value.
+    sums: (k,) weighted sums, as they were scaled `place` rows ago.
     """
-    out = np.empty(x.shape)
-    last = state.tolist()
-    for column, values in enumerate(x.T.tolist()):
-        s, trace = last[column], []
-        for value in values:
-            s += alpha * (value - s)
-            trace.append(s)
-        out[:, column], last[column] = trace, s
-    return np.array(last), out
+
+    sums: FloatArray
+    place: int = 0
+
+
+@lru_cache(maxsize=64)
+def _weights(alpha: float) -> tuple[FloatArray, FloatArray]:
+    """(L,) each: alpha (1 - alpha)^-j and (1 - alpha)^j for j = 1 .. L, until they have grown `GROWTH` times."""
+    most = min(MOST_ROWS, max(1, int(math.log(GROWTH) / -math.log1p(-alpha))))
+    shrink = np.exp(math.log1p(-alpha) * np.arange(1, most + 1))
+    grow = alpha / shrink
+    for one in (grow, shrink):
+        one.setflags(write=False)
+    return grow, shrink
+
+
+def start_ema(values: FloatArray) -> EmaState:
+    """A mean that begins with these values, (k,)."""
+    return EmaState(np.array(values))
+
+
+def ema(state: EmaState, x: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
+    """Exponential mean s(t) = s(t-1) + alpha (x(t) - s(t-1)), x (n, k) -> s (n, k), 0 < alpha < 1.
+
+    With b = 1 - alpha and S(0) = s(0):    S(j) = S(j-1) + alpha b^-j x(j),    s(j) = b^j S(j)
+    so a plain running sum does it; after some rows, always the same ones, it is scaled anew. What is rounded in S(j)
+    decays with it, so that the growing weights cost no digits. About 5 ns a value.
+    """
+    grow, shrink = _weights(alpha)
+    out = np.empty(x.shape[::-1])  # column by column: the inner loops of numpy then run over rows
+    sums, place, first = state.sums, state.place, 0
+    while first < len(x):
+        if place == len(grow):
+            sums, place = sums * shrink[-1], 0
+        count = min(len(x) - first, len(grow) - place)
+        part = out[:, first : first + count]
+        np.multiply(x[first : first + count].T, grow[place : place + count], out=part)
+        part[:, 0] += sums
+        np.add.accumulate(part, axis=1, out=part)
+        sums = part[:, -1].copy()
+        part *= shrink[place : place + count]
+        first, place = first + count, place + count
+    return EmaState(sums, place), out.T
+
+
+def raised(state: EmaState, by: FloatArray, alpha: float) -> EmaState:
+    """The state of a mean whose present value is higher by that, (k,)."""
+    return EmaState(state.sums + by / (_weights(alpha)[1][state.place - 1] if state.place else 1.0), state.place)

@@ -245,19 +245,22 @@ class Envelope:
         columns = [i for i, one in enumerate(self.covered) if one.condition in slot.conditions]
         if not columns or not np.count_nonzero(state.excess[:, columns]):
             return found, {}
-        rooms = np.array([RULES[one.condition].room for one in self.covered])
-        excess, worst = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
-        outside: BoolArray = excess > 1.0
+        far = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
+        if not np.count_nonzero(far.excess):
+            return found, {}
+        outside: BoolArray = far.excess > 1.0
         reasons = {}
         for column in columns:
-            here = outside & (worst[0] == column)
+            here = outside & (far.column == column)
             if here.any():
-                farthest = int(np.argmax(np.where(here, excess, -1.0)))
-                span_s = float(np.count_nonzero(here)) * found.period_s
-                value = float(state.values[worst[1][farthest], column])
-                reasons[self.covered[column].condition] = Outside(span_s, value, float(excess[farthest]))
-        grown = 1.0 + rooms[worst[0]] * np.minimum(excess, 1.0)
-        return replace(found, value=found.value / grown, valid=found.valid & ~outside), reasons
+                farthest = int(np.argmax(np.where(here, far.excess, -1.0)))
+                span_s = float(far.counts[here].sum()) * found.period_s
+                value = float(state.values[far.place[farthest], column])
+                reasons[self.covered[column].condition] = Outside(span_s, value, float(far.excess[farthest]))
+        rooms = np.array([RULES[one.condition].room for one in self.covered])
+        grown = np.repeat(1.0 + rooms[far.column] * np.minimum(far.excess, 1.0), far.counts)
+        valid = found.valid & ~np.repeat(outside, far.counts) if reasons else found.valid
+        return replace(found, value=found.value / grown, valid=valid), reasons
 
     def sentence(self, condition: Condition, value: float) -> str:
         """Why a slot does not judge."""
@@ -268,26 +271,36 @@ class Envelope:
         return values, _excess(values, *self._borders)
 
 
-def _farthest(
-    state: EnvelopeState, columns: Sequence[int], t_ns: IntArray, memory_s: float, delay_s: float
-) -> tuple[FloatArray, tuple[IntArray, IntArray]]:
-    """The largest excess of the bins behind each value, (n,), and its column and bin.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Far:
+    """Runs of consecutive values with the same bins behind them: how many values, the largest excess, its column and
+    bin; (k,) each."""
+
+    counts: IntArray
+    excess: FloatArray
+    column: IntArray
+    place: IntArray
+
+
+def _farthest(state: EnvelopeState, columns: Sequence[int], t_ns: IntArray, memory_s: float, delay_s: float) -> _Far:
+    """What lies farthest outside behind each value. There is at least one bin.
 
     Bins count that end within the memory, up to `delay_s` before the value: by then each of them is known.
     """
-    first = state.end_ns.searchsorted(t_ns - round(memory_s * NS_PER_S), side="right")
-    stop = state.end_ns.searchsorted(t_ns - round(delay_s * NS_PER_S), side="right")
-    excess, column, place = (
-        np.zeros(len(t_ns)),
-        np.zeros(len(t_ns), dtype=np.int64),
-        np.zeros(len(t_ns), dtype=np.int64),
-    )
+    enters = t_ns.searchsorted(state.end_ns + round(delay_s * NS_PER_S))  # the first value that a bin counts for
+    leaves = t_ns.searchsorted(state.end_ns + round(memory_s * NS_PER_S))  # and from where on it does not
+    begins = np.sort(np.concatenate(([0], enters, leaves)), kind="stable")
+    begins = begins[(np.diff(begins, prepend=-1) > 0) & (begins < len(t_ns))]
+    first, stop = leaves.searchsorted(begins, side="right"), enters.searchsorted(begins, side="right")
     chosen = state.excess[:, columns]
-    changes = np.flatnonzero((np.diff(first, prepend=-1) != 0) | (np.diff(stop, prepend=-1) != 0))
-    for begin, end in zip(changes.tolist(), [*changes[1:].tolist(), len(t_ns)], strict=True):
-        part = chosen[first[begin] : stop[begin]]
-        if part.size and part.any():
-            row, best = divmod(int(part.argmax()), len(columns))
-            excess[begin:end], column[begin:end] = part[row, best], columns[best]
-            place[begin:end] = first[begin] + row
-    return excess, (column, place)
+    worst = chosen.argmax(axis=1)  # of each bin
+    most = chosen[np.arange(len(chosen)), worst]
+    many = np.add.accumulate(np.concatenate(([0], most > 0)))
+    some = np.flatnonzero(many[np.maximum(stop, first)] > many[first])  # the others have nothing outside behind them
+    excess, place = np.zeros(len(begins)), np.zeros(len(begins), dtype=np.int64)
+    if len(some):
+        bins = first[some, None] + np.arange(int((stop - first)[some].max()))
+        behind = np.where(bins < stop[some, None], most.take(bins, mode="clip"), 0.0)
+        at = behind.argmax(axis=1)
+        excess[some], place[some] = behind[np.arange(len(at)), at], first[some] + at
+    return _Far(np.diff(begins, append=len(t_ns)), excess, np.array(columns)[worst[place]], place)

@@ -1,7 +1,7 @@
 """Whatever the chunks, the same rows, rates and borders, to the bit: through losses, stops, yaw turns and landings."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_telemetry import cut, series
 
@@ -58,13 +58,17 @@ def hard_flight(seed: int) -> Telemetry:
 
 
 def run(front: Front, chunks: list[Telemetry]) -> tuple[list[tuple[int, ...]], dict[str, FloatArray]]:
-    """Segments and borders in order, and all columns of all rows."""
+    """What comes of chunks."""
     state = front.start()
     parts: list[Rows | Border] = []
     for chunk in chunks:
         state, found = front.step(state, chunk)
         parts += found
-    parts += front.finish(state)[1]
+    return told([*parts, *front.finish(state)[1]])
+
+
+def told(parts: list[Rows | Border]) -> tuple[list[tuple[int, ...]], dict[str, FloatArray]]:
+    """Segments and borders in order, and all columns of all rows."""
     story: list[tuple[int, ...]] = []
     for part in parts:
         entry = (part.t_ns,) if isinstance(part, Border) else (part.block.segment, 0)
@@ -100,3 +104,20 @@ def test_any_chunking_gives_the_same_rows_and_borders(
     assert np.isfinite(table["rate u"]).all()
     assert table["rate commanded"].any()
     assert np.abs(table["rate u"][table["rate commanded"].astype(bool)]).max() < 4.0  # a turn through pi is no step
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 5),
+    most=st.integers(20, N),
+    grid=st.sampled_from(list(Grid)),
+    trim_end_s=st.sampled_from([0.0, 0.6]),
+)
+def test_a_whole_log_in_pieces_gives_the_same(seed: int, most: int, grid: Grid, trim_end_s: float) -> None:
+    telemetry = hard_flight(seed)
+    front = Front(AlignSpec(0.005, grid), GateSpec(min_thrust=0.1, trim_end_s=trim_end_s), RateSpec.of(0.005, 21))
+    story, table = run(front, [telemetry])
+    found_story, found = told(list(front.pieces(telemetry, most)))
+    assert found_story == story
+    for name, column in table.items():
+        np.testing.assert_array_equal(found[name], column, err_msg=name)

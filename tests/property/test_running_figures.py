@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from mavdiag.rows.windows import ema, forgetting, sliding_mean, start_mean
+from mavdiag.rows.windows import ema, forgetting, sliding_mean, start_ema, start_mean
 from mavdiag.telemetry import BoolArray, FloatArray
 
 
@@ -40,7 +40,8 @@ def test_a_full_window_is_its_mean(seed: int, window: int, edges: list[int]) -> 
 @given(seed=st.integers(0, 99), cut=st.integers(0, 300), memory_s=st.floats(0.02, 5.0))
 def test_the_exponential_mean_is_a_first_order_filter(seed: int, cut: int, memory_s: float) -> None:
     x, alpha = np.random.default_rng(seed).normal(0, 1, (300, 3)), forgetting(memory_s, 0.01)
-    state, first = ema(np.zeros(3), x[:cut], alpha)
+    state, first = ema(start_ema(np.zeros(3)), x[:cut], alpha)
     _, second = ema(state, x[cut:], alpha)
-    np.testing.assert_array_equal(np.concatenate((first, second)), ema(np.zeros(3), x, alpha)[1])
-    np.testing.assert_allclose(ema(np.zeros(3), x, alpha)[1], lfilter([alpha], [1, alpha - 1], x, axis=0), atol=1e-12)
+    whole = ema(start_ema(np.zeros(3)), x, alpha)[1]
+    np.testing.assert_array_equal(np.concatenate((first, second)), whole)
+    np.testing.assert_allclose(whole, lfilter([alpha], [1, alpha - 1], x, axis=0), atol=1e-12)

@@ -16,12 +16,12 @@ from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import MONITORS
-from mavdiag.rows.conditions import Condition
+from mavdiag.rows.conditions import Condition, start_conditions
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
-from mavdiag.thresholds.envelope import RULES, Covered, Dependence, Envelope, Outside, covered_by
+from mavdiag.thresholds.envelope import RULES, Covered, Dependence, Envelope, EnvelopeState, Outside, covered_by
 
 YAW = Covered(Condition.YAW_RATE, 0.0, 0.4)  # near up to 0.6: its room is a half
 TURN_S = 20.0
@@ -182,6 +182,36 @@ def test_a_turn_counts_as_long_as_the_statistic_remembers_it(memory_s: float) ->
     assert 350 + 100 * memory_s - 10 <= silent[-1] + 1 <= 350 + 100 * memory_s + 10
     assert (np.diff(silent) == 1).all()
     assert outside[Condition.YAW_RATE].span_s == pytest.approx(0.01 * len(silent))
+
+
+@pytest.mark.parametrize("memory_s", [0.35, 1.0, 10.0])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.6])
+def test_each_value_counts_by_the_farthest_bin_behind_it(memory_s: float, share: float) -> None:
+    """Value by value, as the module's text says."""
+    rng = np.random.default_rng(round(100 * share + memory_s))
+    covered = (
+        Covered(Condition.YAW_RATE, 0.0, 0.4),
+        Covered(Condition.TILT, 0.0, 0.3),
+        Covered(Condition.HEIGHT, 1, 2),
+    )
+    depends = Dependence(frozenset({Condition.YAW_RATE, Condition.HEIGHT}), memory_s)
+    it = Envelope(covered, (depends,), 0.02)
+    end_ns = 10**8 * np.arange(3, 120)
+    excess = rng.random((len(end_ns), 3)) * 1.6 * (rng.random((len(end_ns), 3)) < share)
+    state = EnvelopeState(start_conditions(), end_ns, rng.random((len(end_ns), 3)), excess)
+    t_ns = np.sort(rng.integers(0, 13 * 10**9, 400))
+    found = Statistic(t_ns, 0.01, np.ones(400), np.ones(400, dtype=bool), np.ones(400), np.ones(400))
+    got, reasons = it.apply(0, found, state)
+    outside = 0
+    for i, t in enumerate(t_ns.tolist()):
+        behind = (end_ns > t - round(memory_s * 1e9)) & (end_ns <= t - 120_000_000)
+        far = excess[behind][:, [0, 2]].max(initial=0.0)
+        room = RULES[Condition.YAW_RATE].room
+        assert RULES[Condition.HEIGHT].room == room
+        assert got.value[i] == pytest.approx(1.0 / (1.0 + room * min(far, 1.0)))
+        assert got.valid[i] == (far <= 1.0)
+        outside += far > 1.0
+    assert sum(one.span_s for one in reasons.values()) == pytest.approx(0.01 * outside)
 
 
 def test_times_outside_add_up_and_the_farthest_value_is_kept() -> None:

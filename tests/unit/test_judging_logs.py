@@ -1,11 +1,13 @@
 """Verdicts on logs: a fault, healthy by whom, and not judgeable why."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying, without
 from made_baselines import logged, thesis, trim, whole
+from made_statistics import assert_alike
 from made_telemetry import cut, flight
 
 from mavdiag.as_json import verdict_json
@@ -13,7 +15,7 @@ from mavdiag.chain import chain_of
 from mavdiag.commands.options import between
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
-from mavdiag.judging import LogVerdict, Verdict, exit_code, judge
+from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.telemetry import Signal, Telemetry
 
 ALL = (0.0, 1e9)
@@ -153,3 +155,30 @@ def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
     assert exit_code([unknown, fault]) == 1
     assert exit_code([fault, error, unknown]) == 2
     assert LogVerdict("x", error, "y").events == ()
+
+
+@pytest.mark.parametrize("rows", [137, 1000, 10**6])
+def test_the_pieces_that_a_log_is_judged_in_change_nothing(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = logged(without(flying(4000, 5, weak_rotor=2, rise=0.2), (9.0, 9.08), (20.0, 21.4)))
+    expected = judge_in_full(log, whole()).verdict
+    assert expected.verdict is Verdict.FAULT
+    monkeypatch.setattr("mavdiag.judging.PIECE_ROWS", rows)
+    found = judge(log, whole())
+    assert (found.verdict, found.reason, found.notes) == (expected.verdict, expected.reason, expected.notes)
+    assert_alike([one.event for one in found.events], [one.event for one in expected.events])
+    assert_alike(found.changes, expected.changes)
+    for one, other in zip(found.monitors, expected.monitors, strict=True):
+        assert one.maximum == pytest.approx(other.maximum, rel=1e-9)
+        assert one.judged_s == pytest.approx(other.judged_s)
+
+
+def test_judging_a_longer_log_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavdiag.judging.PIECE_ROWS", 1000)
+    log, most = logged(flying(18_000, 5)), []
+    for seconds in (60.0, 180.0):
+        part = replace(log, telemetry=between(log.telemetry, 0.0, seconds))
+        tracemalloc.start()
+        judge(part, whole())
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert most[1] < 1.3 * most[0]

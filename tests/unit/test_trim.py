@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
-from mavdiag.airframe.trim import LEVEL_RATIO, TILT_TRIM, YAW_FLOOR, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.trim import (
+    LEVEL_RATIO,
+    TILT_TRIM,
+    YAW_FLOOR,
+    LargeRise,
+    rises,
+    source_of,
+    spread_of,
+    tilt_of,
+    trim_of,
+)
 from mavdiag.errors import InputError
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
@@ -104,3 +114,11 @@ def test_a_rise_does_not_depend_on_the_rows_beside_it(seed: int) -> None:
     for i in range(300):
         alone = rises(shift[i : i + 1], layout, (0.03, 0.03, 0.01), tilt[i : i + 1, :2])
         np.testing.assert_array_equal(whole[i : i + 1], alone)
+
+
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5), limit=st.floats(0.001, 0.2))
+def test_a_large_rise_is_one_above_the_limit(frame: str, shift: list[float], limit: float) -> None:
+    layout, both = layout_named(frame), np.array([shift])
+    most = float(rises(both[:, :3], layout, CALM, both[:, 3:]).max())
+    if abs(most - limit) > 1e-9:
+        assert LargeRise(layout, CALM, limit)(shift) == (most > limit)
