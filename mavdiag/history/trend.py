@@ -101,8 +101,9 @@ class Trend:
     def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
         """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
 
-        >>> Trend(0.8, 0.01, 1e-4, 0.0, 1e-7, 0.05, 20).remaining()
-        Remaining(flights=20.0, low=17.9..., high=22.2...)
+        >>> found = Trend(0.8, 0.01, 1e-4, 0.0, 1e-7, 0.05, 20).remaining()
+        >>> [round(one, 1) for one in (found.low, found.flights, found.high)]
+        [18.1, 20.0, 22.0]
         """
         if self.slope <= 0:
             return None
