@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal as scipy_signal
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.traits import joined
@@ -194,6 +193,8 @@ def _outputs(block: Block, rotors: int) -> FloatArray:
 
 def _spectrum(blocks: Sequence[Block], rate_hz: float) -> tuple[FloatArray, FloatArray]:
     """Power of x and y together over the frequency (Welch), over all unbroken stretches; empty if there is none."""
+    from scipy.signal import welch  # here, for it takes a second to load
+
     width = round(SPECTRUM_S * rate_hz)
     total, weight, hz = np.zeros(width // 2 + 1), 0, np.empty(0)
     for block in blocks:
@@ -201,7 +202,7 @@ def _spectrum(blocks: Sequence[Block], rate_hz: float) -> tuple[FloatArray, Floa
         for first, stop in spans(there):
             if stop - first < LEAST_S * rate_hz:
                 continue
-            hz, power = scipy_signal.welch(block.force[first:stop, :2], rate_hz, nperseg=width, axis=0)
+            hz, power = welch(block.force[first:stop, :2], rate_hz, nperseg=width, axis=0)
             total += power.sum(axis=1) * (stop - first)
             weight += stop - first
     return (total / weight, hz) if weight else (np.empty(0), np.empty(0))

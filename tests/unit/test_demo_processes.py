@@ -1,6 +1,5 @@
 """The demo's processes and its kept baseline."""
 
-import sys
 import time
 from pathlib import Path
 
@@ -44,16 +43,15 @@ def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) 
 def test_b25_the_kept_baseline_belongs_to_the_sources_that_made_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mavdiag.demo.command import source_digest
+    from mavdiag.archive.sources import digest_of_sources
 
     package = tmp_path / "made_package"
     package.mkdir()
     (package / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(str(tmp_path))
-    first = source_digest(["made_package"])
-    assert first == source_digest(["made_package"])
+    first = digest_of_sources(["made_package"], ("__pycache__",))
+    assert first == digest_of_sources(["made_package"], ("__pycache__",))
     (package / "vehicle.toml").write_text("mass = 1")
-    second = source_digest(["made_package"])
+    second = digest_of_sources(["made_package"], ("__pycache__",))
     (package / "vehicle.toml").write_text("mass = 2")
-    assert len({first, second, source_digest(["made_package"])}) == 3
-    assert "made_package" not in sys.modules
+    assert len({first, second, digest_of_sources(["made_package"], ("__pycache__",))}) == 3
