@@ -15,6 +15,7 @@ __all__ = ["Fit", "Stretch", "Stretches", "fit_outputs", "moving_outputs"]
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
+TOGETHER = 4096  # rows of one product: below the size that BLAS threads (our choice)
 SINGULAR = 1e-12  # of the largest eigenvalue of the drivers' products: below it there is no direction
 DRIVERS = ("torque command", "rate error", "angular acceleration")
 
@@ -167,7 +168,9 @@ class _Sums:
             both = both[np.isfinite(both).all(axis=1)]
             self._rows += len(both)
             self._total += both[:, -3:].sum(axis=0)
-            self._products += both.T @ both
+            for first in range(0, len(both), TOGETHER):
+                part = both[first : first + TOGETHER]
+                self._products += part.T @ part
 
     def fit(self, driver: str) -> Fit | None:
         """The fit; None if there is too little of it."""

@@ -206,10 +206,13 @@ def _authority(turning: Sequence[tuple[Block, FloatArray, BoolArray]], axis: int
 def _slope(pairs: Sequence[tuple[FloatArray, FloatArray]], dt_s: float, most_lag_s: float, least: float) -> float:
     """Logarithm of the least-squares slope of y on x at the lag where they correlate best; NaN if below `least`."""
     best, slope = 0.0, math.nan
+    sums = [tuple(np.append(0.0, np.cumsum(np.square(one))) for one in pair) for pair in pairs]
     for lag in range(0, window_rows(most_lag_s, dt_s) + 1, window_rows(LAG_STEP_S, dt_s)):
-        cut = [(x[: len(x) - lag], y[lag:]) for x, y in pairs if len(x) > 2 * lag]
-        xy = sum(float(x @ y) for x, y in cut)
-        xx, yy = (sum(float(part[i] @ part[i]) for part in cut) for i in (0, 1))
+        kept = [i for i, (x, _) in enumerate(pairs) if len(x) > 2 * lag]
+        # einsum and not @: BLAS threads for so many rows, which costs more than it saves
+        xy = sum(float(np.einsum("n,n->", pairs[i][0][: len(pairs[i][0]) - lag], pairs[i][1][lag:])) for i in kept)
+        xx = sum(float(sums[i][0][len(pairs[i][0]) - lag]) for i in kept)
+        yy = sum(float(sums[i][1][-1] - sums[i][1][lag]) for i in kept)
         if xx > 0 and yy > 0 and xy / math.sqrt(xx * yy) > best:
             best, slope = xy / math.sqrt(xx * yy), xy / xx
     return math.log(slope) if best >= least else math.nan

@@ -16,6 +16,7 @@ from mavdiag.telemetry import FloatArray
 
 __all__ = ["Together", "together", "triangle_of"]
 
+TOGETHER = 4096  # rows of one product: they fit the cache and stay below the size that BLAS threads (our choice)
 EVERY = 16  # of the rows that make the basis: they span what all rows span (our choice)
 LEAST_SHARE = 1e-3  # of a basis vector in the rows; with less the basis does not suit them (our choice)
 LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns are dependent (our choice)
@@ -51,10 +52,12 @@ def triangle_of(groups: Sequence[Together], order: Order, a: FloatArray, b: Floa
     T = np.linalg.inv(basis).T
     products = np.zeros((len(T), len(T)))
     for rows, free in columns:
-        whitened = T @ rows
-        # the part of each segment in the free responses, (c, m na), is no error of the model
-        parts = (whitened.reshape(-1, len(free)) @ free).reshape(len(T), -1)
-        products += whitened @ whitened.T - parts @ parts.T
+        for first in range(0, rows.shape[1], TOGETHER):
+            whitened = T @ rows[:, first : first + TOGETHER]
+            products += whitened @ whitened.T
+        # the part of each segment in the free responses, (c, m, na), is no error of the model
+        parts = T @ (rows.reshape(len(T), -1, len(free)) @ free).reshape(len(T), -1)
+        products -= parts @ parts.T
     try:
         root = np.linalg.cholesky(products).T
     except np.linalg.LinAlgError:

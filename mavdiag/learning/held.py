@@ -67,7 +67,10 @@ def measured(log: Log) -> Measure:
     except InputError as error:
         raise InputError(f"{log.name}: {error}") from error
     series = log.telemetry.get(Signal.ATTITUDE_SETPOINT)
-    steps_ns, counts = np.unique(np.diff(np.unique([] if series is None else series.t_ns)), return_counts=True)
+    t_ns = np.empty(0, dtype=np.int64) if series is None else series.t_ns
+    if np.count_nonzero(t_ns[1:] > t_ns[:-1]) < len(t_ns) - 1:
+        t_ns = np.unique(t_ns)
+    steps_ns, counts = np.unique(np.diff(t_ns), return_counts=True)
     return Measure(dt_s, grid, steps_ns.astype(np.int64), counts.astype(np.int64))
 
 

@@ -310,9 +310,12 @@ def _levels(
     model: ArxModel, stretches: IntArray, u: FloatArray, y: FloatArray, commanded: BoolArray
 ) -> Iterator[FloatArray]:
     """|r| of the judged rows of each segment of a flight: the whole of it at once, as `residuals` has it by steps."""
-    of_row = np.repeat(stretches[:, 0], stretches[:, 1])
-    for number in np.unique(of_row):
-        first, stop = np.searchsorted(of_row, [number, number + 1]).tolist()
+    ends = np.append(0, np.cumsum(stretches[:, 1]))
+    for number in np.unique(stretches[:, 0]):
+        begin, end = np.searchsorted(stretches[:, 0], [number, number + 1])
+        first, stop = int(ends[begin]), int(ends[end])
+        if first == stop:
+            continue
         rest_u, rest_y = np.full(len(model.b), u[first]), np.full(len(model.a), np.nan_to_num(y[first]))
         r = y[first:stop] - model.simulate(u[first:stop], rest_u, rest_y)
         yield np.abs(r[commanded[first:stop]])
