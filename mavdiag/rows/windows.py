@@ -74,7 +74,7 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     if known <= window:  # they share the rows between the first and the last one, which are added up once
         out = np.empty((columns, known))
         if known:
-            out[:] = np.add.reduce(x[known - 1 : window], axis=0)[:, None]
+            out[:] = np.add.reduce(x[known - 1 : window].T, axis=1)[:, None]
             out[:, :-1] += np.add.accumulate(x[: known - 1].T[:, ::-1], axis=1)[:, ::-1]
             out[:, 1:] += np.add.accumulate(x[window:].T, axis=1)
             out /= window
