@@ -59,7 +59,7 @@ def step(model: ArxModel, state: FreeRunState, u: FloatArray) -> tuple[FreeRunSt
     inputs = np.concatenate((state.past_u, u))
     driven = np.correlate(inputs, model.b[::-1])  # a convolution, "valid"
     a = tuple(model.a.tolist())
-    answer, ring = _responses(a)
+    answer, ring, keep = _responses(a)
     if not (ring.size and math.isfinite(ring[-1, -1] + float(np.add.reduce(driven)))):
         outputs = _one_by_one(driven.tolist(), a, state.past_y)
         past_y, past_u = tuple(outputs[len(outputs) - len(state.past_y) :]), tuple(inputs[len(driven) :].tolist())
@@ -69,8 +69,8 @@ def step(model: ArxModel, state: FreeRunState, u: FloatArray) -> tuple[FreeRunSt
     rows.ravel()[: len(driven)] = driven
     # einsum and not @: BLAS rounds by the number of stretches
     parts = np.einsum("nj,jk->nk", rows, answer)
-    keep = ring[:, -len(state.past_y) :].T.tolist()
-    before, after = _carried(parts[:full, -len(state.past_y) :].tolist(), keep, state.past_y)
+    left = parts[:full, -len(state.past_y) :].tolist() if full else []
+    before, after = _carried(left, keep, state.past_y)
     parts += np.einsum("nj,jk->nk", np.array([*before, after][:count]), ring)
     return FreeRunState(tuple(inputs[full * STRETCH :].tolist()), after), parts.ravel()[known : len(driven)]
 
@@ -99,15 +99,16 @@ def _carried(
 
 
 @lru_cache(maxsize=64)
-def _responses(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
-    """(STRETCH, STRETCH) and (na, STRETCH): H and F transposed, the past outputs oldest first."""
+def _responses(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray, list[list[float]]]:
+    """(STRETCH, STRETCH) and (na, STRETCH): H and F transposed, the past outputs oldest first; and the end of F."""
     na, still = len(a) - 1, [0.0] * STRETCH
     pulse = _one_by_one([1.0, *still[1:]], a, (0.0,) * na)[na:]
     answer = np.zeros((STRETCH, STRETCH))
     for i in range(STRETCH):
         answer[i, i:] = pulse[: STRETCH - i]
     rings = [_one_by_one(still, a, tuple(float(i == j) for i in range(na)))[na:] for j in range(na)]
-    return answer, np.array(rings).reshape(na, STRETCH)
+    ring = np.array(rings).reshape(na, STRETCH)
+    return answer, ring, ring[:, STRETCH - na :].T.tolist()
 
 
 def _one_by_one(driven: list[float], a: tuple[float, ...], past: tuple[float, ...]) -> list[float]:
