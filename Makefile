@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint types layers doctest examples check bench fuzz soak clean help
+.PHONY: system demo test lint types layers doctest examples check bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -12,9 +12,17 @@ help:  ## list the targets
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plant,fleet]' --group test --group check
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plant,fleet,web,report,history]' --group test --group check
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
+
+system:  ## Chromium and PostgreSQL for the tests that use them, where this may install them
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  command -v chromedriver >/dev/null && ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || \
+	  { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
+	    chromium chromium-driver fonts-dejavu-core postgresql; } >/dev/null 2>&1 || \
+	  echo "system: not installed; the tests that need them are skipped"; \
+	else echo "system: not root, or no apt-get; tests of what is missing are skipped"; fi
 
 demo: $(STAMP)  ## the main job: plant, detector and alert over MAVLink on loopback
 	$(BIN)/mavdiag demo

@@ -32,7 +32,7 @@ LEARN_FLIGHTS, DURATION_S = 5, 30.0
 OTHERS = ("hexa-x", "octo-x", "quad-plus")
 
 
-def rows(front: Front, log: Log) -> tuple[Rows, ...]:
+def rows(front: Front, log: Log) -> Sequence[Rows]:
     """Flying rows of a log."""
     return airborne(front, log).rows
 

@@ -3,7 +3,7 @@
     python benchmarks/archive.py --folder /var/tmp/archive --flights 1000
     python benchmarks/archive.py --folder /var/tmp/archive --flights 1000 --dask
 
-The emulator flies `--distinct` flights (every fourth with a propeller fault from the middle on; 100 Hz, profile
+The emulator flies `--distinct` flights (one of twenty with a propeller fault from the middle on; 100 Hz, profile
 qdrone2), once; what is in the folder already is used again. The archive is made of copies of them whose records have
 other times of arrival, each later by some hours. So all files differ in content and every one is read and judged, and
 no cache of answers can help; but only the distinct ones are really different flights. The files may still be in the
@@ -75,8 +75,8 @@ def flown(folder: Path, distinct: int, seconds: int) -> list[Path]:
     for number, path in enumerate(paths):
         if path.exists():
             continue
-        fault = ("--fault", "F2/SV2", "--rotor", str(1 + number // 4 % 4), "--onset", str(seconds / 2))
-        options = ("--duration", str(seconds), "--seed", str(SEED + number), *(fault if number % 4 == 3 else ()))
+        fault = ("--fault", "F2/SV2", "--rotor", str(1 + number // 20 % 4), "--onset", str(seconds / 2))
+        options = ("--duration", str(seconds), "--seed", str(SEED + number), *(fault if number % 20 == 3 else ()))
         part = path.with_suffix(".part")
         python("sitl_plant", "record", "-o", str(part), *link, *options)
         part.rename(path)

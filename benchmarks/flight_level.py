@@ -73,7 +73,7 @@ class Flown:
     label: str
     first: bool
     log: Log
-    rows: tuple[Rows, ...]
+    rows: Sequence[Rows]
 
     def blocks(self) -> list[FloatArray]:
         """Gyro, a_z and thrust of the valid rows of each segment, (n, 5)."""

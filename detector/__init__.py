@@ -7,5 +7,5 @@
 chain at work, `alerts` the texts, `named_values` the figures; `sender` encodes them. `requests` answers ground
 stations, by `rate_guard` and `own_parameters`; `latency` and `figures` are what is measured. Sockets, files, clocks
 and processes live in `daemon`, `relay`, `reporting`, `journal`, `appender`, `fitting`, `metrics`, `notify`, `health`,
-`check` and `__main__`.
+`check` and `__main__`. `web` is the live page.
 """

@@ -15,11 +15,19 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from detector.appender import Rotation
-from detector.config import Settings, collect_values, example_text, load_settings, split_metrics_address
+from detector.config import (
+    Settings,
+    collect_values,
+    example_text,
+    load_settings,
+    split_metrics_address,
+    split_web_address,
+)
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
 from detector.notify import Notifier
+from detector.web.token import read_token
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
@@ -27,9 +35,11 @@ from mavdiag.baseline import Baseline
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
+from mavdiag.telemetry import Instant
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics
+    from detector.web.feed import Feed
 
 __all__ = ["app", "detect", "main"]
 
@@ -82,6 +92,15 @@ def detect(
     ] = None,
     metrics: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Prometheus figures; a bare port is on loopback.")
+    ] = None,
+    web: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Serve the live page; a bare port is on loopback, elsewhere it needs a token."
+        ),
+    ] = None,
+    web_token_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The token that the live page asks for: a file of mode 0600.")
     ] = None,
     vehicle: Annotated[int | None, typer.Option(metavar="SYSID", help="Watch this system id only.")] = None,
     signing_key: Annotated[
@@ -160,6 +179,7 @@ def _serve(settings: Settings) -> None:
             None if settings.record is None else stack.enter_context(closing(_recorder(settings, settings.record)))
         )
         metrics = None if settings.metrics is None else stack.enter_context(closing(_metrics(settings.metrics)))
+        web = _web(settings, stack)
         daemon = Daemon(
             settings,
             Host(_say),
@@ -172,6 +192,7 @@ def _serve(settings: Settings) -> None:
             journal=journal,
             recorder=recorder,
             metrics=metrics,
+            web=web,
             notifier=notifier,
             signing=signing,
         )
@@ -203,6 +224,19 @@ def _metrics(address: str) -> "Metrics":
     from detector.metrics import Metrics  # only if asked for: the import takes its time
 
     return Metrics(*split_metrics_address(address))
+
+
+def _web(settings: Settings, stack: ExitStack) -> "Feed | None":
+    """The live page, once it is served."""
+    if settings.web is None:
+        return None
+    from detector.web.child import Place, ServerProcess  # only if asked for: the import takes its time
+    from detector.web.feed import Feed
+
+    token = None if settings.web_token_file is None else read_token(settings.web_token_file)
+    child = ServerProcess(Place(*split_web_address(settings.web), token), f"{time.time_ns():x}", _say)
+    child.start()
+    return stack.enter_context(closing(Feed(child, Instant(time.monotonic_ns()))))
 
 
 def _say(text: str) -> None:

@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 
 from detector.appender import check_appendable
-from detector.config import Settings, split_metrics_address
+from detector.config import Settings, split_metrics_address, split_web_address
+from detector.web.child import Place, check_installed
+from detector.web.token import read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError
@@ -55,6 +57,11 @@ def _lines(
     if settings.metrics is not None:
         host, port = split_metrics_address(settings.metrics)
         yield f"metrics    http://{host}:{port}/metrics"
+    if settings.web is not None:
+        check_installed()
+        token = None if settings.web_token_file is None else read_token(settings.web_token_file)
+        asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
+        yield f"web page   {Place(*split_web_address(settings.web), token).url}{asks}"
 
 
 def _place(address: str) -> str:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from detector.web.access import is_loopback
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.ports import parse_address
 from mavdiag.link.profiles import profile_named
@@ -27,6 +28,7 @@ __all__ = [
     "example_text",
     "load_settings",
     "split_metrics_address",
+    "split_web_address",
 ]
 
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
@@ -93,6 +95,8 @@ class Settings(SessionSettings):
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
     metrics: str | None = None  # address to serve figures on
+    web: str | None = None  # address to serve the live page on
+    web_token_file: Path | None = None  # file with the token that the page asks for
     signing_key: Path | None = None  # file with the key of MAVLink 2 signing
     vehicle: SystemId | None = None  # the only system id to watch
     max_vehicles: SystemId = 128  # further ones are not watched
@@ -108,6 +112,8 @@ class Settings(SessionSettings):
         for option in ("save", "airframe", "layout", "name"):
             if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
+        if self.web_token_file is not None and self.web is None:
+            raise ValueError("--web-token-file is about the live page; add --web HOST:PORT or leave it out")
         return self
 
 
@@ -160,6 +166,10 @@ def load_settings(
         profile_named(settings.profile)
     if settings.metrics is not None:
         split_metrics_address(settings.metrics)
+    if settings.web is not None:
+        host, _ = split_web_address(settings.web)
+        if settings.web_token_file is None and not is_loopback(host):
+            raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
     return settings
 
 
@@ -169,9 +179,18 @@ def split_metrics_address(text: str) -> tuple[str, int]:
     >>> split_metrics_address("9100")
     ('127.0.0.1', 9100)
     """
+    return _split_address(text, "metrics")
+
+
+def split_web_address(text: str) -> tuple[str, int]:
+    """The same, of the live page."""
+    return _split_address(text, "web")
+
+
+def _split_address(text: str, what: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65_535:
-        raise UsageError(f"malformed metrics address {text!r}: write HOST:PORT, or a port alone for loopback")
+        raise UsageError(f"malformed {what} address {text!r}: write HOST:PORT, or a port alone for loopback")
     return host.strip("[]") or LOOPBACK, int(port)
 
 

@@ -19,7 +19,7 @@ from detector.journal import Journal, Recorder, When
 from detector.notify import Notifier
 from detector.pacing import Pacing
 from detector.relay import Relay
-from detector.reporting import Reporter
+from detector.reporting import Lines, Reporter
 from detector.requests import Requests
 from detector.sender import MavlinkSender
 from detector.states import State
@@ -49,6 +49,7 @@ from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
     from detector.metrics import Metrics  # brings prometheus_client with it
+    from detector.web.feed import Feed
 
 __all__ = ["Daemon", "Host"]
 
@@ -82,6 +83,7 @@ class Daemon:
         journal: Journal | None = None,
         recorder: Recorder | None = None,
         metrics: "Metrics | None" = None,
+        web: "Feed | None" = None,
         notifier: Notifier | None = None,
         signing: KeptSigning | None = None,
     ) -> None:
@@ -109,7 +111,9 @@ class Daemon:
         self._guard = Guard(self.fleet.link, self._signing)
         files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
         self._files = tuple((name, file) for name, file in files if file is not None)
-        self._reporter = Reporter(journal, host.say, self._when, settings.save)
+        self._web = web
+        takers: tuple[Lines | None, ...] = (journal, web)
+        self._reporter = Reporter([one for one in takers if one], host.say, self._when, settings.save)
         self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
@@ -149,6 +153,8 @@ class Daemon:
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
         self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
         self._host.say(f"ready: {self._link.address}{behind}, {goal}")
+        if self._web is not None:
+            self._host.say(f"web page: {self._web.where}")
         self._notifier.ready()
 
     def tick(self) -> None:
@@ -165,6 +171,8 @@ class Daemon:
         self._carry_out(turns)
         if self._metrics is not None:
             self._metrics.observe(turns, self._host.now_ns())
+        if self._web is not None:
+            self._web.look(self.fleet, turns, now)
         if now - self._beat_at >= 0:
             self._beat()
             self._watch(now)
@@ -271,6 +279,8 @@ class Daemon:
             self._host.say(text)
         if self._metrics is not None:
             self._metrics.show(figures, self._host.now_ns())
+        if self._web is not None:
+            self._web.show(self.fleet, figures, self._now())
         if figures.healthy:
             self._notifier.alive(figures.status)
         else:

@@ -12,7 +12,7 @@ from detector.alerts import Notice, alert_notice, label_of
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge
+from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece
 from mavdiag.decision.alarm import Change, Diagnosis, Stage
 from mavdiag.link.wants import LABELS
 from mavdiag.telemetry import Instant, Telemetry
@@ -34,6 +34,7 @@ class Judge:
     judged_s: flight time in which a deciding monitor judged, so far.
     flight_s: flight time so far.
     gauges: the latest value of every monitor that has one.
+    pieces: what the latest step gave, for a display.
     """
 
     baseline: Baseline
@@ -43,6 +44,7 @@ class Judge:
     judged_s: float = 0.0
     flight_s: float = 0.0
     gauges: tuple[Gauge, ...] = ()
+    pieces: tuple[Piece, ...] = ()
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
         """Judge the next telemetry."""
@@ -50,12 +52,13 @@ class Judge:
         judged = now if output.judged_s > 0 else self.judged
         judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
         gauges = output.gauges or self.gauges
-        return replace(self, memory=memory, judged=judged, judged_s=judged_s, flight_s=flight_s, gauges=gauges), output
+        counts = (judged, judged_s, flight_s)
+        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces), output
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""
         memory, output = self.chain.end_flight(self.memory)
-        return replace(self, memory=memory, gauges=()), output
+        return replace(self, memory=memory, gauges=(), pieces=()), output
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,10 @@
 """What the daemon writes down (edge): lines of the journal, log lines, learned baselines."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
-from detector.journal import Journal, When, is_urgent, line, mark
+from detector.journal import When, is_urgent, line, mark
 from detector.values import (
     AskInterval,
     AskParameters,
@@ -20,12 +21,20 @@ from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
 from mavdiag.link.timesync import TimesyncMessage
 
-__all__ = ["Reporter"]
+__all__ = ["Lines", "Reporter"]
+
+
+class Lines(Protocol):
+    """Who takes the journal's lines."""
+
+    def write(self, text: str, *, urgent: bool = False) -> None:
+        """Take one. urgent: it is about an alert."""
 
 
 class Reporter:
-    """Writes to the journal, if there is one, and to the log.
+    """Writes to the log, and to those who take the journal's lines.
 
+    lines: the journal, the live page; either may be missing.
     say: takes a log line.
     when: the time of a line about a vehicle (None: about the daemon).
     save: file for learned baselines, None to keep none.
@@ -33,27 +42,29 @@ class Reporter:
 
     def __init__(
         self,
-        journal: Journal | None,
+        lines: Sequence[Lines],
         say: Callable[[str], None],
         when: Callable[[int | None], When],
         save: Path | None,
     ) -> None:
-        self._journal, self._say, self._when, self._path = journal, say, when, save
+        self._lines, self._say, self._when, self._path = tuple(lines), say, when, save
         self._saved: dict[int, Path] = {}
 
     def record(self, sysid: int, effect: Effect) -> None:
         """The effects that are worth a line, in the journal and, most of them, in the log."""
         if isinstance(effect, AskInterval | AskParameters | Learn | SendFloat | TimesyncMessage):
             return
-        if self._journal is not None:
-            self._journal.write(line(effect, self._when(sysid)), urgent=is_urgent(effect))
+        if self._lines:
+            text, urgent = line(effect, self._when(sysid)), is_urgent(effect)
+            for one in self._lines:
+                one.write(text, urgent=urgent)
         for words in _log_lines(effect):
             self._say(f"vehicle {sysid}: {words}")
 
     def mark(self, kind: str, content: dict[str, object]) -> None:
         """A line about the daemon itself."""
-        if self._journal is not None:
-            self._journal.write(mark(kind, self._when(None), content))
+        for one in self._lines:
+            one.write(mark(kind, self._when(None), content))
 
     def save(self, sysid: int, baseline: Baseline) -> None:
         """Keep a learned baseline: the first vehicle's under the name asked for, another's with its id in it."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mavdiag.baseline import Baseline
     from mavdiag.face import Watch, judge, learn, rates, read_log, scan
     from mavdiag.link.link import open_link
+    from mavdiag.logs.tlog import vehicle_stream
     from mavdiag.telemetry import Log
 
 try:
@@ -46,6 +47,7 @@ __all__ = [
     "rates",
     "read_log",
     "scan",
+    "vehicle_stream",
 ]
 
 _HOME = {
@@ -59,6 +61,7 @@ _HOME = {
     "rates": "mavdiag.face",
     "read_log": "mavdiag.face",
     "scan": "mavdiag.face",
+    "vehicle_stream": "mavdiag.logs.tlog",
 }
 
 

@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, identify, inspect, look, model, scan, shim, watch
+from mavdiag.commands import balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -11,6 +11,7 @@ __all__ = ["app", "main"]
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
+app.command("report")(report.report)
 app.command("look")(look.look)
 app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
@@ -19,6 +20,7 @@ app.command("watch")(watch.watch)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")
+app.add_typer(history.app, name="history")
 
 
 def main() -> NoReturn:

@@ -82,7 +82,7 @@ def learn(
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
     chosen = replace(chosen, robust=chosen.robust or robust)
-    found = [log for source in _each(flights) for log in _logs(source, vehicle)]
+    found = (log for source in _each(flights) for log in _logs(source, vehicle))
     return learning.learn(found, chosen, created=now() if created is None else created)
 
 
@@ -190,11 +190,16 @@ def _each(flights: Source | Iterable[Source]) -> list[Source]:
     return [flights] if isinstance(flights, Log | str | Path) else list(flights)
 
 
-def _logs(source: Source, vehicle: int | None) -> list[Log]:
-    """The logs that one source names: itself, a file, a pattern, all logs below a folder. Raises InputError if none."""
+def _logs(source: Source, vehicle: int | None) -> Iterator[Log]:
+    """The logs that one source names, read one by one: itself, a file, a pattern, all logs below a folder.
+
+    Raises InputError if there are none.
+    """
     if isinstance(source, Log):
-        return [source]
-    return [replace(read_log(one, vehicle=vehicle), name=str(one)) for one in logs_named([source]).paths()]
+        yield source
+        return
+    for one in logs_named([source]).paths():
+        yield replace(read_log(one, vehicle=vehicle), name=str(one))
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:

@@ -1,20 +1,45 @@
-"""Files (edge): only regular files of a bounded size are read, and files are written atomically."""
+"""Files (edge): only regular files of a bounded size are read, and files are written atomically.
 
+A `Shelf` puts arrays aside that are too many for the memory.
+"""
+
+import math
+import mmap
 import os
 import stat
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from types import TracebackType
+from typing import Any, BinaryIO, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mavdiag.errors import InputError, UsageError
 
-__all__ = ["TOML_BYTES", "check_output", "open_regular", "parse_toml", "read_text", "read_toml", "write_atomically"]
+__all__ = [
+    "TOML_BYTES",
+    "Arrays",
+    "Kept",
+    "Shelf",
+    "check_output",
+    "open_regular",
+    "parse_toml",
+    "read_text",
+    "read_toml",
+    "write_atomically",
+]
+
+Arrays: TypeAlias = tuple[NDArray[Any], ...]
 
 TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for a larger one's worst (our choice)
 TEXT_BYTES = 8 << 20  # baselines have some hundred kilobytes (our choice)
+SHELF_BYTES = 32 << 20  # of arrays that a shelf keeps in memory before it opens its file (our choice)
+ALIGN_BYTES = 64  # of an array in that file
 
 
 @contextmanager
@@ -102,3 +127,102 @@ def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) 
         if temporary is not None:
             temporary.unlink(missing_ok=True)
         raise UsageError(f"{path}: cannot be written ({error.strerror or error}); name another file") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where an array is in a mapped span of a file [bytes], and what it is."""
+
+    first: int
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kept:
+    """Arrays that a shelf keeps: `get` gives them, read-only, as often as it is asked, while the shelf is open.
+
+    arrays: in memory; None if they are in the file, from `offset` on, `length` bytes.
+    """
+
+    arrays: Arrays | None
+    file: BinaryIO | None = None
+    offset: int = 0
+    length: int = 0
+    places: tuple[_Place, ...] = ()
+
+    def get(self) -> Arrays:
+        """The arrays. Those in the file take memory where they are touched, until the last of them is dropped."""
+        if self.arrays is not None or self.file is None:
+            return self.arrays or ()
+        if self.length == 0:
+            return tuple(np.empty(one.shape, dtype=one.dtype) for one in self.places)
+        data = mmap.mmap(self.file.fileno(), self.length, offset=self.offset, access=mmap.ACCESS_READ)
+        return tuple(
+            np.frombuffer(data, one.dtype, math.prod(one.shape), one.first).reshape(one.shape) for one in self.places
+        )
+
+
+class Shelf:
+    """Puts arrays aside: the first `most_bytes` in memory (None: 32 MB), all others in a file of the temporary folder.
+
+    The file has no name, so nothing is left of it however the program ends. Close the shelf, or use it with `with`.
+    """
+
+    def __init__(self, most_bytes: int | None = None) -> None:
+        self._left, self._end = SHELF_BYTES if most_bytes is None else most_bytes, 0
+        self._file: BinaryIO | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the file back; what it kept is gone, but for arrays that are still held."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def put(self, arrays: Sequence[NDArray[Any]]) -> Kept:
+        """Keep these arrays; the same array twice takes one place. Raises UsageError if the disk is full."""
+        size = sum(one.nbytes for one in arrays)
+        if size <= self._left:
+            self._left -= size
+            return Kept(tuple(arrays))
+        self._left = 0
+        try:
+            return self._written(arrays)
+        except OSError as error:
+            folder = tempfile.gettempdir()
+            raise UsageError(
+                f"{folder}: no room to put {size >> 20} MB aside ({error.strerror or error}); set TMPDIR to a folder "
+                "with more"
+            ) from error
+
+    def _written(self, arrays: Sequence[NDArray[Any]]) -> Kept:
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # open as long as the shelf is
+        start = self._end
+        places: dict[int, _Place] = {}
+        for one in arrays:
+            if id(one) not in places:
+                places[id(one)] = _Place(self._end - start, one.shape, one.dtype)
+                self._write(np.ascontiguousarray(one).reshape(-1).view(np.uint8).data)
+                self._pad(ALIGN_BYTES)
+        kept = Kept(None, self._file, start, self._end - start, tuple(places[id(one)] for one in arrays))
+        self._pad(mmap.ALLOCATIONGRANULARITY)
+        return kept
+
+    def _pad(self, multiple: int) -> None:
+        """Fill up to the next multiple."""
+        if missing := -self._end % multiple:
+            self._write(memoryview(bytes(missing)))
+
+    def _write(self, data: memoryview) -> None:
+        """Write all of it: the system may take less at once."""
+        while len(data) and self._file is not None:
+            count = self._file.write(data)
+            self._end += count
+            data = data[count:]

@@ -1,12 +1,13 @@
 """A monitor that the project does not have: what a new one must bring, and no more."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import MeanState, sliding_mean, start_mean
@@ -37,12 +38,18 @@ class MadeUp(Monitor[HeightSpec, MeanState]):
     unit = "m/s^2"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[HeightSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows there are, and their sum."""
+        down = [rows.block.force[rows.block.known(Signal.SPECIFIC_FORCE), 2] for rows in flight]
+        return (np.array([sum(map(len, down)), sum(float(one.sum()) for one in down)]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[HeightSpec, ...]:
         """The mean of all rows."""
-        down = [rows.block.force[rows.block.known(Signal.SPECIFIC_FORCE), 2] for flight in flights for rows in flight]
-        if not sum(map(len, down)):
+        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        if not count:
             raise InputError("no accelerometer")
-        return (HeightSpec(mean=float(np.concatenate(down).mean())),)
+        return (HeightSpec(mean=total / count),)
 
     def start(self) -> MeanState:
         """An empty mean."""

@@ -14,6 +14,7 @@ from detector.fitting import FittingJob, Outcome
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
 from detector.notify import Notifier
+from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, Encoder, Frame
@@ -116,6 +117,7 @@ class Bench:
     baselines: dict[int, Baseline] = field(default_factory=dict)
     notifier: Notifier | None = None
     metrics: Metrics | None = None
+    web: Feed | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -146,6 +148,7 @@ class Bench:
             baselines=self.baselines,
             notifier=self.notifier,
             metrics=self.metrics,
+            web=self.web,
         )
 
     def run(self, seconds: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mavdiag.airframe.excitation import Fit, Stretch, fit_outputs, moving_outputs, stretches_of
+from mavdiag.airframe.excitation import Fit, Stretches, fit_outputs, moving_outputs
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
@@ -74,12 +74,12 @@ def detect_layout(
     their outputs. If no layout reaches 0.85 so, yaw is excited too and the drivers do not move together, that order is
     sought in which one of `NUMBERED` fits best; it must meet the same limits.
 
-    Any cut of the rows into blocks gives the same answer. Blind spots: servos that follow the drivers as motors do; a
-    vehicle that hardly turns.
+    The blocks are gone through several times, one stretch in memory at a time. Any cut of the rows into blocks gives
+    the same answer. Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
     """
-    stretches = stretches_of(blocks)
+    stretches = Stretches(blocks)
     moving = moving_outputs(stretches)
-    if outputs is not None and any(one.outputs.shape[1] for one in stretches):
+    if outputs is not None and stretches.outputs:
         return _on_outputs(stretches, moving, [one - 1 for one in outputs], known)
     if len(moving) < FEWEST:
         return LayoutFinding(None, "the data carry no rotor outputs that move")
@@ -124,7 +124,7 @@ def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
 
 
 def _on_outputs(
-    stretches: Sequence[Stretch], moving: Sequence[int], columns: Sequence[int], known: Sequence[RotorLayout]
+    stretches: Stretches, moving: Sequence[int], columns: Sequence[int], known: Sequence[RotorLayout]
 ) -> LayoutFinding:
     """What the outputs say that are known to drive the rotors, if all of them move."""
     if idle := tuple(rotor for rotor, one in enumerate(columns, start=1) if one not in moving):

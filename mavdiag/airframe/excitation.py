@@ -1,6 +1,6 @@
 """How the outputs change with the commands of roll, pitch and yaw: the regression behind `detect`."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,12 @@ from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["Fit", "Stretch", "fit_outputs", "moving_outputs", "stretches_of"]
+__all__ = ["Fit", "Stretch", "Stretches", "fit_outputs", "moving_outputs"]
 
 SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
 LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
 MIN_CHANGES = 40  # spans without overlap (our choice)
+SINGULAR = 1e-12  # of the largest eigenvalue of the drivers' products: below it there is no direction
 DRIVERS = ("torque command", "rate error", "angular acceleration")
 
 
@@ -66,19 +67,34 @@ class Stretch:
     valid: BoolArray
 
 
-def stretches_of(blocks: Iterable[Block]) -> list[Stretch]:
-    """Blocks that follow each other without a gap, put together."""
-    runs: list[list[Block]] = []
-    for block in blocks:
-        if len(block) == 0:
-            continue
-        last = runs[-1][-1] if runs else None
-        limit_ns = 2.5e9 * block.dt_s
-        if last is None or block.segment != last.segment or not 0 < block.t_ns[0] - last.t_ns[-1] < limit_ns:
-            runs.append([])
-        runs[-1].append(block)
-    width = max((block.actuator.shape[1] for run in runs for block in run), default=0)
-    return [_joined(run, width) for run in runs]
+class Stretches:
+    """The stretches of blocks that are looked at several times: each time one after the other, made anew.
+
+    So of many flights one stretch is in memory at a time, if the blocks come from where they are kept. outputs: columns
+    of outputs in all of them.
+    """
+
+    def __init__(self, blocks: Iterable[Block]) -> None:
+        self._blocks = tuple(blocks) if isinstance(blocks, Iterator) else blocks
+        self.outputs = max((block.actuator.shape[1] for block in self._blocks if len(block)), default=0)
+
+    def __iter__(self) -> Iterator[Stretch]:
+        run: list[Block] = []
+        for block in self._blocks:
+            if len(block) == 0:
+                continue
+            if run and not _follows(block, run[-1]):
+                yield _joined(run, self.outputs)
+                run = []
+            run.append(block)
+        if run:
+            yield _joined(run, self.outputs)
+
+
+def _follows(block: Block, last: Block) -> bool:
+    """Whether a block follows the last one without a gap."""
+    limit_ns = 2.5e9 * block.dt_s
+    return block.segment == last.segment and bool(0 < block.t_ns[0] - last.t_ns[-1] < limit_ns)
 
 
 def _joined(run: Sequence[Block], width: int) -> Stretch:
@@ -90,34 +106,37 @@ def _joined(run: Sequence[Block], width: int) -> Stretch:
     return Stretch(run[0].dt_s, outputs, drivers, np.concatenate([block.valid for block in run]))
 
 
-def moving_outputs(stretches: Sequence[Stretch]) -> list[int]:
+def moving_outputs(stretches: Stretches) -> list[int]:
     """Columns of the outputs that change in valid rows and carry: those that stand still or idle are no motors."""
-    if not stretches:
-        return []
-    outputs = np.vstack([one.outputs[one.valid] for one in stretches])
-    known = np.isfinite(outputs)
-    low = np.where(known, outputs, np.inf).min(axis=0, initial=np.inf)
-    high = np.where(known, outputs, -np.inf).max(axis=0, initial=-np.inf)
-    mean = np.where(known, outputs, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return [int(i) for i in np.flatnonzero((high > low) & (mean > MIN_OUTPUT))]
+    low, high = np.full(stretches.outputs, np.inf), np.full(stretches.outputs, -np.inf)
+    total, count = np.zeros(stretches.outputs), np.zeros(stretches.outputs)
+    for one in stretches:
+        outputs = one.outputs[one.valid]
+        known = np.isfinite(outputs)
+        low = np.minimum(low, np.where(known, outputs, np.inf).min(axis=0, initial=np.inf))
+        high = np.maximum(high, np.where(known, outputs, -np.inf).max(axis=0, initial=-np.inf))
+        total, count = total + np.where(known, outputs, 0.0).sum(axis=0), count + known.sum(axis=0)
+    return [int(i) for i in np.flatnonzero((high > low) & (total / np.maximum(count, 1) > MIN_OUTPUT))]
 
 
-def fit_outputs(stretches: Sequence[Stretch], columns: Sequence[int]) -> Fit | None:
+def fit_outputs(stretches: Stretches, columns: Sequence[int]) -> Fit | None:
     """The fit of these outputs to the first driver that the data carry; None if there is too little of it.
 
     Of the acceleration the lag that explains most is taken.
     """
-    relative = [_relative(one, columns) for one in stretches]
-    judged = sum(int(np.isfinite(w[:, 0]).sum()) for w in relative)
-    for i in range(len(DRIVERS)):
-        known = [
-            np.isfinite(w[:, 0]) & np.isfinite(one.drivers[i]).all(axis=1)
-            for w, one in zip(relative, stretches, strict=True)
-        ]
-        if 2 * sum(int(rows.sum()) for rows in known) <= judged:
-            continue
+    judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
+    for one in stretches:
+        flown = np.isfinite(_relative(one, columns)[:, 0])
+        judged += int(flown.sum())
+        known += [int((flown & np.isfinite(driver).all(axis=1)).sum()) for driver in one.drivers]
+    for i in np.flatnonzero(2 * known > judged).tolist():
         lags_s = LAGS_S if i == len(DRIVERS) - 1 else (0.0,)
-        fits = [_regression(relative, stretches, i, lag_s) for lag_s in lags_s]
+        sums = [_Sums(len(columns)) for _ in lags_s]
+        for one in stretches:
+            w = _relative(one, columns)
+            for lag_s, found in zip(lags_s, sums, strict=True):
+                found.add(one, w, i, lag_s)
+        fits = [found.fit(DRIVERS[i]) for found in sums]
         return max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
     return None
 
@@ -129,31 +148,48 @@ def _relative(one: Stretch, columns: Sequence[int]) -> FloatArray:
     return np.asarray(outputs / np.where(mean > MIN_OUTPUT, mean, np.nan) - 1.0, dtype=np.float64)
 
 
-def _regression(relative: Sequence[FloatArray], stretches: Sequence[Stretch], i: int, lag_s: float) -> Fit | None:
-    """Least squares of the outputs' changes on driver `i`, `lag_s` later; None if there is too little of it."""
-    cuts, overlap = [], 1
-    for w, one in zip(relative, stretches, strict=True):
+class _Sums:
+    """Sums over stretches for the least squares of the outputs' changes W on those of a driver X, some lag later.
+
+    rows: how many there are. total: (3,) sum of X. products: of [ W X ] with itself.
+    """
+
+    def __init__(self, outputs: int) -> None:
+        self._rows, self._overlap = 0, 1
+        self._total, self._products = np.zeros(3), np.zeros((outputs + 3, outputs + 3))
+
+    def add(self, one: Stretch, w: FloatArray, driver: int, lag_s: float) -> None:
+        """Take a stretch, whose outputs are `_relative`."""
         span, lag = max(1, round(SPAN_S / one.dt_s)), round(lag_s / one.dt_s)
-        n, overlap, x = len(w) - span - lag, max(overlap, span), one.drivers[i]
+        n, self._overlap, x = len(w) - span - lag, max(self._overlap, span), one.drivers[driver]
         if n > 0:
-            cuts.append(np.hstack([w[span : span + n] - w[:n], x[span + lag :] - x[lag : lag + n]]))
-    both = np.vstack(cuts) if cuts else np.empty((0, 6))
-    both = both[np.isfinite(both).all(axis=1)]
-    W, X = both[:, :-3], both[:, -3:]
-    scale, total = X.std(axis=0) if len(X) else np.zeros(3), float(np.square(W).sum())
-    if len(X) < MIN_CHANGES * overlap or total == 0:
-        return None
-    X = X / np.where(scale > 0, scale, 1.0)
-    effects, *_ = np.linalg.lstsq(X, W, rcond=None)
-    left, explained = np.square(W - X @ effects).sum(axis=0), np.square(X @ effects).sum(axis=0)
-    noise = overlap * left.sum() / W.size * np.diag(np.linalg.pinv(X.T @ X))  # variance of an effect; spans overlap
-    F = np.square(effects).mean(axis=1) / np.maximum(noise, 1e-300)
-    followed = explained / 3 / np.maximum(overlap * left / len(W), 1e-300)
-    return Fit(
-        DRIVERS[i],
-        np.asarray(effects, dtype=np.float64),
-        np.asarray(F, dtype=np.float64),
-        np.asarray(followed, dtype=np.float64),
-        1 - float(left.sum()) / total,
-        np.asarray(X.T @ X / len(X), dtype=np.float64),
-    )
+            both = np.hstack([w[span : span + n] - w[:n], x[span + lag :] - x[lag : lag + n]])
+            both = both[np.isfinite(both).all(axis=1)]
+            self._rows += len(both)
+            self._total += both[:, -3:].sum(axis=0)
+            self._products += both.T @ both
+
+    def fit(self, driver: str) -> Fit | None:
+        """The fit; None if there is too little of it."""
+        n, (ww, wx, xx) = self._rows, (self._products[:-3, :-3], self._products[:-3, -3:], self._products[-3:, -3:])
+        total = float(np.trace(ww))
+        if n < MIN_CHANGES * self._overlap or total == 0:
+            return None
+        scale = np.sqrt(np.maximum(np.diag(xx) / n - np.square(self._total / n), 0.0))
+        scale = np.where(scale > 0, scale, 1.0)
+        wx, xx = wx / scale, xx / scale / scale[:, None]
+        # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
+        effects = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True) @ wx.T
+        explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
+        left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
+        noise = self._overlap * left.sum() / (n * len(ww)) * np.diag(np.linalg.pinv(xx))  # of an effect; spans overlap
+        F = np.square(effects).mean(axis=1) / np.maximum(noise, 1e-300)
+        followed = explained / 3 / np.maximum(self._overlap * left / n, 1e-300)
+        return Fit(
+            driver,
+            np.asarray(effects, dtype=np.float64),
+            np.asarray(F, dtype=np.float64),
+            np.asarray(followed, dtype=np.float64),
+            1 - float(left.sum()) / total,
+            np.asarray(xx / n, dtype=np.float64),
+        )

@@ -22,12 +22,16 @@ __all__ = [
     "LEVEL_RATIO",
     "MIN_OUTPUT",
     "SIGNALS",
+    "SOURCES",
     "YAW_FLOOR",
     "LargeRise",
     "Source",
     "rises",
     "shown_trim",
+    "source_among",
     "source_of",
+    "sources_of",
+    "spread_from",
     "spread_of",
     "tilt_of",
     "trim_of",
@@ -40,10 +44,16 @@ NO_TILT = np.zeros((1, 2))
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]
+SOURCES: tuple[Source, ...] = ("actuator", "torque")
 SIGNALS: dict[Source, frozenset[Signal]] = {
     "actuator": frozenset({Signal.ACTUATOR}),
     "torque": frozenset({Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}),
 }
+
+
+def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
+    """(2,) whether a flight shows a trim by each of `SOURCES`."""
+    return np.array([any(trim_of(rows.block, layout, one)[1].any() for rows in flight) for one in SOURCES])
 
 
 def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
@@ -51,9 +61,13 @@ def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
 
     Raises InputError if there is neither.
     """
-    sources: tuple[Source, ...] = ("actuator", "torque")
-    for source in sources:
-        if any(trim_of(rows.block, layout, source)[1].any() for flight in flights for rows in flight):
+    return source_among([sources_of(flight, layout) for flight in flights], layout)
+
+
+def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
+    """As `source_of`, from what `sources_of` says of each flight."""
+    for number, source in enumerate(SOURCES):
+        if any(one[number] for one in shown):
             return source
     raise InputError(
         f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
@@ -102,7 +116,12 @@ def tilt_of(block: Block) -> FloatArray:
 
 def spread_of(shifts: FloatArray) -> Three:
     """Root mean squares of healthy shifts, (n, 3); yaw's is widened, the others' are at least three times it."""
-    roll, pitch, yaw = np.sqrt(np.mean(np.square(shifts), axis=0)).tolist()
+    return spread_from(np.mean(np.square(shifts), axis=0))
+
+
+def spread_from(squares: FloatArray) -> Three:
+    """As `spread_of`, from the mean squares of the shifts, (3,)."""
+    roll, pitch, yaw = np.sqrt(squares).tolist()
     yaw = float(np.hypot(yaw, YAW_FLOOR))
     return max(roll, LEVEL_RATIO * yaw), max(pitch, LEVEL_RATIO * yaw), yaw
 

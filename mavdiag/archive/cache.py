@@ -15,24 +15,34 @@ RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a se
 
 @dataclass(frozen=True, slots=True)
 class Cache:
-    """The answers to one question. folder: of their files, named by the digest of the log."""
+    """The answers to one question.
+
+    folder: of their files, named by the mark (`archive.work.mark_of`) and the digest of the log.
+    """
 
     folder: Path
 
-    def get(self, digest: str) -> Record | None:
+    def marks(self) -> frozenset[str]:
+        """The marks of all contents that have an answer: a log with another one is new."""
+        try:
+            return frozenset(one.name.partition("-")[0] for one in self.folder.iterdir())
+        except OSError:
+            return frozenset()
+
+    def get(self, mark: str, digest: str) -> Record | None:
         """The answer for a content; None if there is none, or its file is damaged."""
         try:
-            record = record_from(read_text(self._file(digest), RECORD_BYTES))
+            record = record_from(read_text(self._file(mark, digest), RECORD_BYTES))
         except InputError:
             return None
         return record if record.digest == digest else None
 
-    def put(self, record: Record) -> None:
+    def put(self, mark: str, record: Record) -> None:
         """Keep an answer at once. Raises UsageError if it cannot be written."""
-        write_atomically(self._file(record.digest), record_text(record), durable=False)
+        write_atomically(self._file(mark, record.digest), record_text(record), durable=False)
 
-    def _file(self, digest: str) -> Path:
-        return self.folder / f"{digest}.json"
+    def _file(self, mark: str, digest: str) -> Path:
+        return self.folder / f"{mark}-{digest}.json"
 
 
 def cache_folder() -> Path | None:

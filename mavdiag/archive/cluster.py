@@ -45,4 +45,11 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, (KilledWorker,))
+
+        def manned() -> bool:
+            try:
+                return bool(client.nthreads())
+            except (OSError, TimeoutError):  # then the scheduler has gone, and the tasks say so
+                return True
+
+        yield TaskExecutor(client.get_executor(pure=False), 2 * threads, (KilledWorker,), manned)

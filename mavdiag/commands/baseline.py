@@ -10,7 +10,7 @@ from mavdiag import commandline
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
-from mavdiag.commands.progress import each, working
+from mavdiag.commands.progress import each, followed
 from mavdiag.errors import BaselineError
 from mavdiag.face import now
 from mavdiag.learning.extend import extend as extended
@@ -55,9 +55,9 @@ def extend(
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output)
     baseline = Baseline.load(file)
-    flights = [read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading")]
-    with working(f"adding {len(flights)} flights ..."):
-        longer = extended(baseline, flights, new_propellers=new_propellers, created=now())
+    flights = (read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading"))
+    with followed(flights, f"adding {len(logs)} flights ...") as taken:
+        longer = extended(baseline, taken, new_propellers=new_propellers, created=now())
     longer.save(output)
     say(f"{longer}\nwritten to {output}")
 

@@ -24,7 +24,7 @@ from mavdiag.commands.options import (
     parse_order,
     read_part,
 )
-from mavdiag.commands.progress import each, sizes_of, working
+from mavdiag.commands.progress import each, followed, sizes_of
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
@@ -131,6 +131,6 @@ def make_baseline(
     if found.skipped:
         say(found.skipped_sentence, err=True)
     paths = found.paths()
-    flights = [read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths))]
-    with working(f"learning from {len(flights)} flights ..."):
-        return learn(flights, options, created=now())
+    flights = (read_part(path, vehicle, from_s, to_s, mapped) for path in each(paths, "read", sizes_of(paths)))
+    with followed(flights, f"learning from {len(paths)} flights ...") as taken:
+        return learn(taken, options, created=now())

@@ -25,8 +25,7 @@ from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Want, wants_of
 from mavdiag.logs import read_log
-from mavdiag.logs.log import read_bytes
-from mavdiag.logs.tlog import decode_tlog
+from mavdiag.logs.tlog import read_content
 from mavdiag.look.inspection import (
     Clock,
     MonitorState,
@@ -134,9 +133,8 @@ def _logged(path: Path, source: str, vehicle: int | None, profile: str | None) -
     log = read_log(path, vehicle, profile)
     if log.profile not in PROFILES:
         return _inspected(source, log, {}, None)
-    content = decode_tlog(read_bytes(path))
-    times = [frame.host_ns for frame in content.frames]
-    span_s = max((max(times) - min(times)) / NS_PER_S, 1e-3) if times else 1.0
+    content = read_content(path)
+    span_s = max(content.span_ns / NS_PER_S, 1e-3) if content.pieces else 1.0
     autopilots = [key for key in content.senders if key[1] == Component.AUTOPILOT1 and vehicle in (None, key[0])]
     count = max((content.senders[key] for key in autopilots), key=lambda one: one.received, default=None)
     rates = {} if count is None else {msgid: n / span_s for msgid, n in count.by_message.items()}

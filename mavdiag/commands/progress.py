@@ -2,14 +2,14 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from mavdiag.commandline import say
 
-__all__ = ["Shown", "each", "shown", "sizes_of", "told", "working"]
+__all__ = ["Shown", "each", "followed", "shown", "sizes_of", "told", "working"]
 
 T = TypeVar("T")
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # a log file of a nightly run is not filled with lines (our choice)
@@ -145,3 +145,15 @@ def working(text: str) -> Iterator[None]:
 
     with Console(stderr=True).status(text):
         yield
+
+
+@contextmanager
+def followed(items: Iterable[T], text: str) -> Iterator[Iterator[T]]:
+    """The items, to be taken one by one; a spinner from the last one on, until the block ends."""
+    with ExitStack() as shown:
+
+        def taken() -> Iterator[T]:
+            yield from items
+            shown.enter_context(working(text))
+
+        yield taken()

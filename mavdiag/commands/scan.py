@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from mavdiag.archive.job import Answer, Options, Question
 from mavdiag.archive.paths import Found, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process, local_executor
 from mavdiag.archive.scan import in_order
-from mavdiag.archive.scan import scan as answers
+from mavdiag.archive.scan import scan as archive
 from mavdiag.archive.sources import judging_version
 from mavdiag.archive.tables import check_parquet, rows_of, write_csv, write_parquet
 from mavdiag.archive.windows import Window
@@ -106,15 +106,15 @@ def _answered(
             with progress.cleared():
                 say(text, err=True)
 
-        def counted() -> Any:
-            for answer in run:
+        def counted(answers: Iterable[Answer]) -> Iterator[Answer]:
+            for answer in answers:
                 progress.add(sizes[answer.number])
                 yield answer
 
         if found.skipped:
             warn(found.skipped_sentence)
-        with closing(answers(found.logs, question, opened, kept, warn)) as run:
-            for answer in in_order(counted()):
+        with closing(archive(found.logs, question, opened, kept, warn)) as run:
+            for answer in in_order(counted(run)):
                 before += not answer.fresh
                 verdicts.append(answer.record.verdict.verdict)
                 rows += rows_of(answer) if tabled else ()

@@ -6,7 +6,7 @@ import os
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +18,7 @@ from mavdiag import __version__
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.identify import make_baseline
+from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change
 from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
 from mavdiag.demo.story import DETECTOR, SPAN_S, THESIS, first_crossing, flight_view
@@ -214,5 +215,11 @@ def _print_result(result: DemoResult, flight: Flight, thesis: Change | None) -> 
 
 def _print_report(record: Path, baseline: Path, page: Path) -> None:
     """Judge the recorded flight once more, as a log, and draw its report where the extra `report` is installed."""
-    flown = Baseline.load(baseline)
-    say(f"the recorded flight, judged as a log: {judge(read_log(record), flown)}")
+    flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
+    if find_spec("matplotlib") is None:
+        verdict, where = judge(log, flown), "none, for matplotlib is not installed: pip install 'mavdiag[report]'"
+    else:
+        page.parent.mkdir(parents=True, exist_ok=True)
+        verdict, where = write_report(log, flown, baseline, page), str(page)
+    say(f"the recorded flight, judged as a log: {verdict}")
+    say(f"its report: {where}")

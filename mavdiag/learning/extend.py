@@ -5,7 +5,7 @@ and to the healthy trim. New propellers change the trim, the vibration and what 
 hover tells what these are now, and the old flights still tell how much they vary.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -14,13 +14,14 @@ from mavdiag.baseline import SESSION_GAP_NS, Baseline, check_link, sealed
 from mavdiag.baseline_parts import HealthyScores, MonitorEntry
 from mavdiag.chain import front_of
 from mavdiag.errors import InputError
-from mavdiag.learning.flights import LearntFlight, airborne, sessions_of
-from mavdiag.learning.guards import repeated, upsets
+from mavdiag.learning.flights import LearntFlight, airborne_of, sessions_of
+from mavdiag.learning.guards import repeated_of, upsets
+from mavdiag.learning.held import HeldLog, held
 from mavdiag.learning.learn import plain_scores, sources
 from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Flights, LearnContext
-from mavdiag.rows.align import measure_grid
+from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.envelope import Covered, covered_by
 from mavdiag.thresholds.heldout import Scores, pooled, score
@@ -29,25 +30,34 @@ from mavdiag.thresholds.rule import threshold_of
 __all__ = ["extend"]
 
 
-def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool = False, created: str) -> Baseline:
+def extend(baseline: Baseline, flights: Iterable[Log], *, new_propellers: bool = False, created: str) -> Baseline:
     """The baseline with more healthy flights of its airframe. created: time stamp to record, ISO 8601 UTC.
+
+    Each flight is taken once, and put aside as `learning.learn` does.
 
     new_propellers: they were flown with a new set; one hover of 15 s is enough.
     Raises InputError, naming the flight, for one that is in it already, is named twice, never flies or falls, or for a
     baseline of an older schema; BaselineError for a flight over another link; IdentificationError for one that is too
     short for a monitor.
     """
+    with Shelf() as shelf:
+        return _extended(baseline, [held(flight, shelf) for flight in flights], shelf, new_propellers, created)
+
+
+def _extended(
+    baseline: Baseline, flights: Sequence[HeldLog], shelf: Shelf, new_propellers: bool, created: str
+) -> Baseline:
     if not flights:
         raise InputError("no healthy flight to add; name one or more logs")
     _check(baseline, flights)
     front = front_of(baseline)
-    learnt = [airborne(front, flight) for flight in flights]
+    learnt = [airborne_of(front, flight, shelf) for flight in flights]
     refuse(upsets(learnt))
     if baseline.fingerprint is not None and not new_propellers:
         _check_vehicle(baseline, baseline.fingerprint, learnt)
     old = baseline.provenance.logs
     propellers = max(one.propellers for one in old) + new_propellers
-    sessions = _sessions(baseline, flights)
+    sessions = _sessions(baseline, [flight.label for flight in flights])
     known, rows = {one.session for one in old}, [one.rows for one in learnt]
     entries = []
     for entry in baseline.monitors:
@@ -70,13 +80,13 @@ def extend(baseline: Baseline, flights: Sequence[Log], *, new_propellers: bool =
     )
 
 
-def _check(baseline: Baseline, flights: Sequence[Log]) -> None:
+def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
     known = {one.sha256 for one in baseline.provenance.logs if one.sha256}
     for flight in flights:
-        if flight.sha256 in known:
-            raise InputError(f"{flight.name}: is in the baseline already; leave it out")
-        check_link(baseline, profile=flight.profile, dt_s=measure_grid(flight.telemetry)[0])
-    refuse(repeated(flights))
+        if flight.label.sha256 in known:
+            raise InputError(f"{flight.label.name}: is in the baseline already; leave it out")
+        check_link(baseline, profile=flight.label.profile, dt_s=flight.measure.dt_s)
+    refuse(repeated_of(flights))
     if any(entry.scores is None for entry in baseline.monitors):
         raise InputError("the baseline is of an older schema and holds no scores; make it anew with `mavdiag identify`")
 
@@ -127,7 +137,7 @@ def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[Lea
     for one in flights:
         likeness = compare(known, one.rows, baseline.airframe.layout)
         if likeness.outcome is Outcome.FAR:
-            raise InputError(f"{one.flight.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
+            raise InputError(f"{one.label.name}: another vehicle: {likeness.sentence(baseline.airframe.name)}")
 
 
 def _fingerprint(baseline: Baseline, flights: Sequence[LearntFlight], new_propellers: bool) -> Fingerprint | None:

@@ -1,23 +1,34 @@
 """Healthy flights before anything is learnt: the link they came over, and their rows of flight."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.baseline import SESSION_GAP_NS
 from mavdiag.errors import InputError
+from mavdiag.learning.held import HeldLog, HeldRows, of_memory
 from mavdiag.logs import gate_for
-from mavdiag.rows.align import AlignSpec, Grid, measure_grid
+from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
 from mavdiag.rows.gate import Border, GateSpec
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.rows.tolerance import rate_tolerance
-from mavdiag.telemetry import Log, Signal, Telemetry
+from mavdiag.storage import Shelf
+from mavdiag.telemetry import IntArray, Log, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["LearntFlight", "airborne", "front_for", "odd_rate", "rows_of", "sessions_of"]
+__all__ = [
+    "LearntFlight",
+    "airborne",
+    "airborne_of",
+    "front_for",
+    "front_of_held",
+    "odd_rate",
+    "rows_of",
+    "sessions_of",
+]
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
@@ -28,17 +39,32 @@ SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps 
 class LearntFlight:
     """A flight, its rows of flying in order, and how long of them may be judged [s]."""
 
-    flight: Log
-    rows: tuple[Rows, ...]
+    held: HeldLog
+    rows: Sequence[Rows]
     judged_s: float
 
+    @property
+    def label(self) -> Log:
+        """The log without its signals."""
+        return self.held.label
 
-def front_for(flights: Sequence[Log], window_s: float, gate: GateSpec | None = None) -> Front:
+    @property
+    def flight(self) -> Log:
+        """The log with its signals."""
+        return self.held.open()
+
+
+def front_for(flights: Iterable[Log], window_s: float, gate: GateSpec | None = None) -> Front:
     """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
 
     Raises InputError, naming the flight, if one lacks the gyro or comes over another kind of link or at another rate.
     """
-    profiles = sorted({flight.profile for flight in flights})
+    return front_of_held([of_memory(flight) for flight in flights], window_s, gate)
+
+
+def front_of_held(flights: Sequence[HeldLog], window_s: float, gate: GateSpec | None = None) -> Front:
+    """As `front_for`, for flights that were measured when they were put aside."""
+    profiles = sorted({flight.label.profile for flight in flights})
     if len(profiles) != 1:
         raise InputError(f"the flights come over different links ({', '.join(profiles)}); learn from one kind")
     dt_s, grid, odd = _common_grid(flights, window_s)
@@ -48,26 +74,23 @@ def front_for(flights: Sequence[Log], window_s: float, gate: GateSpec | None = N
     return Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
 
 
-def odd_rate(flights: Sequence[Log], window_s: float) -> tuple[int, str] | None:
-    """Number of the flight whose gyro rate differs most from the others', and a sentence; None if a model bears all.
-
-    Raises InputError, naming the flight, if one lacks the gyro.
-    """
+def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:
+    """Number of the flight whose gyro rate differs most from the others', and a sentence; None if a model bears all."""
     return _common_grid(flights, window_s)[2]
 
 
-def _common_grid(flights: Sequence[Log], window_s: float) -> tuple[float, Grid, tuple[int, str] | None]:
+def _common_grid(flights: Sequence[HeldLog], window_s: float) -> tuple[float, Grid, tuple[int, str] | None]:
     """Median of the flights' mean gyro periods [s], the grid that suits all, and the flight that it does not suit."""
-    measured = [_grid(flight) for flight in flights]
-    grid = Grid.NATIVE if all(grid is Grid.NATIVE for _, grid in measured) else Grid.RESAMPLED
-    periods = np.array([dt_s for dt_s, _ in measured])
+    native = all(flight.measure.grid is Grid.NATIVE for flight in flights)
+    grid = Grid.NATIVE if native else Grid.RESAMPLED
+    periods = np.array([flight.measure.dt_s for flight in flights])
     dt_s = float(np.median(periods))
     apart = np.abs(periods / dt_s - 1)
     tolerance, odd = rate_tolerance(grid, dt_s, window_s), int(apart.argmax())
     if apart[odd] <= tolerance:
         return dt_s, grid, None
     text = (
-        f"{flights[odd].name} has a gyro rate of {1 / periods[odd]:.1f} Hz, the others have {1 / dt_s:.1f} Hz, "
+        f"{flights[odd].label.name} has a gyro rate of {1 / periods[odd]:.1f} Hz, the others have {1 / dt_s:.1f} Hz, "
         f"more than {100 * tolerance:.0f} % apart"
     )
     return dt_s, grid, (odd, text)
@@ -79,12 +102,23 @@ def rows_of(front: Front, telemetry: Telemetry) -> tuple[Rows, ...]:
 
 
 def airborne(front: Front, flight: Log) -> LearntFlight:
-    """The flying part of a flight. Raises InputError, naming it, if there is hardly any."""
+    """The flying part of a flight, in memory. Raises InputError, naming it, if there is hardly any."""
     rows = rows_of(front, flight.telemetry)
+    return LearntFlight(of_memory(flight), rows, _judged_s(front, flight, rows))
+
+
+def airborne_of(front: Front, flight: HeldLog, shelf: Shelf) -> LearntFlight:
+    """The flying part of a flight, put aside as the flight is. Raises as `airborne`."""
+    rows = rows_of(front, flight.open().telemetry)
+    judged_s = _judged_s(front, flight.label, rows)
+    return LearntFlight(flight, HeldRows.of(rows, shelf), judged_s)
+
+
+def _judged_s(front: Front, flight: Log, rows: Sequence[Rows]) -> float:
     judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
         raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight, too short to learn from")
-    return LearntFlight(flight, rows, judged_s)
+    return judged_s
 
 
 def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
@@ -104,16 +138,17 @@ def sessions_of(flights: Sequence[Log], told: int | None = None) -> list[int]:
     return found
 
 
-def _grid(flight: Log) -> tuple[float, Grid]:
-    try:
-        return measure_grid(flight.telemetry)
-    except InputError as error:
-        raise InputError(f"{flight.name}: {error}") from error
-
-
-def _gap_limit(flights: Sequence[Log]) -> float:
+def _gap_limit(flights: Sequence[HeldLog]) -> float:
     """35 ms, or a few periods of a set-point stream that is slower than that."""
-    found = [flight.telemetry.get(Signal.ATTITUDE_SETPOINT) for flight in flights]
-    steps = [np.diff(np.unique(series.t_ns)) for series in found if series is not None]
-    period_s = float(np.median(np.concatenate(steps))) / NS_PER_S if any(len(s) for s in steps) else 0.0
+    steps_ns = np.concatenate([flight.measure.steps_ns for flight in flights])
+    counts = np.concatenate([flight.measure.counts for flight in flights])
+    period_s = _median(steps_ns, counts) / NS_PER_S if len(steps_ns) else 0.0
     return max(MAX_GAP_S, SLOW_SETPOINT_PERIODS * period_s)
+
+
+def _median(values: IntArray, counts: IntArray) -> float:
+    """Median of values that occur so often each."""
+    order = np.argsort(values)
+    reached, total = np.cumsum(counts[order]), int(counts.sum())
+    low, high = np.searchsorted(reached, [(total - 1) // 2, total // 2], side="right")
+    return 0.5 * float(values[order[low]] + values[order[high]])

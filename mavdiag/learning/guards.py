@@ -17,14 +17,14 @@ from mavdiag.airframe.traits import joined, joined_rates
 from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.flights import LearntFlight
-from mavdiag.learning.repeats import repeated
+from mavdiag.learning.repeats import repeated, repeated_of
 from mavdiag.learning.upsets import upsets
 from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Finding", "Kind", "far_blocks", "repeated", "trim_groups", "upsets"]
+__all__ = ["Finding", "Kind", "far_blocks", "repeated", "repeated_of", "trim_groups", "upsets"]
 
 BLOCK_S = 5.0  # of flight (our choice)
 WINDOW_S = 0.5  # a block's figure is the median over these, so that the spike of a landing does not count (our choice)
@@ -131,7 +131,7 @@ def _blocks(number: int, flight: LearntFlight) -> Iterator[_Block]:
             quick = _typical(np.where(block.valid[first + 2 : stop], noise[first : stop - 2], np.nan), block.dt_s)
             thrust = _median(block.thrust[first:stop][block.valid[first:stop]])
             logs = (_log(quick), _log(error), _log(thrust))
-            yield _Block(number, flight.flight.name, low_ns / NS_PER_S, high_ns / NS_PER_S, logs, busy)
+            yield _Block(number, flight.label.name, low_ns / NS_PER_S, high_ns / NS_PER_S, logs, busy)
 
 
 def _errors(rates: RateBlock, low_ns: int, high_ns: int) -> tuple[float, float]:
@@ -183,7 +183,7 @@ def trim_groups(flights: Sequence[LearntFlight], layout: RotorLayout | None) -> 
         return ()
     refuses = distance >= GROUP_DISTANCE and 2 <= len(odd) <= len(known) - 2
     numbers = [number for number, _ in known]
-    names = [flights[number].flight.name for number in numbers]
+    names = [flights[number].label.name for number in numbers]
     mean, rest = trims[odd].mean(axis=0) / weight, np.delete(trims, odd, axis=0).mean(axis=0) / weight
     text = (
         f"the mean trims of the flights fall into two groups: roll, pitch, yaw {_three(mean)} in "

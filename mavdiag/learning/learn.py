@@ -1,9 +1,8 @@
 """From healthy flights to a baseline: measure the link, fit the monitors, set their thresholds."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 from mavdiag import __version__
@@ -14,18 +13,21 @@ from mavdiag.baseline import Baseline, sealed
 from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
+from mavdiag.learning.fits import fits
 from mavdiag.learning.flights import LearntFlight, sessions_of
+from mavdiag.learning.held import HeldLog, held
 from mavdiag.learning.rotors import with_rotors
-from mavdiag.learning.teaching import Taught, one_vehicle, taught
+from mavdiag.learning.teaching import Taught, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.rows.front import Front
+from mavdiag.storage import Shelf
 from mavdiag.telemetry import Axis, Log
 from mavdiag.thresholds.envelope import covered_by
-from mavdiag.thresholds.heldout import Scores, held_out_scores
+from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 
 __all__ = ["ALL_MONITORS", "LearnOptions", "learn", "plain_scores", "sources", "thesis_options"]
@@ -90,26 +92,35 @@ class _Fitted:
     decides: bool
 
 
-def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Baseline:
+def learn(flights: Iterable[Log], options: LearnOptions, *, created: str) -> Baseline:
     """A baseline from healthy flights. created: time stamp to record, ISO 8601 UTC.
+
+    Each flight is taken once, and put aside on a shelf that goes to disk if there are many: flights that are read as
+    they are taken, `(read_log(path) for path in paths)`, are never in memory together.
 
     A monitor that cannot work on such flights is recorded with its reason, and hinders no other.
     Raises InputError if a flight lacks the gyro or never flies, and IdentificationError if no monitor can work; both
     say what to do.
     """
-    if not flights:
+    with Shelf() as shelf:
+        return _learnt([held(log, shelf) for log in flights], options, created, shelf)
+
+
+def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf: Shelf) -> Baseline:
+    if not logs:
         raise InputError("no healthy flight to learn from")
-    airframe = _filtered(_airframe(options.airframe, flights[0].profile), flights[0])
-    found = taught(flights, options.window_s, airframe.gate, robust=options.robust)
+    first = logs[0].label
+    airframe = _filtered(_airframe(options.airframe, first.profile), first)
+    found = taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
         found = one_vehicle(found, airframe.layout, robust=options.robust)
     front, learnt, rows = found.front, found.flights, [one.rows for one in found.flights]
-    sessions = sessions_of([one.flight for one in learnt], options.sessions)
+    sessions = sessions_of([one.label for one in learnt], options.sessions)
     unknown = airframe.layout_basis if airframe.layout is None else ""
-    context = _context(options, airframe, front, flights[0])
-    fitted, refusals = _fit_all(rows, sessions, options, context, unknown)
+    context = _context(options, airframe, front, first)
+    fitted, refusals = _fit_all(rows, sessions, options, context, unknown, shelf)
     if not fitted:
         reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
@@ -117,7 +128,7 @@ def learn(flights: Sequence[Log], options: LearnOptions, *, created: str) -> Bas
         Baseline(
             airframe=airframe,
             link=Link(
-                profile=flights[0].profile,
+                profile=first.profile,
                 dt_s=front.align.dt_s,
                 grid=front.align.grid,
                 max_gap_s=front.align.max_gap_s,
@@ -168,26 +179,22 @@ def _context(options: LearnOptions, airframe: Airframe, front: Front, flight: Lo
 
 
 def _fit_all(
-    flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext, unknown: str
+    flights: Flights, sessions: Sequence[int], options: LearnOptions, context: LearnContext, unknown: str, shelf: Shelf
 ) -> tuple[list[_Fitted], list[Refusal]]:
     """Every named monitor that can work on these flights, and the reason of each that cannot."""
     fitted: list[_Fitted] = []
     refusals: list[Refusal] = []
-    for name in options.monitors:
-        kind = by_name(name)
-        try:
-            specs = kind.fit(flights, context)
-            found = held_out_scores(flights, partial(_monitors, kind, context), sessions=sessions)
-        except (InputError, IdentificationError) as error:
-            reason = str(error)
+    for one in fits(dict.fromkeys(map(by_name, options.monitors)), flights, sessions, context, shelf):
+        kind, name, reason = one.kind, one.kind.name, one.refusal
+        if reason:
             refusals.append(
                 Refusal(monitor=name, reason=f"{reason} ({unknown})" if unknown and "layout" in reason else reason)
             )
             continue
-        for spec in specs:
+        for spec in one.specs:
             axis = monitor_of(spec).axis
-            if axis in found:
-                fitted.append(_Fitted(spec, found[axis], kind.decides))
+            if axis in one.scores:
+                fitted.append(_Fitted(spec, one.scores[axis], kind.decides))
             else:
                 refusals.append(
                     Refusal(monitor=name, reason=f"{axis}: too little healthy flight to score it; fly longer")
@@ -195,13 +202,9 @@ def _fit_all(
         refusals += [
             Refusal(monitor=name, reason=f"{axis}: it cannot be modelled; fly a trajectory that moves this axis")
             for axis in (options.axes if kind is RunLength else ())
-            if axis not in {spec.axis for spec in specs}
+            if axis not in {spec.axis for spec in one.specs}
         ]
     return fitted, refusals
-
-
-def _monitors(kind: type[Monitor[Any, Any]], context: LearnContext, flights: Flights) -> list[Monitor[Any, Any]]:
-    return [kind(spec) for spec in kind.fit(flights, context)]
 
 
 def _entries(fitted: Sequence[_Fitted], options: LearnOptions, sessions: Sequence[int]) -> list[MonitorEntry]:
@@ -242,10 +245,10 @@ def sources(flights: Sequence[LearntFlight], sessions: Sequence[int], propellers
     """The flights as a baseline names them. propellers: number of the set that they flew with."""
     return tuple(
         SourceLog(
-            name=one.flight.name,
-            sha256=one.flight.sha256,
+            name=one.label.name,
+            sha256=one.label.sha256,
             judged_s=one.judged_s,
-            started_ns=max(0, one.flight.started_ns),
+            started_ns=max(0, one.label.started_ns),
             session=session,
             propellers=propellers,
         )

@@ -5,16 +5,17 @@ they are compared by their values, since a container may change the stamps.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.learning.findings import Finding, Kind
+from mavdiag.learning.held import HeldLog, of_memory
 from mavdiag.telemetry import FloatArray, IntArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
-__all__ = ["repeated"]
+__all__ = ["repeated", "repeated_of"]
 
 RUN = 16  # consecutive gyro samples that two flights do not have in common by chance (our choice)
 RUN_CHANGES = 12  # of them that differ from the one before, for a gyro at rest repeats itself (our choice)
@@ -24,27 +25,28 @@ ODD = 0x9E3779B97F4A7C15  # the golden ratio times 2^64: a multiplier that sprea
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Content:
-    """Of a flight's gyro.
-
-    t_ns: (n,) its times. digest: of all values. runs: (m,) hashes of the runs that move.
-    first: (m,) the sample that each begins with.
-    """
+    """Of a flight's gyro. digest: of all values. runs: (m,) hashes of the runs that move."""
 
     number: int
-    log: Log
-    t_ns: IntArray
+    flight: HeldLog
     digest: str
     runs: IntArray
-    first: IntArray
 
 
-def repeated(flights: Sequence[Log]) -> tuple[Finding, ...]:
+def repeated(flights: Iterable[Log]) -> tuple[Finding, ...]:
     """Flights that an earlier one holds already: the same file, the same gyro samples, or a part of them."""
+    return repeated_of([of_memory(flight) for flight in flights])
+
+
+def repeated_of(flights: Sequence[HeldLog]) -> tuple[Finding, ...]:
+    """As `repeated`, for flights that are put aside."""
+    contents = [_content(number, flight) for number, flight in enumerate(flights)]
+    shared = _shared(contents)
     found: list[Finding] = []
     kept: list[_Content] = []
-    for number, flight in enumerate(flights):
-        content = _content(number, flight)
-        finding = next((one for earlier in kept if (one := _compared(content, earlier)) is not None), None)
+    for content in contents:
+        pairs = (_compared(content, one, shared) for one in kept)
+        finding = next((one for one in pairs if one is not None), None)
         if finding is None:
             kept.append(content)
         else:
@@ -52,28 +54,44 @@ def repeated(flights: Sequence[Log]) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def _content(number: int, flight: Log) -> _Content:
-    gyro = flight.telemetry.need(Signal.BODY_RATE)
-    values = np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0  # without negative zeros
-    runs, first = _runs(values)
-    return _Content(number, flight, gyro.t_ns, hashlib.sha256(values.tobytes()).hexdigest(), runs, first)
+def _shared(contents: Sequence[_Content]) -> frozenset[int]:
+    """Numbers of the flights that hold a run which occurs more than once in all flights: hardly ever one."""
+    pooled = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(one.runs for one in contents)]))
+    twice = np.unique(pooled[1:][pooled[1:] == pooled[:-1]])
+    return frozenset(one.number for one in contents if len(twice) and np.isin(one.runs, twice).any())
 
 
-def _compared(one: _Content, earlier: _Content) -> Finding | None:
-    number, name, other = one.number, one.log.name, earlier.log.name
-    if one.log.sha256 and one.log.sha256 == earlier.log.sha256:
+def _gyro(flight: HeldLog) -> tuple[IntArray, FloatArray]:
+    """Times and values of a flight's gyro, without negative zeros."""
+    gyro = flight.open().telemetry.need(Signal.BODY_RATE)
+    return gyro.t_ns, np.ascontiguousarray(gyro.values, dtype=np.float64) + 0.0
+
+
+def _content(number: int, flight: HeldLog) -> _Content:
+    _, values = _gyro(flight)
+    return _Content(number, flight, hashlib.sha256(values.tobytes()).hexdigest(), _runs(values)[0])
+
+
+def _compared(one: _Content, earlier: _Content, shared: frozenset[int]) -> Finding | None:
+    number, label, other = one.number, one.flight.label, earlier.flight.label.name
+    name = label.name
+    if label.sha256 and label.sha256 == earlier.flight.label.sha256:
         return Finding(number, name, Kind.REPEATED, f"the same file as {other}")
     if one.digest == earlier.digest:
         return Finding(number, name, Kind.REPEATED, f"the same flight as {other}")
-    common = one.first[np.isin(one.runs, earlier.runs)]
+    if number not in shared or earlier.number not in shared:
+        return None
+    t_ns, values = _gyro(one.flight)
+    first = _runs(values)[1]
+    common = first[np.isin(one.runs, earlier.runs)]
     if len(common) == 0:
         return None
-    dt_s = float(np.median(np.diff(np.unique(one.t_ns)))) / NS_PER_S
+    dt_s = float(np.median(np.diff(np.unique(t_ns)))) / NS_PER_S
     if len(common) * dt_s < SHARED_S:
         return None
-    low_s, high_s = float(one.t_ns[common].min()) / NS_PER_S, float(one.t_ns[common + RUN - 1].max()) / NS_PER_S
+    low_s, high_s = float(t_ns[common].min()) / NS_PER_S, float(t_ns[common + RUN - 1].max()) / NS_PER_S
     text = f"{len(common) * dt_s:.1f} s of it are in {other} as well"
-    if len(common) > 0.95 * len(one.first):
+    if len(common) > 0.95 * len(first):
         return Finding(number, name, Kind.REPEATED, text)
     return Finding(number, name, Kind.REPEATED, text, low_s, high_s + dt_s)
 

@@ -4,7 +4,7 @@ In this order: what is told wins over the parameters, and these over the flights
 the airframe carries a warning. The rows come out in the order of the rotors.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from mavdiag.airframe.airframe import Airframe
@@ -12,6 +12,7 @@ from mavdiag.airframe.detect import MIN_LIKENESS, LayoutFinding, contradicts, de
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
 from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.learning.flights import LearntFlight
+from mavdiag.learning.held import HeldRows
 from mavdiag.rows.block import Block
 from mavdiag.rows.outputs import in_rotor_order
 
@@ -69,7 +70,7 @@ def _from_flights(
 
 def _said(flights: Sequence[LearntFlight]) -> ParameterFinding:
     """What the parameters of all flights say; nothing, with a reason, where they differ."""
-    findings = [layout_from_parameters(one.flight.parameters) for one in flights]
+    findings = [layout_from_parameters(one.label.parameters) for one in flights]
     spoken = [one for one in findings if one.reason or one.outputs]
     if not spoken:
         return ParameterFinding()
@@ -92,11 +93,17 @@ def _look(
     if layout is not None:
         known = (layout, *(one for one in known if one.signs != layout.signs and one.name != layout.name))
     order = None if outputs is None else _in_order(len(outputs))
-    return detect_layout(_blocks([_ordered(one, outputs) for one in flights]), known, order)
+    return detect_layout(_Blocks([_ordered(one, outputs) for one in flights]), known, order)
 
 
-def _blocks(flights: Sequence[LearntFlight]) -> Iterator[Block]:
-    return (rows.block for one in flights for rows in one.rows)
+class _Blocks(Iterable[Block]):
+    """The blocks of flights, as often as they are looked at."""
+
+    def __init__(self, flights: Sequence[LearntFlight]) -> None:
+        self._flights = flights
+
+    def __iter__(self) -> Iterator[Block]:
+        return (rows.block for one in self._flights for rows in one.rows)
 
 
 def _moved(found: LayoutFinding, layout: RotorLayout) -> bool:
@@ -110,8 +117,10 @@ def _moved(found: LayoutFinding, layout: RotorLayout) -> bool:
 
 def _ordered(one: LearntFlight, outputs: tuple[int, ...] | None) -> LearntFlight:
     """The flight with its outputs by rotor; a log that has them by motor already stays as it is."""
-    if outputs is None or one.flight.motor_order:
+    if outputs is None or one.label.motor_order:
         return one
+    if isinstance(one.rows, HeldRows):
+        return replace(one, rows=one.rows.by_rotor(outputs))
     rows = tuple(replace(rows, block=in_rotor_order(rows.block, outputs)) for rows in one.rows)
     return replace(one, rows=rows)
 
@@ -124,7 +133,7 @@ def _of_outputs(outputs: tuple[int, ...] | None, flights: Sequence[LearntFlight]
 
 
 def _all_in_motor_order(flights: Sequence[LearntFlight]) -> bool:
-    return all(one.flight.motor_order for one in flights)
+    return all(one.label.motor_order for one in flights)
 
 
 def _in_order(count: int) -> tuple[int, ...]:

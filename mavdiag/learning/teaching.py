@@ -1,6 +1,6 @@
 """Healthy flights made ready to be learnt: what the guards find is refused with its remedy, or left out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,14 +8,16 @@ import numpy as np
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.learning.findings import Finding
-from mavdiag.learning.flights import LearntFlight, airborne, front_for, odd_rate
-from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
+from mavdiag.learning.flights import LearntFlight, airborne_of, front_of_held, odd_rate
+from mavdiag.learning.guards import far_blocks, repeated_of, trim_groups, upsets
+from mavdiag.learning.held import HeldLog, held
 from mavdiag.rows.front import Front
 from mavdiag.rows.gate import GateSpec
+from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Series, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Taught", "one_vehicle", "refuse", "taught"]
+__all__ = ["Taught", "one_vehicle", "refuse", "taught", "taught_of"]
 
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
 
@@ -32,29 +34,35 @@ class Taught:
     notes: tuple[str, ...] = ()
 
 
-def taught(logs: Sequence[Log], window_s: float, gate: GateSpec | None, *, robust: bool) -> Taught:
-    """The flying parts of healthy flights, guarded.
+def taught(logs: Iterable[Log], window_s: float, gate: GateSpec | None, *, robust: bool) -> Taught:
+    """The flying parts of healthy flights, guarded, in memory.
 
     Raises InputError with file, place and remedy for what a guard refuses; with `robust` it is left out instead, and
     InputError says so only if nothing remains.
     """
+    shelf = Shelf(most_bytes=1 << 62)
+    return taught_of([held(log, shelf) for log in logs], window_s, gate, shelf, robust=robust)
+
+
+def taught_of(logs: Sequence[HeldLog], window_s: float, gate: GateSpec | None, shelf: Shelf, *, robust: bool) -> Taught:
+    """As `taught`, for logs that are put aside; their rows are as well."""
     left_out: list[str] = []
     while robust and len(logs) > 2 and (odd := odd_rate(logs, window_s)) is not None:
         logs = [log for number, log in enumerate(logs) if number != odd[0]]
         left_out.append(f"all of {odd[1]}")
-    front = front_for(logs, window_s, gate)
-    logs, texts = _without(logs, repeated(logs), robust)
+    front = front_of_held(logs, window_s, gate)
+    logs, texts = _without(logs, repeated_of(logs), shelf, robust)
     left_out += texts
     flights = []
     for log in logs:
         try:
-            flights.append(airborne(front, log))
+            flights.append(airborne_of(front, log, shelf))
         except InputError as error:
             if not robust:
                 raise
             left_out.append(str(error))
     for guard in (upsets, far_blocks):
-        flights, texts = _guarded(front, flights, guard, robust)
+        flights, texts = _guarded(front, flights, guard, shelf, robust)
         left_out += texts
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
@@ -77,7 +85,7 @@ def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> T
 
 
 def _guarded(
-    front: Front, flights: list[LearntFlight], guard: Guard, robust: bool
+    front: Front, flights: list[LearntFlight], guard: Guard, shelf: Shelf, robust: bool
 ) -> tuple[list[LearntFlight], list[str]]:
     """The flights without what a guard finds, and what that was. The guard looks again at what remains."""
     left_out: list[str] = []
@@ -85,19 +93,21 @@ def _guarded(
         findings = guard(flights)
         if not findings:
             break
-        logs, texts = _without([one.flight for one in flights], findings, robust)
+        logs, texts = _without([one.held for one in flights], findings, shelf, robust)
         left_out += texts
-        same = {id(one.flight): one for one in flights}
+        same = {id(one.held): one for one in flights}
         flights = []
         for log in logs:
             try:
-                flights.append(same.get(id(log)) or airborne(front, log))
+                flights.append(same.get(id(log)) or airborne_of(front, log, shelf))
             except InputError as error:
                 left_out.append(str(error))
     return flights, left_out
 
 
-def _without(logs: Sequence[Log], findings: Sequence[Finding], robust: bool) -> tuple[list[Log], list[str]]:
+def _without(
+    logs: Sequence[HeldLog], findings: Sequence[Finding], shelf: Shelf, robust: bool
+) -> tuple[list[HeldLog], list[str]]:
     """The logs without what the findings name, and a sentence for each. Raises InputError unless `robust`."""
     if not robust:
         refuse(findings)
@@ -107,7 +117,9 @@ def _without(logs: Sequence[Log], findings: Sequence[Finding], robust: bool) -> 
         if any(one.from_s is None and one.to_s is None for one in parts):
             continue
         for part in parts:
-            log = replace(log, telemetry=_cut_out(log.telemetry, part.from_s, part.to_s))
+            whole = log.open()
+            cut = replace(whole, telemetry=_cut_out(whole.telemetry, part.from_s, part.to_s))
+            log = held(cut, shelf, log.measure)
         kept.append(log)
     return kept, [f"{one.log}, {one.place}: {one.text}" for one in findings]
 

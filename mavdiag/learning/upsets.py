@@ -52,7 +52,7 @@ def _upset(number: int, flight: LearntFlight) -> Finding | None:
     ends = float(blocks[-1].t_ns[-1]) / NS_PER_S < after_s + REST_S
     what = "ends in an upset" if ends else "has an upset in it"
     text = f"the flight {what}, at {begin_s:.1f} s: {text}"
-    return Finding(number, flight.flight.name, Kind.UPSET, text, begin_s - MARGIN_S, None if ends else after_s)
+    return Finding(number, flight.label.name, Kind.UPSET, text, begin_s - MARGIN_S, None if ends else after_s)
 
 
 def _motions(blocks: Sequence[Block]) -> Iterator[Sign]:

@@ -138,8 +138,8 @@ def unwrap(
     ahead_ns = before.turns * counter.turn * counter.tick_ns
     start, end = before.raw * counter.tick_ns + ahead_ns, final * counter.tick_ns + ahead_ns
     on_epoch = start >= EPOCH_NS
-    steady = 0 <= before.raw <= first and end - start < WRAP_SLACK_NS  # so that no single step can be out of bounds
-    if steady and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS) and _ascends(raw):
+    regular = 0 <= before.raw <= first and end <= HIGHEST_NS and on_epoch == (end >= EPOCH_NS)
+    if regular and (_ascends(raw) if end - start < WRAP_SLACK_NS else _steady(raw, before.raw, counter.tick_ns)):
         clock_ns = raw * counter.tick_ns
         reading = ClockReading(final, before.turns, int(host_ns[-1]))
         clock_ns = clock_ns + ahead_ns if ahead_ns else clock_ns
@@ -159,6 +159,12 @@ def _turns(counter: Counter, raw: int, since_boot_ns: int | None) -> int:
 
 def _ascends(raw: IntArray) -> bool:
     return len(raw) == 1 or bool(np.logical_and.reduce(raw[1:] >= raw[:-1]))
+
+
+def _steady(raw: IntArray, before: int, tick_ns: int) -> bool:
+    """Whether no count is below the one before, and no step can be a wrap or out of bounds."""
+    steps = np.diff(raw, prepend=before)
+    return int(steps.min()) >= 0 and int(steps.max()) * tick_ns < WRAP_SLACK_NS
 
 
 def changed_clock(counter: Counter, last: ClockReading, raw: int) -> bool:

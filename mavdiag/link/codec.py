@@ -32,6 +32,7 @@ __all__ = [
     "StatusText",
     "decode_statustext",
     "field_index",
+    "known_messages",
     "message_name",
     "next_marker",
     "record_dtype",
@@ -103,6 +104,11 @@ def message_name(msgid: int) -> str:
     """The name of a message, or `UNKNOWN_<id>` outside the dialect."""
     layout = _LAYOUTS.get(msgid)
     return layout.name if layout else f"UNKNOWN_{msgid}"
+
+
+def known_messages() -> dict[int, tuple[int, int]]:
+    """Length of the payload and checksum seed of each message of the dialect, by its number."""
+    return {msgid: (layout.packer.size, layout.crc_extra[0]) for msgid, layout in _LAYOUTS.items()}
 
 
 def wire_fields(msgid: int) -> tuple[tuple[str, int], ...]:

@@ -7,11 +7,11 @@ for each signal in them. Everything is in the body frame FRD already: MAVLink ha
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32, US_32, US_64, Counter
 from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
@@ -21,11 +21,10 @@ from mavdiag.units import RPM
 
 __all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "source", "sources"]
 
-Record: TypeAlias = NDArray[Any]
-
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
 ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
+ANGLES = 1 << 10  # quaternions at a time: what is made of them stays in the processor's cache
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
@@ -99,6 +98,9 @@ def euler_angles(q: FloatArray) -> FloatArray:
 
 def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
     """The same, and whether every quaternion has a length that one may have."""
+    if len(q) > ANGLES:
+        parts = [_euler_angles(q[at : at + ANGLES]) for at in range(0, len(q), ANGLES)]
+        return np.concatenate([part for part, _ in parts]), all(whole for _, whole in parts)
     terms = (q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
     terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
     angles: FloatArray = np.arctan2(terms[:, :3], terms[:, 3:6])

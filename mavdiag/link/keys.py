@@ -13,7 +13,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.storage import open_regular, read_text, write_atomically
 
-__all__ = ["KeptSigning", "open_signing", "read_key"]
+__all__ = ["KeptSigning", "open_signing", "read_key", "read_secret"]
 
 AHEAD = 9_000_000  # what is kept is so far ahead of the stamps in use [10 us]: 90 s, so that few writes do (our choice)
 AGAIN = 3_000_000  # when less than this is left, it is written again [10 us]
@@ -25,7 +25,13 @@ _HEX = re.compile(rb"[0-9A-Fa-f]{64}")
 
 
 def read_key(path: Path) -> bytes:
-    """The key of a file, 32 bytes.
+    """The key of a file, 32 bytes. Raises UsageError as `read_secret`."""
+    line = read_secret(path, "signing key", "64 hexadecimal digits or a passphrase")
+    return bytes.fromhex(line.decode()) if _HEX.fullmatch(line) else hashlib.sha256(line).digest()
+
+
+def read_secret(path: Path, name: str, form: str) -> bytes:
+    """The one line of a file that holds a secret. name, form: what it is called, and what it should hold.
 
     Raises UsageError unless it is a regular file of the user's own (or root's), with one line, that nobody else may
     read.
@@ -35,15 +41,15 @@ def read_key(path: Path) -> bytes:
             found = os.fstat(file.fileno())
             content = file.read(FILE_BYTES)
     except (InputError, OSError) as error:
-        raise UsageError(f"signing key {error}") from error
+        raise UsageError(f"{name} {error}") from error
     if found.st_uid not in (os.geteuid(), 0):
-        raise UsageError(f"{path}: the signing key is another user's; copy it and `chmod 600` the copy")
+        raise UsageError(f"{path}: the {name} is another user's; copy it and `chmod 600` the copy")
     if found.st_mode & 0o077:
-        raise UsageError(f"{path}: others may read the signing key; run `chmod 600 {path}`")
+        raise UsageError(f"{path}: others may read the {name}; run `chmod 600 {path}`")
     line = content.removesuffix(b"\n").removesuffix(b"\r")
     if not line or b"\n" in line:
-        raise UsageError(f"{path}: a signing key is one line: 64 hexadecimal digits or a passphrase")
-    return bytes.fromhex(line.decode()) if _HEX.fullmatch(line) else hashlib.sha256(line).digest()
+        raise UsageError(f"{path}: a {name} is one line: {form}")
+    return line
 
 
 class KeptSigning:

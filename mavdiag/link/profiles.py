@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
 
-import numpy as np
-
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import Frame, field_index, message_name, record_dtype
-from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.link.batch import Batch, FrameBatch
+from mavdiag.link.codec import Frame, message_name
+from mavdiag.link.evidence import Evidence, evidence_of
+from mavdiag.link.messages import Autopilot, Component, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
@@ -29,10 +29,11 @@ __all__ = [
     "Stamp",
     "by_attitude",
     "detect_profile",
-    "is_autopilot_heartbeat",
+    "detect_profile_in",
     "profile_named",
     "scale_doubt",
     "with_imu",
+    "with_imu_of",
 ]
 
 MILLI = 1e-3
@@ -42,8 +43,6 @@ LIVE_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0)
 ARDUPILOT_PERIOD_US = 2500  # Copter's loop period at its usual 400 Hz; RAW_IMU cannot be faster
 SELDOM = 4  # an IMU message that comes so many times more seldom than another is not preferred to it (our choice)
 
-_TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in ("type", "autopilot"))
-_RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
 
 #: Messages with a gyro and an accelerometer, in order of preference after a profile's own, and what one count is in
 #: m/s^2 and in rad/s.
@@ -64,26 +63,6 @@ class Stamp(StrEnum):
 
     SAMPLE = "sample"  # when the quantity was measured or set
     SEND = "send"  # when the message was sent
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What the frames of one vehicle's autopilot show of its profile.
-
-    autopilots: what its heartbeats name it, MAV_AUTOPILOT.
-    counts: how many frames of each message.
-    weight: median size of RAW_IMU's acceleration, in counts; NaN without RAW_IMU. A vehicle feels its own weight.
-    period_us: median period of RAW_IMU [us]; NaN if it is not known.
-    """
-
-    autopilots: frozenset[int]
-    counts: Mapping[int, int]
-    weight: float
-    period_us: float
-
-    def weighs(self, span: tuple[float, float]) -> bool:
-        """Whether one g is within this span of counts."""
-        return span[0] <= self.weight < span[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,15 +215,6 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def is_autopilot_heartbeat(frame: Frame) -> bool:
-    """Whether a frame is the heartbeat of a vehicle's autopilot, not of a ground station or an on-board computer."""
-    if frame.msgid != MessageId.HEARTBEAT or frame.compid != Component.AUTOPILOT1:
-        return False
-    fields = frame.fields
-    invalid = fields[_AUTOPILOT] == Autopilot.INVALID
-    return not invalid and fields[_TYPE] not in (MavType.GCS, MavType.ONBOARD_CONTROLLER)
-
-
 @dataclass(frozen=True, slots=True)
 class Recognised:
     """What a vehicle's frames say of its profile.
@@ -259,8 +229,12 @@ class Recognised:
 
 def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
     """The first of the profiles that one vehicle's frames fit; never a guess."""
-    own = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
-    seen = _evidence(own)
+    return detect_profile_in([FrameBatch(frames)], profiles)
+
+
+def detect_profile_in(batches: Sequence[Batch], profiles: Iterable[Profile] = _ROWS) -> Recognised:
+    """As `detect_profile`, for frames in several pieces, in order of arrival."""
+    seen = evidence_of(batches)
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
         return Recognised(found)
@@ -272,18 +246,6 @@ def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS)
     else:
         why = "it sends no IMU message and its autopilot is not known"
     return Recognised(None, f"its link profile is not clear: {why}; give --profile")
-
-
-def _evidence(own: Sequence[Frame]) -> Evidence:
-    beats = frozenset(int(frame.fields[_AUTOPILOT]) for frame in own if is_autopilot_heartbeat(frame))
-    raw = [frame.payload for frame in own if frame.msgid == MessageId.RAW_IMU]
-    weight = period_us = float("nan")
-    if raw:
-        record = np.frombuffer(b"".join(raw), _RAW_IMU)
-        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
-    if len(raw) > 1:
-        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
-    return Evidence(beats, Counter(frame.msgid for frame in own), weight, period_us)
 
 
 def scale_doubt(profile: Profile, gravity_g: float) -> str:
@@ -314,10 +276,14 @@ def with_imu(profile: Profile, frames: Iterable[Frame], least: int = 1) -> Profi
     It is the profile's own, or else the first of `IMU_MESSAGES`, that comes at least `least` times and no fewer than a
     quarter as often as the most frequent one. Where none does, the profile's own stays.
     """
-    counts = Counter(frame.msgid for frame in frames if frame.compid == Component.AUTOPILOT1)
+    return with_imu_of(profile, Counter(frame.msgid for frame in frames if frame.compid == Component.AUTOPILOT1), least)
+
+
+def with_imu_of(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:
+    """As `with_imu`, from how many frames of each message the autopilot sent."""
     choice = (profile.imu, *(message for message, units in IMU_MESSAGES.items() if units and message != profile.imu))
-    enough = max(least, max(counts[message] for message in choice) / SELDOM)
-    chosen = next((message for message in choice if counts[message] >= enough), profile.imu)
+    enough = max(least, max(counts.get(message, 0) for message in choice) / SELDOM)
+    chosen = next((message for message in choice if counts.get(message, 0) >= enough), profile.imu)
     units = IMU_MESSAGES[chosen]
     if chosen == profile.imu or units is None:
         return profile

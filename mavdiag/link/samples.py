@@ -7,30 +7,24 @@ What a message means is in `conversion`, when it was is in `clock` and `timeline
 frames are cut into blocks does not matter.
 """
 
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.link.batch import Batch, Column, FrameBatch, Record
 from mavdiag.link.clock import ClockReading, Counter, Run, changed_clock, unwrap
 from mavdiag.link.codec import Frame
-from mavdiag.link.conversion import SOURCES, Part, Record, Source, sources
-from mavdiag.link.messages import Component
+from mavdiag.link.conversion import SOURCES, Part, Source, sources
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 
-__all__ = ["SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
+__all__ = ["Runs", "SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
-
-AUTOPILOT = int(Component.AUTOPILOT1)
-
-_host_ns = itemgetter(5)  # of a Frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,21 +55,43 @@ def joined(pieces: Sequence[Telemetry]) -> Telemetry:
     """One telemetry from consecutive pieces: each signal's rows, end to end."""
     if len(pieces) == 1:
         return pieces[0]
-    runs: dict[Signal, list[Series]] = {}
+    runs = Runs()
     for piece in pieces:
+        runs.add(piece)
+    return runs.joined()
+
+
+class Runs:
+    """Telemetry that comes in consecutive pieces."""
+
+    def __init__(self) -> None:
+        self._runs: dict[Signal, list[Series]] = {}
+
+    def add(self, piece: Telemetry) -> None:
+        """Take the next piece."""
         for series in piece.series:
-            runs.setdefault(series.signal, []).append(series)
-    return Telemetry(
-        tuple(
-            Series(
-                signal,
-                np.concatenate([s.t_ns for s in run]),
-                np.concatenate([s.host_ns for s in run]),
-                np.concatenate([s.values for s in run]),
-            )
-            for signal, run in runs.items()
-        )
-    )
+            self._runs.setdefault(series.signal, []).append(series)
+
+    def joined(self) -> Telemetry:
+        """Each signal's rows, end to end. The pieces are given up one by one, so that memory does not hold all twice.
+
+        Signals of one message share their times, as they do in each piece.
+        """
+        times: dict[tuple[int, ...], IntArray] = {}
+
+        def whole(parts: list[IntArray]) -> IntArray:
+            known = tuple(map(id, parts))
+            if known not in times:
+                times[known] = np.concatenate(parts)
+            return times[known]
+
+        series = []
+        while self._runs:
+            signal = next(iter(self._runs))
+            run = self._runs.pop(signal)
+            t_ns, host_ns = whole([one.t_ns for one in run]), whole([one.host_ns for one in run])
+            series.append(Series(signal, t_ns, host_ns, np.concatenate([one.values for one in run])))
+        return Telemetry(tuple(series))
 
 
 class _Group(NamedTuple):
@@ -101,9 +117,9 @@ class _Group(NamedTuple):
         """Where the message's counter broke off, as a number of its frames; None if it went on to the end."""
         return None if self.run is None or self.run.used == self.total else self.first + self.run.used
 
-    def places(self, ids: IntArray) -> IntArray:
-        """(n,) where in the block the frames of `record` are; ids: message of each frame of the block."""
-        rows = np.flatnonzero(ids == self.source.message)[self.first :]
+    def places(self, block: Batch) -> IntArray:
+        """(n,) where in the block the frames of `record` are."""
+        rows = block.places(self.source.message)[self.first :]
         return rows if self.run is None or self.run.kept is None else rows[self.run.kept]
 
 
@@ -128,99 +144,89 @@ class SampleDecoder:
 
     def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival."""
-        state, telemetry, done = self._stretch(state, frames)
-        if done == len(frames):
+        return self.step_batch(state, FrameBatch(frames))
+
+    def step_batch(self, state: SampleState, batch: Batch) -> tuple[SampleState, Telemetry]:
+        """As `step`, for frames or columns of them."""
+        state, telemetry, done = self._stretch(state, batch)
+        if done == len(batch):
             return state, telemetry
         pieces, size = [telemetry], SMALL_BLOCK
-        while done < len(frames):
-            block = frames[done : done + size]
+        while done < len(batch):
+            block = batch.part(done, done + size)
             state, telemetry, more = self._stretch(state, block)
             pieces.append(telemetry)
             done, size = done + more, 2 * size if more == len(block) else SMALL_BLOCK
         return state, joined(pieces)
 
-    def _stretch(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry, int]:
+    def _stretch(self, state: SampleState, block: Batch) -> tuple[SampleState, Telemetry, int]:
         """Convert frames up to where a counter breaks off; says how many. If it is none, the break is now behind."""
-        wanted, autopilot = self.wanted, AUTOPILOT
-        members: defaultdict[int, list[Frame]] = defaultdict(list)
-        for frame in frames:
-            if frame[0] in wanted and frame[2] == autopilot:
-                members[frame[0]].append(frame)
-        groups = self._groups(state, frames, members)
-        broken = [members[m][at] for m, group in groups.items() if (at := group.broken_at) is not None]
+        columns = block.columns(self.wanted)
+        groups = self._groups(state, block, columns)
+        broken = {m: at for m, group in groups.items() if (at := group.broken_at) is not None}
         if not broken:
-            return *self._converted(state, frames, groups), len(frames)
-        first = next(k for k, frame in enumerate(frames) if any(frame is other for other in broken))
-        if any(frame[0] in wanted and frame[2] == autopilot for frame in frames[:first]):
-            return self._stretch(state, frames[:first])
-        state, stray = self._decided(state, frames[first])
+            return *self._converted(state, block, groups), len(block)
+        first, msgid, at = min((int(block.places(m)[at]), m, at) for m, at in broken.items())
+        if any(block.places(m)[0] < first for m in columns):
+            return self._stretch(state, block.part(0, first))
+        state, stray = self._decided(state, msgid, columns[msgid], at)
         return state, Telemetry(), first + stray
 
-    def _groups(
-        self, state: SampleState, frames: Sequence[Frame], members: Mapping[int, list[Frame]]
-    ) -> dict[int, _Group]:
+    def _groups(self, state: SampleState, block: Batch, columns: Mapping[int, Column]) -> dict[int, _Group]:
         """The messages in order of arrival, but those whose counter needs another's time come last."""
         groups: dict[int, _Group] = {}
         ambiguous: list[int] = []
-        for msgid, own in members.items():
+        for msgid, own in columns.items():
             counter = self._sources[msgid].counter
             if counter is not None and counter.ambiguous:
                 ambiguous.append(msgid)
             else:
                 groups[msgid] = self._group(state, msgid, own)
         for msgid in ambiguous:
-            own, first, since_boot_ns = members[msgid], 0, None
+            own, first, since_boot_ns = columns[msgid], 0, None
             if msgid not in state.readings:
-                first, since_boot_ns = _first_placed(state.timeline, frames, own, groups)
-            if own[first:]:
+                first, since_boot_ns = _first_placed(state.timeline, block, msgid, own, groups)
+            if first < len(own):
                 groups[msgid] = self._group(state, msgid, own, first, since_boot_ns)
         return groups
 
     def _group(
-        self, state: SampleState, msgid: int, members: list[Frame], first: int = 0, since_boot_ns: int | None = None
+        self, state: SampleState, msgid: int, own: Column, first: int = 0, since_boot_ns: int | None = None
     ) -> _Group:
-        source, own = self._sources[msgid], members[first:]
-        record = np.frombuffer(b"".join([frame[4] for frame in own]), source.dtype)
-        host_ns = np.fromiter(map(_host_ns, own), np.int64, len(own))
-        run = None
+        source = self._sources[msgid]
+        record, host_ns = own.record(source.dtype)[first:], own.host_ns[first:]
+        total, run = len(host_ns), None
         if source.counter:
             raw = record[source.time].astype(np.int64)
             run = unwrap(source.counter, state.readings.get(msgid), raw, host_ns, since_boot_ns)
             if run.kept is not None:
                 record, host_ns = record[: run.used][run.kept], run.host_ns
-        return _Group(source, record, host_ns, run, first, len(own))
+        return _Group(source, record, host_ns, run, first, total)
 
-    def _decided(self, state: SampleState, frame: Frame) -> tuple[SampleState, bool]:
+    def _decided(self, state: SampleState, msgid: int, own: Column, at: int) -> tuple[SampleState, bool]:
         """A frame out of line: a change of clock, a reboot, or (True) a stray to leave out."""
-        source, last = self._sources[frame.msgid], state.readings[frame.msgid]
+        source, last, host_ns = self._sources[msgid], state.readings[msgid], int(own.host_ns[at])
         counter = source.counter or Counter(1, 0)
-        raw = max(0, int(np.frombuffer(frame.payload, source.dtype)[source.time].astype(np.int64)[0]))
+        raw = max(0, int(own.record(source.dtype)[source.time][at].astype(np.int64)))
         if changed_clock(counter, last, raw):
-            return replace(
-                state, readings={m: reading for m, reading in state.readings.items() if m != frame.msgid}
-            ), False
-        timeline, what = out_of_line(state.timeline, counter, raw, frame.host_ns)
+            return replace(state, readings={m: reading for m, reading in state.readings.items() if m != msgid}), False
+        timeline, what = out_of_line(state.timeline, counter, raw, host_ns)
         if what is OutOfLine.REBOOT:
             return SampleState(timeline, dropped=state.dropped), False
         readings = dict(state.readings)
         if what is OutOfLine.STRAY:  # the next decision is due after another second
-            readings[frame.msgid] = last._replace(host_ns=frame.host_ns)
+            readings[msgid] = last._replace(host_ns=host_ns)
         return replace(state, timeline=timeline, readings=readings), True
 
     def _converted(
-        self, state: SampleState, frames: Sequence[Frame], groups: Mapping[int, _Group]
+        self, state: SampleState, block: Batch, groups: Mapping[int, _Group]
     ) -> tuple[SampleState, Telemetry]:
         runs = {m: group.run for m, group in groups.items() if group.run is not None and len(group.record)}
         timeline, times = place(state.timeline, list(runs.values())) if runs else (state.timeline, [])
         when = dict(zip(runs, times, strict=True))
         missing = {m for m, group in groups.items() if group.run is None}
-        signals = [signal for m in when.keys() | missing for signal in groups[m].source.signals]
-        ids = np.empty(0, np.int64)
-        if missing or len(set(signals)) < len(signals):
-            own = (frame[0] if frame[2] == AUTOPILOT else -1 for frame in frames)
-            ids = np.fromiter(own, np.int64, len(frames))
         if missing:
-            when |= _times_without_stamp(state.timeline.t_ns, ids, when, groups, missing)
+            when |= _times_without_stamp(state.timeline.t_ns, block, when, groups, missing)
         found: dict[Signal, list[tuple[int, Part, Series, IntArray]]] = {}
         dropped = state.dropped
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
@@ -236,7 +242,7 @@ class SampleDecoder:
             one = (
                 parts[0][2]
                 if len(parts) == 1
-                else merged(signal, [(s, groups[m].places(ids)[r]) for m, _, s, r in parts])
+                else merged(signal, [(s, groups[m].places(block)[r]) for m, _, s, r in parts])
             )
             if parts[0][1].held:
                 one = replace(one, values=filled(one.values, held.get(signal)))
@@ -248,34 +254,33 @@ class SampleDecoder:
 
 
 def _first_placed(
-    timeline: Timeline, frames: Sequence[Frame], own: Sequence[Frame], groups: Mapping[int, _Group]
+    timeline: Timeline, block: Batch, msgid: int, own: Column, groups: Mapping[int, _Group]
 ) -> tuple[int, int | None]:
     """From which of its frames on a message can be placed by another's time since boot, and that time there [ns]."""
-    known_ns = timeline.since_boot_ns(own[0].host_ns)
+    known_ns = timeline.since_boot_ns(int(own.host_ns[0]))
     if known_ns is not None:
         return 0, known_ns
-    for msgid, group in groups.items():
+    for other, group in groups.items():
         if group.run is not None and len(group.record) and not group.run.on_epoch:
-            known_from = next(k for k, frame in enumerate(frames) if frame[0] == msgid and frame[2] == AUTOPILOT)
-            first = sum(frame[0] == own[0][0] and frame[2] == AUTOPILOT for frame in frames[:known_from])
+            first = int(np.searchsorted(block.places(msgid), block.places(other)[0]))
             since_ns = int(group.run.clock_ns[0]) - int(group.run.host_ns[0])
-            return first, since_ns + own[first].host_ns if first < len(own) else None
+            return first, since_ns + int(own.host_ns[first]) if first < len(own) else None
     return len(own), None
 
 
 def _times_without_stamp(
-    known_ns: int | None, ids: IntArray, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
+    known_ns: int | None, block: Batch, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
 ) -> dict[int, IntArray]:
     """For messages without a time of their own the latest vehicle time at their arrival; none before the first stamp.
 
     known_ns: the latest time before the block. when: the times of its other messages. missing: the messages to place.
     """
-    latest = np.full(len(ids), UNSTAMPED if known_ns is None else known_ns)
+    latest = np.full(len(block), UNSTAMPED if known_ns is None else known_ns)
     for msgid, t_ns in when.items():
-        rows = groups[msgid].places(ids)
+        rows = groups[msgid].places(block)
         latest[rows[len(rows) - len(t_ns) :]] = t_ns
     latest = np.maximum.accumulate(latest)
-    return {msgid: (t_ns := latest[ids == msgid])[t_ns > UNSTAMPED] for msgid in missing}
+    return {m: (t_ns := latest[block.places(m)])[t_ns > UNSTAMPED] for m in missing}
 
 
 def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray, int]:

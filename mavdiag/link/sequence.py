@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
 
 __all__ = ["PINNED_S", "DecoderCount", "Intruder", "LinkCount", "Senders", "SequenceTracker", "Source"]
@@ -110,11 +114,32 @@ class SequenceTracker:
         if seq == self._next:
             self._next = (seq + 1) & 0xFF
         else:
-            self._jump(seq)
+            self._jump(seq, self.received)
         self._seen[msgid] += 1
 
-    def _jump(self, seq: int) -> None:
-        received = self.received
+    def run(self, seqs: NDArray[np.uint8], msgids: IntArray) -> None:
+        """As `step` for each of these frames in turn, (n,) each; a stretch that goes on regularly is one step."""
+        count, received = len(seqs), self.received
+        odd = np.flatnonzero(seqs[1:] - seqs[:-1] != 1) + 1  # modulo 256, as the numbers are
+        after = iter([*odd.tolist(), count])
+        at = stretch_end = 0
+        while at < count:
+            seq = int(seqs[at])
+            if seq == self._next:
+                self._next = (seq + 1) & 0xFF
+            else:
+                self._jump(seq, received + at)
+            at += 1
+            while stretch_end < at:
+                stretch_end = next(after)
+            if at < stretch_end and self._next == (seq + 1) & 0xFF:
+                at = stretch_end
+                self._next = (int(seqs[at - 1]) + 1) & 0xFF
+        times = np.bincount(msgids + 1)  # UNKNOWN is -1
+        for place in np.flatnonzero(times).tolist():
+            self._seen[place - 1] += int(times[place])
+
+    def _jump(self, seq: int, received: int) -> None:
         distance = (seq - self._next + 128) % 256 - 128  # signed, modulo 256
         self._jumps += 1
         self._far += abs(distance) > NEAR
@@ -181,6 +206,27 @@ class Senders:
         tracker.heard_ns = host_ns
         tracker.step(seq, msgid)
         return True
+
+    def note_all(self, keys: NDArray[np.uint16], seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
+        """As `note` for each of these frames in turn, (n,) each, on a link that has one end only."""
+        found = np.flatnonzero(np.bincount(keys)).tolist()
+        if len(self._trackers.keys() | set(found)) > SENDERS_MAX:  # some must make room: the order matters
+            for each in zip(keys.tolist(), seqs.tolist(), msgids.tolist(), host_ns.tolist(), strict=True):
+                self.note(*each, None)
+            return
+        if len(found) == 1:
+            self._note_run(found[0], seqs, msgids, host_ns)
+            return
+        rows = [(key, np.flatnonzero(keys == key)) for key in found]
+        for key, own in sorted(rows, key=lambda one: int(one[1][0])):
+            self._note_run(key, seqs[own], msgids[own], host_ns[own])
+
+    def _note_run(self, key: int, seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
+        tracker = self._trackers.get(key)
+        if tracker is None:
+            tracker = self._added(key, SequenceTracker(int(seqs[0])))
+        tracker.heard_ns = int(host_ns[-1])
+        tracker.run(seqs, msgids)
 
     def get(self, sysid: int, compid: int) -> SequenceTracker | None:
         """One sender; None if it is not followed."""

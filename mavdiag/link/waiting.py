@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Frame
-from mavdiag.link.profiles import is_autopilot_heartbeat
+from mavdiag.link.evidence import is_autopilot_heartbeat
 from mavdiag.units import NS_PER_S
 
 __all__ = ["BEATS_S", "Waiting"]

@@ -10,12 +10,23 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Log
 
-__all__ = ["LOG_BYTES", "RECORDED_GATE", "LogKind", "Reader", "read_bytes", "sha256_of", "windows_of"]
+__all__ = [
+    "LOG_BYTES",
+    "RECORDED_GATE",
+    "TLOG_BYTES",
+    "WINDOW_BYTES",
+    "LogKind",
+    "Reader",
+    "read_bytes",
+    "sha256_of",
+    "windows_of",
+]
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
 
 LOG_BYTES = 2 << 30  # of a log, at most: what it records is held in memory (our choice; half a day at 1 kHz)
+TLOG_BYTES = 8 << 30  # of a telemetry log, at most: about as much is held in memory (our choice; two days at 1 kHz)
 WINDOW_BYTES = 8 << 20  # of a file that is read piece by piece (our choice: most logs are one piece)
 
 #: Reads a file. The arguments are the path, the MAVLink system id and the link profile, each None if it is not given.
@@ -57,7 +68,7 @@ def sha256_of(data: bytes) -> str:
 def read_bytes(path: Path, limit: int = -1) -> bytes:
     """The content of a log, or its first `limit` bytes. Raises InputError if it cannot be read or is empty."""
     try:
-        with open_regular(path, LOG_BYTES) as file:
+        with open_regular(path, LOG_BYTES if limit < 0 else TLOG_BYTES) as file:
             data = file.read(limit)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
@@ -66,10 +77,10 @@ def read_bytes(path: Path, limit: int = -1) -> bytes:
     return data
 
 
-def windows_of(path: Path, size: int = WINDOW_BYTES) -> Iterator[bytes]:
-    """The content of a log piece by piece, in order. Raises InputError if it cannot be read or is empty."""
+def windows_of(path: Path, size: int = WINDOW_BYTES, most: int = LOG_BYTES) -> Iterator[bytes]:
+    """The content of a log piece by piece, in order. Raises InputError if it cannot be read, is empty or too large."""
     try:
-        with open_regular(path, LOG_BYTES) as file:
+        with open_regular(path, most) as file:
             window = file.read(size)
             if not window:
                 raise InputError(f"{path}: the file is empty; record the flight again")

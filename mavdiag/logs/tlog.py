@@ -2,34 +2,48 @@
 
 A record is the time in microseconds since 1970, 8 bytes, most significant first, and one MAVLink frame. There is no
 header and no checksum of the whole: damage is skipped, frame by frame, and counted.
+
+A file is read in pieces and each piece decoded as a whole, by arrays (`link.frame_walk`, `link.columns`); with numba
+installed, large files by a compiled loop. What comes out is what `link.codec.Decoder` finds frame by frame.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.link.codec import Decoder, Frame, next_marker
+from mavdiag.link.batch import ColumnBatch, total
+from mavdiag.link.codec import Frame
+from mavdiag.link.columns import Decoded, decoded, known_ids
+from mavdiag.link.evidence import autopilots_of
+from mavdiag.link.frame_loop import finder_for
+from mavdiag.link.frame_walk import LONGEST, STAMP_BYTES, Finder, Piece, dialect, walk
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import (
-    IMU_MESSAGES,
-    PROFILES,
-    detect_profile,
-    is_autopilot_heartbeat,
-    profile_named,
-    with_imu,
-)
-from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle
-from mavdiag.link.sequence import LinkCount
-from mavdiag.logs.log import LogKind, read_bytes, sha256_of
-from mavdiag.telemetry import Log
+from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile_in, profile_named, with_imu_of
+from mavdiag.link.samples import Runs, SampleDecoder, SampleState
+from mavdiag.link.sequence import LinkCount, Senders
+from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, windows_of
+from mavdiag.telemetry import Log, Telemetry
 from mavdiag.units import NS_PER_US
 
-__all__ = ["KIND", "TlogContent", "decode_tlog", "read_tlog", "tlog_record"]
+__all__ = [
+    "KIND",
+    "STAMP_BYTES",
+    "TlogContent",
+    "VehicleLog",
+    "decode_tlog",
+    "decode_windows",
+    "read_content",
+    "read_tlog",
+    "tlog_record",
+    "vehicle_stream",
+]
 
-STAMP_BYTES = 8
-LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
 _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
@@ -41,18 +55,46 @@ _WANTED = frozenset({*IMU_MESSAGES, MessageId.PARAM_VALUE}).union(
 class TlogContent:
     """What a telemetry log holds.
 
-    frames: those that any profile reads, and parameters, of all senders; Frame.host_ns is unix time.
+    pieces: the frames that any profile reads, and parameters, of all senders, in order of arrival; times are unix time.
+    size: bytes of the file.
+    sha256: of the file, hexadecimal; empty where there is none.
     records: sound frames of any kind.
     damaged_bytes: what is in no sound record.
     senders: figures by (system id, component id).
     trailing_bytes: how many of those stand behind the last sound record.
     """
 
-    frames: list[Frame]
+    pieces: tuple[Decoded, ...]
+    size: int
+    sha256: str
     records: int
     damaged_bytes: int
     senders: Mapping[tuple[int, int], LinkCount]
     trailing_bytes: int
+
+    @property
+    def frames(self) -> list[Frame]:
+        """The frames one by one; Frame.host_ns is unix time."""
+        return [frame for piece in self.pieces for frame in piece.frames()]
+
+    @property
+    def heard(self) -> dict[int, int]:
+        """When the first frame of each system id came [ns]."""
+        first: dict[int, int] = {}
+        for piece in self.pieces:
+            first = {**piece.heard(), **first}
+        return first
+
+    @property
+    def flying(self) -> list[int]:
+        """System ids that have an autopilot, by its heartbeat."""
+        return [one for one in self.heard if any(autopilots_of(piece.vehicle(one)) for piece in self.pieces)]
+
+    @property
+    def span_ns(self) -> int:
+        """Time from the earliest frame to the latest [ns]."""
+        times = [rows.host_ns for piece in self.pieces for rows in piece.rows.values()]
+        return max(int(one.max()) for one in times) - min(int(one.min()) for one in times) if times else 0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -63,28 +105,74 @@ class TlogContent:
         return tuple(note for note in (damaged, cut if self.trailing_bytes else "") if note)
 
 
+class VehicleLog(NamedTuple):
+    """One vehicle of a file.
+
+    vehicle: its system id.
+    log: its flight.
+    """
+
+    vehicle: int
+    log: Log
+
+
 def tlog_record(time_us: int, frame: bytes) -> bytes:
     """The bytes of one record, for a recorder. time_us: since 1970."""
     return time_us.to_bytes(STAMP_BYTES, "big") + frame
 
 
 def decode_tlog(data: bytes) -> TlogContent:
-    """The frames of a telemetry log. Never raises: what is damaged is skipped and counted."""
-    decoder = Decoder(_WANTED, gap=STAMP_BYTES)
-    take, stamp = decoder.take, int.from_bytes
-    frames: list[Frame] = []
-    at, end, records, damaged, sound_end = 0, len(data), 0, 0, 0
-    while at < end:
-        begin = at + STAMP_BYTES
-        time_us = stamp(data[at:begin])
-        after = take(data, begin, time_us * NS_PER_US, frames) if begin < end and time_us < LATEST_US else 0
-        if after <= begin:
-            after = max(at + 1, next_marker(data, begin + 1) - STAMP_BYTES) if begin < end else end
-            damaged += after - at
-        else:
-            records, sound_end = records + 1, after
-        at = after
-    return TlogContent(frames, records, damaged, decoder.senders, end - sound_end)
+    """What the bytes of a telemetry log hold. Never raises: what is damaged is skipped and counted."""
+    return decode_windows(data[at : at + WINDOW_BYTES] for at in range(0, len(data), WINDOW_BYTES))
+
+
+def read_content(path: Path) -> TlogContent:
+    """What a telemetry log holds. Raises InputError if it cannot be read or is empty."""
+    digest = hashlib.sha256()
+
+    def summed() -> Iterator[bytes]:
+        for window in windows_of(path, most=TLOG_BYTES):
+            digest.update(window)
+            yield window
+
+    return replace(decode_windows(summed()), sha256=digest.hexdigest())
+
+
+def decode_windows(windows: Iterable[bytes], find: Finder | None = None) -> TlogContent:
+    """As `decode_tlog`, for a log that comes in windows, wherever they cut it.
+
+    find: how to find the frames; None for what is quickest. All ways find the same.
+    """
+    known, senders = dialect(), Senders()
+    pieces: list[Decoded] = []
+    records = damaged = sound_end = begin = 0
+    data, held = np.empty(0, np.uint8), 0
+    for window, last in _with_last(windows):
+        size = held + len(window)
+        if len(data) < size + LONGEST:
+            data = np.concatenate((data[:held], np.zeros(len(window) + 2 * LONGEST, np.uint8)))
+        data[held:size] = np.frombuffer(window, np.uint8)
+        piece = Piece(data, size, last)
+        found = walk(piece, known, find or finder_for(begin))
+        frames = found.frames
+        if len(frames):
+            senders.note_all(frames.sender, frames.seq, known_ids(frames, known), frames.time_us * NS_PER_US)
+            pieces.append(decoded(piece, frames, known, _WANTED))
+            sound_end = begin + found.sound_end
+        records, damaged, begin = records + len(frames), damaged + found.damaged, begin + found.resume
+        held = size - found.resume
+        data[:held] = data[found.resume : size].copy()
+    return TlogContent(tuple(pieces), begin, "", records, damaged, senders.counts(), begin - sound_end)
+
+
+def _with_last(windows: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Each window, and whether it is the last."""
+    window = b""
+    for following in windows:
+        if window:
+            yield window, False
+        window = following
+    yield window, True
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -94,34 +182,78 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
     recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
     vehicle or several, or does not show its profile; UsageError for an unknown profile.
     """
-    data = read_bytes(path)
-    content = decode_tlog(data)
+
+    def chosen(content: TlogContent) -> list[int]:
+        heard, flying = content.heard, content.flying if vehicle is None else [vehicle]
+        if not flying:
+            raise InputError(f"{path}: no autopilot's heartbeat in the log; name the vehicle if there is one")
+        if len(flying) > 1:
+            each = "choose one with --vehicle (in Python, mavdiag.vehicle_stream reads each of them)"
+            raise InputError(f"{path}: holds the vehicles {_names(flying)}; {each}")
+        if flying[0] not in heard:
+            raise InputError(f"{path}: nothing from vehicle {flying[0]}; there is {_names(heard) or 'none'}")
+        return flying
+
+    return next(_flights(path, profile, chosen)).log
+
+
+def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[VehicleLog]:
+    """The flight of each vehicle in a telemetry log, one after the other, by rising system id; the file is read once.
+
+    A vehicle is what sends the heartbeats of an autopilot. The logs are as `read_tlog` gives them, but their names end
+    with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile of all; None
+    recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its turn comes.
+    """
+
+    path = Path(path)
+
+    def chosen(content: TlogContent) -> list[int]:
+        if not content.flying:
+            raise InputError(f"{path}: no autopilot's heartbeat in the log")
+        return sorted(content.flying)
+
+    return _flights(path, profile, chosen)
+
+
+def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
+    """The flights of the vehicles that are chosen. What was decoded is given up as the last one is converted."""
+    content = _usable(path)
+    sysids, heard, pieces = choose(content), content.heard, list(content.pieces)
+    named = [frame for piece in pieces for frame in piece.frames({MessageId.PARAM_VALUE})]
+    content = replace(content, pieces=())
+    for sysid in sysids:
+        batches = [piece.vehicle(sysid) for piece in pieces]
+        if sysid == sysids[-1]:
+            pieces.clear()
+        recognised = detect_profile_in(batches)
+        known = recognised.profile if profile is None else profile_named(profile)
+        if known is None:
+            raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
+        parameters = parameters_in((one for one in named if one.sysid == sysid), known.autopilot)
+        name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
+        telemetry = _converted(batches, known)
+        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], content.notes, parameters)
+        yield VehicleLog(sysid, log)
+
+
+def _converted(batches: list[ColumnBatch], profile: Profile) -> Telemetry:
+    """The telemetry of one vehicle; uses the batches up."""
+    decoder, state, runs = SampleDecoder(with_imu_of(profile, total(batches))), SampleState(), Runs()
+    batches.reverse()
+    while batches:
+        state, telemetry = decoder.step_batch(state, batches.pop())
+        runs.add(telemetry)
+    return runs.joined()
+
+
+def _usable(path: Path) -> TlogContent:
+    content = read_content(path)
     if content.records == 0:
         raise InputError(f"{path}: no MAVLink frame found; not a telemetry log")
-    if content.damaged_bytes > DAMAGED_SHARE * len(data):
-        share = round(100 * content.damaged_bytes / len(data))
+    if content.damaged_bytes > DAMAGED_SHARE * content.size:
+        share = round(100 * content.damaged_bytes / content.size)
         raise InputError(f"{path}: {share} % of the file is damaged; get a sound copy")
-    vehicles = by_vehicle(content.frames)
-    sysid = _only_vehicle(path, vehicles) if vehicle is None else vehicle
-    if sysid not in vehicles:
-        raise InputError(f"{path}: nothing from vehicle {sysid}; there is {_names(vehicles) or 'none'}")
-    frames = vehicles[sysid]
-    recognised = detect_profile(frames)
-    chosen = recognised.profile if profile is None else profile_named(profile)
-    if chosen is None:
-        raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
-    _, telemetry = SampleDecoder(with_imu(chosen, frames)).step(SampleState(), frames)
-    parameters = parameters_in(frames, chosen.autopilot)
-    return Log(path.name, sha256_of(data), chosen.name, telemetry, frames[0].host_ns, content.notes, parameters)
-
-
-def _only_vehicle(path: Path, vehicles: Mapping[int, Sequence[Frame]]) -> int:
-    flying = [sysid for sysid, frames in vehicles.items() if any(map(is_autopilot_heartbeat, frames))]
-    if not flying:
-        raise InputError(f"{path}: no autopilot's heartbeat in the log; name the vehicle if there is one")
-    if len(flying) > 1:
-        raise InputError(f"{path}: holds the vehicles {_names(flying)}; choose one with --vehicle")
-    return flying[0]
+    return content
 
 
 def _names(sysids: Iterable[int]) -> str:

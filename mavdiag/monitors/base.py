@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
+from numpy.typing import NDArray
+
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
@@ -24,7 +26,18 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, Signal
 from mavdiag.thresholds.guard import Guard
 
-__all__ = ["FaultKind", "Feature", "Flights", "LearnContext", "Monitor", "RotorEvidence", "Rows", "segments"]
+__all__ = [
+    "FaultKind",
+    "Feature",
+    "Flights",
+    "LearnContext",
+    "Monitor",
+    "RotorEvidence",
+    "Rows",
+    "Summaries",
+    "Summary",
+    "segments",
+]
 
 State = TypeVar("State")
 Spec = TypeVar("Spec")
@@ -32,6 +45,12 @@ Spec = TypeVar("Spec")
 
 Flights: TypeAlias = Sequence[Sequence[Rows]]
 """Flights as monitors are fitted to them: for each flight its rows of flying, in order."""
+
+Summary: TypeAlias = tuple[NDArray[Any], ...]
+"""What a fit needs of one flight, as arrays, so that it can be put aside."""
+
+Summaries: TypeAlias = Sequence[Summary]
+"""Of each flight of a fit."""
 
 
 def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
@@ -50,6 +69,8 @@ class LearnContext:
     axes: the axes that the fsd monitor models.
     method, order: how ARX models are fitted.
     margin_rule: "p90" or "max", the margin of the fsd monitor (T 4.4.3, Algorithm 1).
+    figures: standard errors and figures of fit are wanted; a fit that only scores flights needs none.
+    near: the monitor's fits to all flights, for one to some of them to begin from.
     """
 
     airframe: Airframe
@@ -60,6 +81,8 @@ class LearnContext:
     method: Method = Method.SRIV
     order: Order = (2, 2, 1)
     margin_rule: str = "p90"
+    figures: bool = True
+    near: tuple[Any, ...] = ()
 
     @property
     def layout(self) -> RotorLayout:
@@ -152,12 +175,25 @@ class Monitor(ABC, Generic[Spec, State]):
 
     @classmethod
     @abstractmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
-        """Fit it to healthy flights: one specification, or one for each axis.
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """What the fit needs of one healthy flight. The rows may be dropped afterwards.
+
+        Raises as `settle`, where the context alone says that it cannot work.
+        """
+
+    @classmethod
+    @abstractmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[Spec, ...]:
+        """Fit it to what was gathered of healthy flights: one specification, or one for each axis.
 
         Raises InputError or IdentificationError, with the reason as the operator reads it (without the monitor's
         name), if it cannot work on such flights.
         """
+
+    @classmethod
+    def fit(cls, flights: Flights, context: LearnContext) -> tuple[Spec, ...]:
+        """Fit it to healthy flights; raises as `settle`."""
+        return cls.settle([cls.gather(flight, context) for flight in flights], context)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """Its fit once the propellers are new, and the factor of scores that the old ones gave.

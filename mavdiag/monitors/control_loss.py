@@ -5,13 +5,14 @@ a sensor that lies. What the other monitors say from then on is about the upset 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor
+from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Signal
@@ -68,10 +69,15 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
     unit = "rad/s"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ControlLossSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether the flight has gyro and set-point."""
+        return (np.array([any(rows.rates.commanded.any() for rows in flight)]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[ControlLossSpec, ...]:
         """Nothing is fitted; the healthy flights set the threshold. Raises InputError without gyro or set-point."""
         context.need_rate(MIN_RATE_HZ)
-        if not any(rows.rates.commanded.any() for flight in flights for rows in flight):
+        if not any(commanded[0] for (commanded,) in summaries):
             raise InputError("no flight with a gyro and an attitude set-point")
         return (ControlLossSpec(delay_s=context.window // 2 * context.dt_s),)
 

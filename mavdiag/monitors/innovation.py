@@ -5,8 +5,9 @@ is new in each sample. That makes it the monitor for upsets and for a rough, fas
 is trimmed away leaves no trace in it.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
 from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -142,10 +143,25 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     unit = "x healthy rms"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[InnovationSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether rates are commanded, the rows of each stretch, and all pairs: (p, 6), (n,) and (n, 3)."""
+        commanded = any(rows.rates.commanded.any() for rows in flight)
+        pairs = [one for segment in segments(flight) for one in _pairs_of(segment)] if commanded else []
+        if not pairs:
+            return np.array([False]), np.empty(0, dtype=np.int64), np.empty((0, 6)), np.empty(0, bool), np.empty((0, 3))
+        rows = np.concatenate([np.concatenate((one.u, one.y), axis=1) for one in pairs])
+        valid, busy = np.concatenate([one.valid for one in pairs]), np.concatenate([one.busy for one in pairs])
+        return np.array([True]), np.array([len(one.valid) for one in pairs]), rows, valid, busy
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[InnovationSpec, ...]:
         """Identify the healthy one-step prediction, of a like share of every flight's valid rows."""
-        _check(flights)
-        pairs = _training_pairs(flights)
+        if not any(one[0][0] for one in summaries):
+            raise InputError("no flight with a gyro and an attitude set-point")
+        if 1 / context.dt_s < MIN_RATE_HZ:
+            rate_hz = 1 / context.dt_s
+            raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
+        pairs = _training_pairs(summaries)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
@@ -210,16 +226,6 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 
-def _check(flights: Flights) -> None:
-    """Raise InputError if these flights cannot be predicted."""
-    rates = [rows.rates for flight in flights for rows in flight if rows.rates.commanded.any()]
-    if not rates:
-        raise InputError("no flight with a gyro and an attitude set-point")
-    if 1 / rates[0].dt_s < MIN_RATE_HZ:
-        rate_hz = 1 / rates[0].dt_s
-        raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
-
-
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
@@ -262,18 +268,32 @@ def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> Float
     return e.T
 
 
-def _training_pairs(flights: Flights) -> list[_Pairs]:
-    """The pairs of all flights; of each stretch a like share stays valid."""
-    pairs: list[_Pairs] = []
-    for segment in (segment for flight in flights for segment in segments(flight)):
-        state = _fresh()
-        for rows in segment:
-            state, one = _pair(state, rows, MEMORY_S)
-            pairs.append(one)
-    taken = cut_to_share([int(one.valid.sum()) for one in pairs], TRAIN_ROWS, 0)
-    return [
-        replace(one, valid=one.valid & (np.cumsum(one.valid) <= most)) for one, most in zip(pairs, taken, strict=True)
+def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:
+    """The pairs of each stretch of rows of a segment."""
+    state = _fresh()
+    for rows in segment:
+        state, pairs = _pair(state, rows, MEMORY_S)
+        yield pairs
+
+
+def _training_pairs(summaries: Summaries) -> list[_Pairs]:
+    """Of each stretch of all flights the first pairs, so many that a like share of it is valid."""
+    stretches = [
+        (number, first, stop)
+        for number, (_, lengths, *_) in enumerate(summaries)
+        for first, stop in itertools.pairwise(np.append(0, np.cumsum(lengths)).tolist())
     ]
+    counts = [int(np.count_nonzero(summaries[number][3][first:stop])) for number, first, stop in stretches]
+    pairs, before, last = [], 0, -1
+    for (number, first, stop), most in zip(stretches, cut_to_share(counts, TRAIN_ROWS, 0), strict=True):
+        before = before + LAG if number == last else 0  # rows that the stretches before had behind them
+        last = number
+        _, _, rows, valid, busy = summaries[number]
+        good = valid[first:stop]
+        n = int(np.searchsorted(np.cumsum(good), most)) + 1 if most else 0
+        part = rows[first + before : first + before + LAG + n]
+        pairs.append(_Pairs(part[:, :3], part[:, 3:], good[:n], busy[first : first + n]))
+    return pairs
 
 
 def _identify(pairs: Sequence[_Pairs], axis: int, mean: float) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ then grows along one diagonal, in step with the vertical acceleration.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,15 +16,16 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
-from mavdiag.monitors.decimated import Decimated, Decimator, stride_of
-from mavdiag.monitors.healthy import cut_to_share, three, variance_law
+from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence, Summaries, Summary
+from mavdiag.monitors.decimated import Decimated, stride_of
+from mavdiag.monitors.healthy import cut_to_share, smoothed
 from mavdiag.monitors.model_residual import DRIFT_S, HealthyMotion, ModelResidual, Residuals, ResidualState
+from mavdiag.monitors.motion_fit import gathered, samples_of, with_variances
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import ema, forgetting, spans, start_ema, window_all, window_mean
+from mavdiag.rows.windows import forgetting, spans, window_all, window_mean
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
@@ -141,23 +142,23 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         self._residual = ModelResidual(spec.motion)
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether the flight has a set-point, and then an accelerometer; the decimated samples (`motion_fit`)."""
+        flown = [rows.block for rows in flight if rows.rates.commanded.any()]
+        felt = any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
+        return (np.array([bool(flown), felt]), *gathered(flight, _unknown(context)))
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RotorSignatureSpec, ...]:
         """Identify the healthy motion."""
-        layout = _layout(flights, context)
-        stride = stride_of(context.dt_s)
-        none = _no_answer(stride * context.dt_s)
-        motion = HealthyMotion(
-            dt_s=context.dt_s, stride=stride, window=context.window, roll=none, pitch=none, heave=none
-        )
+        layout, motion = _layout(summaries, context), _unknown(context)
+        flights = [one[1:] for one in summaries]
         pieces = _pieces(flights, motion)
         if not pieces:
             raise IdentificationError(f"no unbroken {MIN_PIECE_S:g} s of flight to identify from; fly longer")
-        roll, pitch, heave = _rate(pieces, 0, motion), _rate(pieces, 1, motion), _heave(pieces, motion)
-        motion = replace(motion, roll=roll, pitch=pitch, heave=heave)
-        for follows in (False, True):  # how far the gain is followed depends on the variance at rest
-            k = _variances(flights, ModelResidual(motion, follows))
-            motion = replace(motion, k0=three([k0 for k0, _ in k]), k1=three([k1 for _, k1 in k]))
-        return (RotorSignatureSpec(layout=layout, motion=motion),)
+        roll, pitch = (_rate(pieces, axis, motion, context) for axis in (0, 1))
+        motion = replace(motion, roll=roll, pitch=pitch, heave=_heave(pieces, motion))
+        return (RotorSignatureSpec(layout=layout, motion=with_variances(flights, motion)),)
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -205,16 +206,22 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         return RotorSignatureState(inner, products[known:], valid[known:]), found
 
 
-def _layout(flights: Flights, context: LearnContext) -> RotorLayout:
+def _unknown(context: LearnContext) -> HealthyMotion:
+    """The motion before any flight: nothing answers."""
+    stride = stride_of(context.dt_s)
+    none = _no_answer(stride * context.dt_s)
+    return HealthyMotion(dt_s=context.dt_s, stride=stride, window=context.window, roll=none, pitch=none, heave=none)
+
+
+def _layout(summaries: Summaries, context: LearnContext) -> RotorLayout:
     """The rotor layout. Raises InputError if it is not known or the flights cannot be judged."""
     layout = context.layout
-    flown = [rows for flight in flights for rows in flight if rows.rates.commanded.any()]
-    if not flown:
+    if not any(one[0][0] for one in summaries):
         raise InputError("no flight with a gyro and an attitude set-point")
-    rate_hz = 1 / flown[0].block.dt_s
+    rate_hz = 1 / context.dt_s
     if rate_hz < 0.98 * MIN_RATE_HZ:
         raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; {MIN_RATE_HZ:.0f} Hz are needed, better 100")
-    if not any((rows.block.valid & np.isfinite(rows.block.force[:, 2])).any() for rows in flown):
+    if not any(one[0][1] for one in summaries):
         raise InputError("no accelerometer, which separates a rotor from its opposite")
     return layout
 
@@ -260,13 +267,13 @@ def _correlations(mean: FloatArray) -> FloatArray:
     return np.stack((mean[:, 2] / (roll * pitch), mean[:, 4] / (roll * heave), mean[:, 5] / (pitch * heave))).T
 
 
-def _pieces(flights: Flights, motion: HealthyMotion) -> list[Decimated]:
+def _pieces(flights: Summaries, motion: HealthyMotion) -> list[Decimated]:
     """Unbroken valid stretches, a like share of every flight."""
     least = math.ceil(MIN_PIECE_S / motion.period_s)
     found = [
         (one, first, stop)
         for flight in flights
-        for one in _samples(flight, motion)
+        for one in samples_of(flight)
         for first, stop in spans(one.valid)
         if stop - first >= least
     ]
@@ -275,28 +282,17 @@ def _pieces(flights: Flights, motion: HealthyMotion) -> list[Decimated]:
 
 
 def _cut(one: Decimated, kept: slice) -> Decimated:
-    return Decimated(one.t_ns[kept], one.u[kept], one.y[kept], one.heave[kept], one.valid[kept])
+    return Decimated(one.t_ns, one.u[kept], one.y[kept], one.heave[kept], one.valid[kept])
 
 
-def _samples(flight: Sequence[Rows], motion: HealthyMotion) -> Iterator[Decimated]:
-    """The samples of each segment of a flight, in one piece."""
-    decimator = Decimator(motion.stride, motion.window)
-    for segment in segments(flight):
-        state, parts = decimator.start(), []
-        for rows in segment:
-            state, one = decimator.step(state, rows)
-            parts.append((one.t_ns, one.u, one.y, one.heave, one.valid))
-        t_ns, u, y, heave, valid = (np.concatenate(column) for column in zip(*parts, strict=True))
-        yield Decimated(t_ns, u, y, heave, valid)
-
-
-def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion) -> ModelRecord:
+def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
     """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
+    near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
     u, y = [one.u[:, axis] for one in pieces], [one.y[:, axis] for one in pieces]
     reason = ""
     for order in ORDERS:
         try:
-            return ModelRecord.of(identify(u, y, order, dt=motion.period_s))
+            return ModelRecord.of(identify(u, y, order, dt=motion.period_s, figures=context.figures, near=near))
         except IdentificationError as error:
             reason = str(error)
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")
@@ -305,26 +301,9 @@ def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion) -> Mode
 def _heave(pieces: Sequence[Decimated], motion: HealthyMotion) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, motion.period_s)
-    moved = [
-        one.heave - ema(start_ema(one.heave[0]), one.heave, alpha)[1] for one in pieces if np.isfinite(one.heave).all()
-    ]
+    moved = [one.heave - smoothed(one.heave, alpha, one.heave[0]) for one in pieces if np.isfinite(one.heave).all()]
     u, y = [one[:, 1] for one in moved], [one[:, 0] for one in moved]
     try:
         return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=motion.period_s, method=Method.LS))
     except IdentificationError:
         return _no_answer(motion.period_s)
-
-
-def _variances(flights: Flights, residual: ModelResidual) -> list[tuple[float, float]]:
-    """k0 and k1 of roll, pitch and heave."""
-    squares, busy = [np.empty((0, 3))], [np.empty((0, 3))]
-    for segment in (segment for flight in flights for segment in segments(flight)):
-        state = residual.start()
-        for rows in segment:
-            state, d = residual.step(state, rows)
-            squares.append(d.r[d.valid] ** 2)
-            busy.append(d.busy[d.valid])
-    r2, u2 = np.concatenate(squares), np.concatenate(busy)
-    if len(r2) == 0 or r2.mean(axis=0).min() == 0:
-        raise IdentificationError("no settled flight with a live gyro and accelerometer; fly longer than 3 s")
-    return [variance_law(r2[:, axis], u2[:, axis]) for axis in range(3)]

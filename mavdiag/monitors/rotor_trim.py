@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import Source, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.trim import SOURCES, Source, rises, source_among, sources_of, spread_from, tilt_of, trim_of
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, Flights, LearnContext, segments
-from mavdiag.monitors.healthy import Three, three
+from mavdiag.monitors.base import Feature, Flights, LearnContext, Summaries, Summary, segments
+from mavdiag.monitors.healthy import Three, joined_moments, moments, three
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -25,6 +25,8 @@ from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.guard import Guard
 
 __all__ = ["RotorTrim", "RotorTrimSpec"]
+
+NONE = np.empty((0, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,23 +88,34 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Which sources show a trim, and for each of them the moments of the window means."""
+        layout, shown = context.layout, sources_of(flight, context.layout)
+        found = [_moments(flight, layout, source) if shown[i] else moments(NONE) for i, source in enumerate(SOURCES)]
+        return (shown, *found[0], *found[1])
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
         """Healthy trim: mean over flights of their means, spread of all their windows about it.
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
-        layout, source = context.layout, source_of(flights, context.layout)
-        mu, windows = _mean(flights, layout, source)
-        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread_of(windows - mu)),)
+        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
+        first = 1 + 3 * SOURCES.index(source)
+        found = [one[first : first + 3] for one in summaries]
+        mu = _mean(found)
+        spread = spread_from(joined_moments(found).about(mu))
+        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, float]:
         """With the trim of the new propellers; how much it varies stays."""
-        mean, _ = _mean(flights, self.spec.layout, self.spec.source)
+        mean = _mean([_moments(flight, self.spec.layout, self.spec.source) for flight in flights])
         return replace(self.spec, mean=three(mean)), 1.0
 
     def extended(self, flights: Flights, sessions: int) -> RotorTrimSpec:
         """With the mean over sessions, the new one among them."""
-        mean, (fresh, _) = np.array(self.spec.mean), _mean(flights, self.spec.layout, self.spec.source)
+        mean = np.array(self.spec.mean)
+        fresh = _mean([_moments(flight, self.spec.layout, self.spec.source) for flight in flights])
         return replace(self.spec, mean=three(mean + (fresh - mean) / (sessions + 1)))
 
     def start(self) -> MeanState:
@@ -121,21 +134,21 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
         return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
 
 
-def _mean(flights: Flights, layout: RotorLayout, source: Source) -> tuple[FloatArray, FloatArray]:
-    """The mean over flights of their means, (3,), and all their window means, (k, 3). Raises IdentificationError."""
-    means = [found for found in (_windows(flight, layout, source) for flight in flights) if len(found)]
+def _mean(flights: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """The mean over flights of their means, (3,), by their moments. Raises IdentificationError."""
+    means = [mean for count, mean, _ in flights if count[0]]
     if not means:
         raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
-    return np.mean([found.mean(axis=0) for found in means], axis=0), np.concatenate(means)
+    return np.asarray(np.mean(means, axis=0), dtype=np.float64)
 
 
-def _windows(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
-    """The full window means of a flight, (k, 3)."""
-    found = [np.empty((0, 3))]
+def _moments(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the full window means of a flight."""
+    found = [NONE]
     for segment in segments(flight):
         state = start_mean(3)
         for block in (rows.block for rows in segment):
             trim, known = trim_of(block, layout, source)
             state, mean, full = sliding_mean(state, trim, known, window_rows(WINDOW_S, block.dt_s))
             found.append(mean[full])
-    return np.concatenate(found)
+    return moments(np.concatenate(found))

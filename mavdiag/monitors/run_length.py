@@ -5,7 +5,7 @@ one-step prediction. A segment starts the model from the measured rate at rest i
 died out by the end of the segment's blanked first second.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -13,11 +13,11 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify import ArxModel, Method, Order, fit, freerun
+from mavdiag.identify import ArxModel, freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import Flights, LearnContext, Monitor, segments
-from mavdiag.monitors.healthy import cut_to_share
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
+from mavdiag.monitors.training import MIN_PIECE_S, SETTLE_S, train, trained, training_pieces, training_spans
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
@@ -26,6 +26,7 @@ from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
 
 __all__ = [
+    "MIN_PIECE_S",
     "Exceedance",
     "MarginRule",
     "Residual",
@@ -41,10 +42,6 @@ __all__ = [
     "train",
     "training_pieces",
 ]
-
-TRAIN_ROWS = 60_000  # one minute at 1 kHz: beyond it a model's standard errors no longer matter (our choice)
-SETTLE_S = 1.0  # of each stretch that does not count in the figures of fit: it may begin in motion (our choice)
-MIN_PIECE_S = 2.0  # shorter valid stretches do not train a model (our choice)
 
 
 class MarginRule(StrEnum):
@@ -160,12 +157,25 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
         self._model = spec.model.model()
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[RunLengthSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Number of the segment and rows of each stretch, (s, 2); u and y of the axes, (n, axes); (n,) commanded."""
+        columns = [axis.column for axis in context.axes]
+        rates = [(number, rows.rates) for number, one in enumerate(segments(flight)) for rows in one]
+        none = np.empty((0, len(columns)))
+        return (
+            np.array([(number, len(one)) for number, one in rates], dtype=np.int64).reshape(-1, 2),
+            np.concatenate([none, *(one.u[:, columns] for _, one in rates)]),
+            np.concatenate([none, *(one.y[:, columns] for _, one in rates)]),
+            np.concatenate([np.empty(0, dtype=np.bool_), *(one.commanded for _, one in rates)]),
+        )
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RunLengthSpec, ...]:
         """Model and margin of each axis that can be learnt. Raises with the reasons if none can."""
         found, reasons = [], []
-        for axis in context.axes:
+        for column, axis in enumerate(context.axes):
             try:
-                found.append(_fit_axis(flights, axis, context))
+                found.append(_fit_axis(summaries, column, axis, context))
             except (InputError, IdentificationError) as error:
                 reasons.append(str(error))
         if not found:
@@ -248,7 +258,11 @@ def margin_of(flights: Sequence[Sequence[Residual]], rule: MarginRule = MarginRu
 
     The percentile is Hazen's, which MATLAB's prctile uses.
     """
-    levels = [np.abs(one.r[one.valid]) for flight in flights for one in flight]
+    return _margin([np.abs(one.r[one.valid]) for flight in flights for one in flight], rule)
+
+
+def _margin(levels: Sequence[FloatArray], rule: MarginRule) -> float:
+    """As `margin_of`, from |r| of the judged rows."""
     pooled = np.concatenate(levels) if levels else np.empty(0)
     if len(pooled) == 0:
         raise InputError("the healthy flights have no judged rows: are they long enough and airborne?")
@@ -268,50 +282,40 @@ def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Resid
     return found
 
 
-def training_pieces(flight: Sequence[Rows], axis: Axis) -> list[tuple[FloatArray, FloatArray]]:
-    """Unbroken valid stretches of u and y of one axis, long enough to train on."""
-    pieces = []
-    for rates in (rows.rates for rows in flight):
-        for first, stop in spans(rates.commanded):
-            if (stop - first) * rates.dt_s >= MIN_PIECE_S:
-                pieces.append((rates.u[first:stop, axis.column], rates.y[first:stop, axis.column]))
-    return pieces
-
-
-def train(
-    flights: Flights, axis: Axis, dt_s: float, order: Order = (2, 2, 1), method: Method = Method.SRIV
-) -> ArxModel:
-    """A model of one axis from a like share of every flight. Raises IdentificationError."""
-    pieces = [piece for flight in flights for piece in training_pieces(flight, axis)]
-    if not pieces:
-        raise IdentificationError(f"{axis}: no unbroken stretch of {MIN_PIECE_S:.0f} s to identify from; fly longer")
-    taken = cut_to_share([len(u) for u, _ in pieces], TRAIN_ROWS, round(MIN_PIECE_S / dt_s))
-    u = [piece[0][:count] for piece, count in zip(pieces, taken, strict=True)]
-    y = [piece[1][:count] for piece, count in zip(pieces, taken, strict=True)]
-    try:
-        model = fit(u, y, order, dt=dt_s, method=method, settle_s=SETTLE_S)
-    except IdentificationError as error:
-        raise IdentificationError(f"{axis}: {error}") from error
-    # The gain of a model with a pole at 1 that a zero cancels says nothing of the sign; the slope of y on u does.
-    slope = sum(float(one @ other) for one, other in zip(u, y, strict=True)) / sum(float(one @ one) for one in u)
-    gain = min(model.dc_gain, slope)
-    if gain < 0:
-        raise IdentificationError(
-            f"{axis}: the gyro turns against its set-point (gain {gain:.2f}); check the sign conventions"
-        )
-    return model
-
-
-def _fit_axis(flights: Flights, axis: Axis, context: LearnContext) -> RunLengthSpec:
-    model = train(flights, axis, context.dt_s, context.order, context.method)
+def _fit_axis(summaries: Summaries, column: int, axis: Axis, context: LearnContext) -> RunLengthSpec:
+    """column: of the axis in what was gathered."""
+    pieces = [
+        (u[first:stop, column], y[first:stop, column])
+        for stretches, u, y, commanded in summaries
+        for first, stop in training_spans(stretches, commanded, context.dt_s)
+    ]
+    near = next((one.model.model() for one in context.near if one.axis == axis), None)
+    model = trained(pieces, axis, context.dt_s, context.order, context.method, context.figures, near)
     rule = MarginRule(context.margin_rule)
+    levels = [
+        level
+        for stretches, u, y, commanded in summaries
+        for level in _levels(model, stretches, u[:, column], y[:, column], commanded)
+    ]
     return RunLengthSpec(
         axis=axis,
         model=ModelRecord.of(model),
-        margin_rad_s=margin_of([residuals(flight, axis, model) for flight in flights], rule),
+        margin_rad_s=_margin(levels, rule),
         margin_rule=rule,
         delay_s=context.window // 2 * context.dt_s,
     )
+
+
+def _levels(
+    model: ArxModel, stretches: IntArray, u: FloatArray, y: FloatArray, commanded: BoolArray
+) -> Iterator[FloatArray]:
+    """|r| of the judged rows of each segment of a flight: the whole of it at once, as `residuals` has it by steps."""
+    of_row = np.repeat(stretches[:, 0], stretches[:, 1])
+    for number in np.unique(of_row):
+        first, stop = np.searchsorted(of_row, [number, number + 1]).tolist()
+        rest_u, rest_y = np.full(len(model.b), u[first]), np.full(len(model.a), np.nan_to_num(y[first]))
+        r = y[first:stop] - model.simulate(u[first:stop], rest_u, rest_y)
+        yield np.abs(r[commanded[first:stop]])
 
 
 def _residual(

@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, segments
-from mavdiag.monitors.healthy import Three, three
+from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, segments
+from mavdiag.monitors.healthy import Three, joined_moments, moments, three
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -136,28 +136,30 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
     unit = "x healthy rms"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Moments of the biases of the usable ticks, then the ticks (k, 14) and rows (k tick, 3) of `_gathered`."""
+        parts = [_gathered(_before(context), segment, number) for number, segment in enumerate(segments(flight))]
+        if not parts:
+            return (*moments(np.empty((0, 4))), np.empty((0, 14)), np.empty((0, 3)))
+        biases, ticks, turns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return (*moments(biases), ticks, turns)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[SensorDriftSpec, ...]:
         """Healthy biases and spreads. Raises InputError if the vehicle sends no attitude."""
         context.need_rate(MIN_RATE_HZ)
-        first = SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
-        pieces = [_biases(first, flight) for flight in flights]
-        together = np.concatenate(pieces) if pieces else np.empty((0, 4))
-        if len(together) == 0:
+        first = _before(context)
+        if not any(one[0][0] for one in summaries):
             raise InputError("no flight with a gyro, an accelerometer and an attitude estimate")
-        mean = together.mean(axis=0)
+        mean = joined_moments([one[:3] for one in summaries]).mean
         spec = replace(first, bias=three(mean[:3]), vertical=float(mean[3]))
-        parts = np.concatenate([_parts(spec, flight) for flight in flights])
-        if len(parts) == 0:
+        found = [_squares(spec, *one[3:]) for one in summaries]
+        count = sum(number for number, _ in found)
+        if not count:
             raise IdentificationError(f"no unbroken {2 * MEAN_S:g} s of flight; fly longer")
-        tilt, heading, lift = np.sqrt(np.mean(parts**2, axis=0)).tolist()
-        return (
-            replace(
-                spec,
-                tilt=max(tilt, LEAST_ANGLE),
-                heading=max(heading, LEAST_ANGLE),
-                lift=max(lift, LEAST_VERTICAL),
-            ),
-        )
+        rms = np.sqrt(np.sum([squares for _, squares in found], axis=0) / count)
+        tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
+        return (replace(spec, tilt=tilt, heading=heading, lift=lift),)
 
     def __init__(self, spec: SensorDriftSpec) -> None:
         super().__init__(spec)
@@ -176,13 +178,8 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
 
 
 def _fresh() -> SensorDriftState:
-    return SensorDriftState(
-        np.empty((0, 9)),
-        np.empty(0, dtype=np.int64),
-        np.empty(0, dtype=np.bool_),
-        np.zeros(4),
-        np.empty((0, COLUMNS)),
-    )
+    t_ns, valid = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_)
+    return SensorDriftState(np.empty((0, 9)), t_ns, valid, np.zeros(4), np.empty((0, COLUMNS)))
 
 
 def _joined(state: SensorDriftState, block: Block) -> tuple[FloatArray, IntArray, BoolArray]:
@@ -202,14 +199,24 @@ def _advance(
     spec: SensorDriftSpec, state: SensorDriftState, block: Block
 ) -> tuple[SensorDriftState, IntArray, FloatArray, FloatArray, BoolArray]:
     """The ticks that the next rows complete: times, (n, 3) |dE|, |dY| and |V|, e [rad], and whether they count."""
-    tick, least = spec.tick, 2 * spec.ticks(MEAN_S)
+    tick = spec.tick
     rows, t_ns, valid = _joined(state, block)
     n = len(rows) // tick
     used = n * tick
     whole: BoolArray = np.logical_and.reduce(valid[:used].reshape(n, tick), axis=1)
     steps, seen = _ticks(spec, rows[:used], n)
+    (angle, history), parts, excused, full = _walked(spec, (state.angle, state.history), steps, seen, whole)
+    state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
+    return state, t_ns[tick - 1 : used : tick], parts, excused, full
+
+
+def _walked(
+    spec: SensorDriftSpec, memory: tuple[FloatArray, FloatArray], steps: FloatArray, seen: FloatArray, whole: BoolArray
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray, BoolArray]:
+    """Angle and history after the next ticks, and of each tick what `_advance` gives."""
+    n, least = len(whole), 2 * spec.ticks(MEAN_S)
     parts, excused, full = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.bool_)
-    angle, history = state.angle, state.history
+    angle, history = memory
     for first, stop, good in _stretches(whole):
         if not good:
             angle, history = np.zeros(4), np.empty((0, COLUMNS))
@@ -223,8 +230,7 @@ def _advance(
         parts[first:stop], excused[first:stop] = found[:, :3], found[:, 3]
         full[first + max(0, least - 1 - past) : stop] = True
         history = history[-(spec.ticks(LAG_S) + least) :]
-    state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
-    return state, t_ns[tick - 1 : used : tick], parts, excused, full
+    return (angle, history), parts, excused, full
 
 
 def _stretches(flags: BoolArray) -> list[tuple[int, int, bool]]:
@@ -277,19 +283,51 @@ def _disagreements(spec: SensorDriftSpec, history: FloatArray, past: int) -> Flo
     return out
 
 
-def _biases(spec: SensorDriftSpec, flight: Sequence[Rows]) -> FloatArray:
-    """Gyro less attitude rate, and vertical specific force beyond -g, of each usable tick of a flight, (k, 4)."""
-    found = [np.empty((0, 4))]
-    for segment in segments(flight):
-        state = _fresh()
-        for rows in segment:
-            values, t_ns, valid = _joined(state, rows.block)
-            n = len(values) // spec.tick
-            used = n * spec.tick
-            state = replace(_fresh(), rows=values[used:], t_ns=t_ns[used:], valid=valid[used:])
-            whole = valid[:used].reshape(n, spec.tick).all(axis=1)
-            found.append(_gyro_errors(spec, values[:used], n)[whole])
-    return np.concatenate(found)
+def _before(context: LearnContext) -> SensorDriftSpec:
+    """What is known before any flight: no bias."""
+    return SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
+
+
+def _gathered(spec: SensorDriftSpec, segment: Sequence[Rows], number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of a segment, by a specification without biases, what gives its ticks for any bias.
+
+    Gyro less attitude rate and vertical specific force of each usable tick, (u, 4); of all k ticks `_ticks`, means of
+    cos psi, sin psi, sin phi / cos theta and cos phi / cos theta, whether they are whole, and the segment's number,
+    (k, 14); and of their rows what turns about the vertical and the last two, (k tick, 3).
+    """
+    joined = [_joined(_fresh(), rows.block) for rows in segment]
+    n = sum(len(one[2]) for one in joined) // spec.tick
+    used = n * spec.tick
+    rows = np.concatenate([one[0] for one in joined])[:used]
+    whole = np.concatenate([one[2] for one in joined])[:used].reshape(n, spec.tick).all(axis=1)
+    (_, q, r), (phi, theta, psi) = rows[:, :3].T, rows[:, 6:].T
+    each = np.stack((np.cos(psi), np.sin(psi), np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)))
+    means = np.add.reduce(each.reshape(4, n, spec.tick), axis=2).T / spec.tick
+    ticks = np.column_stack((*_ticks(spec, rows, n), means, whole, np.full(n, number)))
+    return _gyro_errors(spec, rows, n)[whole], ticks, np.stack((q * each[2] + r * each[3], each[2], each[3]), axis=1)
+
+
+def _squares(spec: SensorDriftSpec, ticks: FloatArray, turns: FloatArray) -> tuple[int, FloatArray]:
+    """How many ticks of a flight count, and the sums of squares of |dE|, |dY| and |V| beyond what is excused, (3,)."""
+    p, q, r = spec.bias
+    span_s = spec.tick * spec.dt_s
+    c, s, a, b = ticks[:, 8:12].T
+    steps, seen = ticks[:, :4].copy(), ticks[:, 4:8].copy()
+    # integral of (p - b_p) cos psi - (q - b_q) sin psi and so on, of which the first part is in the ticks
+    steps[:, 0] -= span_s * (p * c - q * s)
+    steps[:, 1] -= span_s * (p * s + q * c)
+    steps[:, 2] -= span_s * (q * a + r * b)
+    turning = np.abs(turns[:, 0] - q * turns[:, 1] - r * turns[:, 2])
+    steps[:, 3] = turning.reshape(-1, spec.tick).sum(axis=1) * spec.dt_s
+    seen[:, 3] -= spec.vertical
+    count, squares = 0, np.zeros(3)
+    for number in np.unique(ticks[:, 13]):
+        here = ticks[:, 13] == number
+        memory = (np.zeros(4), np.empty((0, COLUMNS)))
+        _, parts, excused, full = _walked(spec, memory, steps[here], seen[here], ticks[here, 12] > 0.5)
+        found = np.maximum(parts - excused[:, None] * ANGLES, 0.0)[full]
+        count, squares = count + len(found), squares + np.square(found).sum(axis=0)
+    return count, squares
 
 
 def _gyro_errors(spec: SensorDriftSpec, rows: FloatArray, n: int) -> FloatArray:
@@ -307,14 +345,3 @@ def _gyro_errors(spec: SensorDriftSpec, rows: FloatArray, n: int) -> FloatArray:
     )
     down = _ticks(spec, rows, n)[1][:, 3]
     return np.column_stack((mean[:, :3] - np.column_stack(rates), down))
-
-
-def _parts(spec: SensorDriftSpec, flight: Sequence[Rows]) -> FloatArray:
-    """|dE|, |dY| and |V| of a flight, the angles beyond what is excused, (k, 3)."""
-    found = [np.empty((0, 3))]
-    for segment in segments(flight):
-        state = _fresh()
-        for rows in segment:
-            state, _, parts, excused, full = _advance(spec, state, rows.block)
-            found.append(np.maximum(parts - excused[:, None] * ANGLES, 0.0)[full])
-    return np.concatenate(found)

@@ -5,13 +5,14 @@ it reaches the gyro through the arms. Noise that only one axis of one sensor has
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, segments
+from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, Summaries, Summary, segments
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -97,23 +98,29 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
     unit = "ln of power"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows have a fourth difference, and the sum of their squares, (6,)."""
+        count, squares = 0, np.zeros(AXES)
+        for segment in segments(flight):
+            state = _fresh()
+            for rows in segment:
+                state, d, valid = _differences(state, rows.block)
+                count += int(np.count_nonzero(valid))
+                squares += np.einsum("nk,nk->k", d[valid], d[valid])
+        return np.array([count]), squares
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[SensorNoiseSpec, ...]:
         """Healthy noise of the six axes. Raises InputError if the stream does not carry it."""
         rate_hz, corner_hz = 1 / context.dt_s, context.imu_corner_hz
         if rate_hz < LEAST_RATE_HZ:
             raise InputError(f"the IMU comes at {rate_hz:.3g} Hz; its noise shows from 100 Hz on")
         if corner_hz is not None and corner_hz < LOWPASS_SHARE * rate_hz:
             raise InputError(f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it")
-        squares = []
-        for segment in (segment for flight in flights for segment in segments(flight)):
-            state = _fresh()
-            for rows in segment:
-                state, d, valid = _differences(state, rows.block)
-                squares.append(d[valid] ** 2)
-        power = np.concatenate(squares) if squares else np.empty((0, AXES))
-        if len(power) < MIN_ROWS:
+        count = sum(int(rows[0]) for rows, _ in summaries)
+        if count < MIN_ROWS:
             raise InputError("no flight with a gyro and an accelerometer along x, y and z")
-        rms = np.sqrt(power.mean(axis=0)).tolist()
+        rms = np.sqrt(np.sum([squares for _, squares in summaries], axis=0) / count).tolist()
         if min(rms) <= 0.0:
             raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
         return (SensorNoiseSpec(rms=(rms[0], rms[1], rms[2], rms[3], rms[4], rms[5])),)

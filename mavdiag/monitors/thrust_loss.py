@@ -5,6 +5,7 @@ collective command gave until now, and the airframe turns towards the empty arm 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, RotorEvidence
+from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, RotorEvidence, Summaries, Summary
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -99,17 +100,23 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
     unit = "share of thrust"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows tell it, and the sum of their specific force per command."""
+        count, total = 0, 0.0
+        for block in (rows.block for rows in flight):
+            known = _known(block)
+            count += int(np.count_nonzero(known))
+            total -= float(np.sum(block.force[known, 2] / block.thrust[known]))
+        return (np.array([count, total]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[ThrustLossSpec, ...]:
         """Healthy specific force per command. Raises InputError without accelerometer or collective command."""
         context.need_rate(MIN_RATE_HZ)
-        ratios = [np.empty(0)]
-        for rows in (rows for flight in flights for rows in flight):
-            known = _known(rows.block)
-            ratios.append(-rows.block.force[known, 2] / rows.block.thrust[known])
-        pooled = np.concatenate(ratios)
-        if len(pooled) == 0 or not pooled.mean() > 0:
+        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        if not total > 0:
             raise InputError("no flight with an accelerometer along z and a collective thrust command")
-        return (ThrustLossSpec(layout=context.airframe.layout, per_command=float(pooled.mean())),)
+        return (ThrustLossSpec(layout=context.airframe.layout, per_command=total / count),)
 
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the accelerometer its z."""

@@ -5,14 +5,27 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import YAW_FLOOR, LargeRise, rises, source_of, spread_of, tilt_of, trim_of
+from mavdiag.airframe.layout import RotorLayout
+from mavdiag.airframe.trim import (
+    SOURCES,
+    YAW_FLOOR,
+    LargeRise,
+    Source,
+    rises,
+    source_among,
+    sources_of,
+    spread_of,
+    tilt_of,
+    trim_of,
+)
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Flights, LearnContext, segments
+from mavdiag.monitors.base import LearnContext, Summaries, Summary, segments
 from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
@@ -102,20 +115,25 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     spec_type = TrimStepSpec
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[TrimStepSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Which sources show a trim, the fastest turn, and by each source the ticks of the flight: (2 t, 8)."""
+        layout, shown = context.layout, sources_of(flight, context.layout)
+        fastest = max((_turn(rows.block) for rows in flight), default=0.0)
+        found = [_gathered(flight, layout, one) if shown[i] else np.empty((0, 8)) for i, one in enumerate(SOURCES)]
+        return shown, np.array([fastest]), found[0], found[1]
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[TrimStepSpec, ...]:
         """The spread of healthy shifts within flights."""
-        layout, source = context.layout, source_of(flights, context.layout)
-        fastest = max((_turn(rows.block) for flight in flights for rows in flight), default=0.0)
+        layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
+        fastest = max((float(one[1][0]) for one in summaries), default=0.0)
         first = TrimStepSpec(
             layout=layout, source=source, spread=UNKNOWN, turn_rad_s=max(TURN_ROOM * fastest, STRAIGHT_RAD_S)
         )
-        shifts = [np.empty((0, 3))]
-        for segment in (segment for flight in flights for segment in segments(flight)):
-            state = _start()
-            for rows in segment:
-                state, _, shift, _, valid = _shifts(first, state, rows.block)
-                shifts.append(shift[valid])
-        found = np.concatenate(shifts)
+        at = 2 + SOURCES.index(source)
+        tick_s = max(1, round(TICK_S / context.dt_s)) * context.dt_s
+        shifts = [_of_ticks(first, one[at], tick_s) for one in summaries]
+        found = np.concatenate([np.empty((0, 3)), *shifts])
         if len(found) == 0:
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
         return (replace(first, spread=spread_of(found)),)
@@ -127,9 +145,11 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
         spec, block = self.spec, rows.block
-        state, t_ns, shift, tilt, valid = _shifts(spec, state, block)
+        state, t_ns, means, whole = _ticks(spec.layout, spec.source, state, block)
+        state, both, valid = _compared(spec, state, means, whole, _tick(block) * block.dt_s)
+        shift = both[:, :3]
         if len(t_ns):
-            rise = row_max(rises(shift, spec.layout, spec.spread, tilt))
+            rise = row_max(rises(shift, spec.layout, spec.spread, both[:, 3:]))
             rotors = rises(shift, spec.layout, spec.spread)
         else:
             rise, rotors = np.empty(0), np.empty((0, spec.layout.rotors))
@@ -147,23 +167,53 @@ def _tick(block: Block) -> int:
     return max(1, round(TICK_S / block.dt_s))
 
 
-def _shifts(
-    spec: TrimStepSpec, state: TrimStepState, block: Block
-) -> tuple[TrimStepState, IntArray, FloatArray, FloatArray, BoolArray]:
-    """Time, shift of the trim (k, 3), shift of the tilt (k, 2) and validity of each tick that is completed."""
+def _gathered(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
+    """The ticks of a flight, (t, 8): their means, whether they are whole, and the number of their segment."""
+    found = [np.empty((0, 8))]
+    for number, segment in enumerate(segments(flight)):
+        state = _start()
+        for rows in segment:
+            state, _, means, whole = _ticks(layout, source, state, rows.block)
+            found.append(np.column_stack((means, whole, np.full(len(means), number))))
+    return np.concatenate(found)
+
+
+def _of_ticks(spec: TrimStepSpec, ticks: FloatArray, tick_s: float) -> FloatArray:
+    """The valid shifts of a flight whose ticks were gathered, (k, 3)."""
+    found = [np.empty((0, 3))]
+    for number in np.unique(ticks[:, 7]):
+        part = ticks[ticks[:, 7] == number]
+        _, shift, valid = _compared(spec, _start(), part[:, :6], part[:, 6] > 0.5, tick_s)
+        found.append(shift[valid, :3])
+    return np.concatenate(found)
+
+
+def _ticks(
+    layout: RotorLayout, source: Source, state: TrimStepState, block: Block
+) -> tuple[TrimStepState, IntArray, FloatArray, BoolArray]:
+    """Time, means (k, 6) and wholeness of each tick that is completed."""
     tick = _tick(block)
-    trim, flown = trim_of(block, spec.layout, spec.source)
+    trim, flown = trim_of(block, layout, source)
     t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
     rows = np.concatenate((state.rows, np.concatenate((trim.T, tilt_of(block).T, block.rate.T[2:]))), axis=1)
     count = len(t_ns) // tick
     used = count * tick
+    waiting = TrimStepState(t_ns[used:], rows[:, used:], known[used:], state.ticks, state.reference)
     if count == 0:
-        waiting = TrimStepState(t_ns, rows, known, state.ticks, state.reference)
-        return waiting, t_ns[:0], np.empty((0, 3)), np.empty((0, 2)), known[:0]
+        return waiting, t_ns[:0], np.empty((0, 6)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
     means = np.add.reduce(rows[:, :used].reshape(6, count, tick), axis=2).T / tick
+    return waiting, t_ns[tick - 1 : used : tick], means, whole
+
+
+def _compared(
+    spec: TrimStepSpec, state: TrimStepState, means: FloatArray, whole: BoolArray, tick_s: float
+) -> tuple[TrimStepState, FloatArray, BoolArray]:
+    """Shift of trim and tilt, (k, 5), and validity of each of the next ticks."""
+    count = len(means)
+    if count == 0:
+        return state, np.empty((0, 5)), whole
     straight = whole & (np.abs(means[:, 5]) <= spec.turn_rad_s)
-    tick_s = tick * block.dt_s
     window = max(1, round(spec.window_s / tick_s))
     ticks = np.concatenate((state.ticks, means[:, :5]))
     usable = np.concatenate((np.ones(len(state.ticks), dtype=np.bool_), straight))
@@ -171,8 +221,7 @@ def _shifts(
     shift, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
     broken = np.flatnonzero(~usable[-(2 * window - 1) :])
     kept = ticks[-(2 * window - 1) :][(int(broken[-1]) + 1 if len(broken) else 0) :]
-    state = TrimStepState(t_ns[used:], rows[:, used:], known[used:], kept, reference)
-    return state, t_ns[tick - 1 : used : tick], shift[:, :3], shift[:, 3:], valid
+    return TrimStepState(state.t_ns, state.rows, state.known, kept, reference), shift, valid
 
 
 def _followed(

@@ -13,7 +13,18 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, Flights, LearnContext, Monitor, RotorEvidence, segments
+from mavdiag.monitors.base import (
+    Feature,
+    Flights,
+    LearnContext,
+    Monitor,
+    RotorEvidence,
+    Summaries,
+    Summary,
+    segments,
+)
+from mavdiag.monitors.healthy import joined_moments, moments
+from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -25,12 +36,6 @@ from mavdiag.units import G_MM_PER_KG_M
 
 __all__ = ["Unbalance", "UnbalanceSpec", "UnbalanceState", "corner_of"]
 
-CORNER_HZ = 60.0  # METHOD section 4
-CORNER_SHARE = 0.36  # of the rotor's frequency, where that is lower: 60 Hz at the thesis's 167 Hz (our choice)
-BAND_SHARE = 0.25  # of the sample rate: corner where the stream is too slow for the line itself (our choice)
-FULL_RATE_HZ = 400.0  # from here on the line at one per revolution is seen as it is (METHOD section 4)
-LEAST_RATE_HZ = 100.0  # below it nothing above the flight's own motion is left (METHOD section 4)
-SLACK = 0.98  # a nominal rate is met within 2 % (our choice)
 FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
 TICK_S = 0.02  # a value every 20 ms (our choice)
 WINDOW_S = 0.5  # our choice: 83 revolutions at hover; 0.25 to 1 s find the same faults
@@ -99,7 +104,7 @@ class UnbalanceSpec:
     @property
     def taps(self) -> FloatArray:
         """The high-pass."""
-        longer = max(1.0, CORNER_HZ / self.corner_hz) if _carries_line(1 / self.dt_s) else 1.0
+        longer = max(1.0, CORNER_HZ / self.corner_hz) if carries_line(1 / self.dt_s) else 1.0
         return highpass(self.corner_hz * self.dt_s, 2 * max(3, round(FILTER_S * longer / self.dt_s / 2)) + 1)
 
 
@@ -175,14 +180,33 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         self._places = None if spec.layout is None else _Places(spec, spec.layout)
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """Whether the flight has an accelerometer, and the moments of its window means."""
+        if not any((rows.block.valid & rows.block.known(Signal.SPECIFIC_FORCE, slice(0, 2))).any() for rows in flight):
+            return (np.array([False]), *moments(np.empty((0, COLUMNS))))
+        return (np.array([True]), *moments(_means(cls._before(context), flight)))
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[UnbalanceSpec, ...]:
         """Healthy vibration, in g mm if the airframe's mass and hover speed are known."""
-        force = [rows.block.force[rows.block.valid, :2] for flight in flights for rows in flight]
-        if not any(np.isfinite(one).all(axis=1).any() for one in force):
+        if not any(felt[0] for felt, *_ in summaries):
             raise InputError("no flight with an accelerometer along x and y")
+        if not any(count[0] for _, count, *_ in summaries):
+            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
+        found = joined_moments([rest for _, *rest in summaries])
+        power, x, y, turning = found.mean.tolist()
+        spread = np.sqrt(found.squares / found.count).tolist()
+        if not (power > 0 and spread[1] > 0 and spread[2] > 0):
+            raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
+        first = cls._before(context)
+        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
+
+    @staticmethod
+    def _before(context: LearnContext) -> UnbalanceSpec:
+        """What is known before any flight. Raises InputError if the link does not carry a rotor's vibration."""
         airframe = context.airframe
         both = airframe.mass_kg is not None and airframe.hover_rad_s is not None
-        first = UnbalanceSpec(
+        return UnbalanceSpec(
             dt_s=context.dt_s,
             corner_hz=corner_of(1 / context.dt_s, context.imu_corner_hz, airframe.hover_rad_s),
             layout=airframe.layout,
@@ -193,13 +217,6 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
             mass_kg=airframe.mass_kg if both else None,
             hover_rad_s=airframe.hover_rad_s if both else None,
         )
-        means = np.concatenate([_means(first, flight) for flight in flights])
-        if len(means) == 0:
-            raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight; fly longer")
-        (power, x, y, turning), spread = means.mean(axis=0).tolist(), means.std(axis=0).tolist()
-        if not (power > 0 and spread[1] > 0 and spread[2] > 0):
-            raise IdentificationError("gyro or accelerometer are constant; is it a real sensor?")
-        return (replace(first, covariance=(x, y), spread=(spread[1], spread[2]), turning=turning, power=power),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[UnbalanceSpec, float]:
         """The vibration of the new propellers, by the same high-pass."""
@@ -238,35 +255,6 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         level = spec.scale * np.sqrt(np.maximum(power - spec.power, 0.0))
         rotors = np.empty((len(power), 0)) if self._places is None else self._places.evidence(ticks.mean)
         return state, Statistic(ticks.t_ns, spec.tick * spec.dt_s, value, ticks.full, level, value, rotors)
-
-
-def corner_of(rate_hz: float, imu_corner_hz: float | None = None, hover_rad_s: float | None = None) -> float:
-    """Corner of the high-pass on a link [Hz]. rate_hz: of the IMU stream; imu_corner_hz: of the low-pass in it, None if
-    there is none; hover_rad_s: rotor speed at hover, if known.
-
-    Raises InputError if the link does not carry a rotor's vibration.
-    """
-    if rate_hz < SLACK * LEAST_RATE_HZ:
-        raise InputError(
-            f"the IMU comes at {rate_hz:.3g} Hz; vibration needs {LEAST_RATE_HZ:.0f} Hz, better {FULL_RATE_HZ:.0f}"
-        )
-    line_hz = math.inf if hover_rad_s is None else hover_rad_s / (2 * math.pi)
-    corner_hz = min(CORNER_HZ, CORNER_SHARE * line_hz) if _carries_line(rate_hz) else BAND_SHARE * rate_hz
-    passed_hz = max(corner_hz, min(CORNER_HZ, line_hz))  # what the stream must carry
-    if imu_corner_hz is not None and imu_corner_hz < passed_hz:
-        raise InputError(f"the IMU stream is low-passed at {imu_corner_hz:g} Hz, which takes the vibration out of it")
-    if hover_rad_s is not None:
-        folded_hz = abs(line_hz - rate_hz * round(line_hz / rate_hz))
-        if folded_hz < corner_hz:
-            how = "fold to" if folded_hz < line_hz else "are"
-            raise InputError(
-                f"at {rate_hz:.3g} Hz the rotors' {line_hz:.3g} Hz {how} {folded_hz:.3g} Hz, among the flight itself"
-            )
-    return corner_hz
-
-
-def _carries_line(rate_hz: float) -> bool:
-    return rate_hz >= SLACK * FULL_RATE_HZ
 
 
 def _fresh() -> UnbalanceState:
@@ -323,7 +311,7 @@ class _Places:
         self._sense = -np.sign(yaw)
         self._covariance, self._noise = np.array(spec.covariance), (CLEAR * math.hypot(*spec.spread)) ** 2
         self._power, self._turning = spec.power, spec.turning
-        self._turns = _carries_line(1 / spec.dt_s)
+        self._turns = carries_line(1 / spec.dt_s)
 
     def evidence(self, mean: FloatArray) -> FloatArray:
         """(n, COLUMNS) -> (n, rotors), in -1..1."""

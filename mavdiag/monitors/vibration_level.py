@@ -5,13 +5,14 @@ before that filter and passes 30-150 Hz at 95 % (METHOD section 4).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import Flights, LearnContext, Monitor
+from mavdiag.monitors.base import Flights, LearnContext, Monitor, Summaries, Summary
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -72,16 +73,21 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
     unit = "m/s^2"
 
     @classmethod
-    def fit(cls, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
+    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
+        """How many rows have a level, and the sum of their levels."""
+        sizes = [np.linalg.norm(rows.block.vibration[_known(rows.block)], axis=1) for rows in flight]
+        return (np.array([sum(map(len, sizes)), sum(float(one.sum()) for one in sizes)]),)
+
+    @classmethod
+    def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[VibrationLevelSpec, ...]:
         """Healthy mean level. Raises InputError if the vehicle sends no VIBRATION in flight.
 
         A profile whose message means something else (PX4's) gives no such signal.
         """
-        blocks = [rows.block for flight in flights for rows in flight]
-        sizes = [np.linalg.norm(block.vibration[_known(block)], axis=1) for block in blocks]
-        if not sum(map(len, sizes)):
+        count, total = np.sum([found for (found,) in summaries], axis=0).tolist()
+        if not count:
             raise InputError("the vehicle sends no VIBRATION message with acceleration per axis")
-        return (VibrationLevelSpec(healthy=float(np.concatenate(sizes).mean())),)
+        return (VibrationLevelSpec(healthy=total / count),)
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[VibrationLevelSpec, float]:
         """The level of the new propellers."""

@@ -17,7 +17,18 @@ from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, FloatArray
 
-__all__ = ["BLOCK_S", "Flights", "Scored", "Scores", "folds", "held_out_scores", "pooled", "score"]
+__all__ = [
+    "BLOCK_S",
+    "Flights",
+    "Scored",
+    "Scores",
+    "by_axis",
+    "folds",
+    "held_out_scores",
+    "pooled",
+    "score",
+    "scored",
+]
 
 BLOCK_S = 10.0  # judged time of a block (our choice); 7 to 13 s change no verdict on the recorded flights
 MAX_FOLDS = 10  # models that share the work of judging flights they did not see (our choice)
@@ -94,11 +105,36 @@ def held_out_scores(
 
     Raises IdentificationError if there is nothing to fit to or no block to score.
     """
-    parts: dict[Axis | None, list[Scores]] = {}
-    for left_out, rest in folds(flights, block_s, sessions):
-        for monitor in fit(rest):
-            parts.setdefault(monitor.axis, []).extend(score(monitor, flight, block_s) for flight in left_out)
-    found = {axis: scores for axis, some in parts.items() if len((scores := pooled(some)).maxima)}
+    pairs = list(folds(flights, block_s, sessions))
+    (found,) = scored([left_out for left_out, _ in pairs], [[fit(rest) for _, rest in pairs]], block_s)
+    return by_axis(found)
+
+
+def scored(
+    left_out: Sequence[Flights], fits: Sequence[Sequence[Sequence[Scored]]], block_s: float = BLOCK_S
+) -> list[list[tuple[Axis | None, Scores]]]:
+    """Scores of several monitors by axis, fold by fold; each flight is looked at once, for all of them.
+
+    left_out: the flights of each fold. fits: of each monitor its fits, one for each axis, to the rest of each fold.
+    """
+    found: list[list[tuple[Axis | None, Scores]]] = [[] for _ in fits]
+    for fold, flights in enumerate(left_out):
+        of_fold: list[list[list[Scores]]] = [[[] for _ in one[fold]] for one in fits]
+        for flight in flights:
+            look = tuple(flight)
+            for one, parts in zip(fits, of_fold, strict=True):
+                for monitor, scores in zip(one[fold], parts, strict=True):
+                    scores.append(score(monitor, look, block_s))
+        for number, (one, parts) in enumerate(zip(fits, of_fold, strict=True)):
+            found[number] += [(m.axis, pooled(scores)) for m, scores in zip(one[fold], parts, strict=True)]
+    return found
+
+
+def by_axis(parts: Sequence[tuple[Axis | None, Scores]]) -> dict[Axis | None, Scores]:
+    """The scores of each axis that has any. Raises IdentificationError if there are none."""
+    axes = dict.fromkeys(axis for axis, _ in parts)
+    joined = {axis: pooled(scores for other, scores in parts if other == axis) for axis in axes}
+    found = {axis: scores for axis, scores in joined.items() if len(scores.maxima)}
     if not found:
         raise IdentificationError("the healthy flights are too short to score the statistic on; fly longer")
     return found

@@ -13,7 +13,7 @@ from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.decision.alarm import Change, Stage
 from mavdiag.errors import MavdiagError
-from mavdiag.judging import JudgedEvent, LogVerdict, Verdict, judge
+from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
@@ -95,6 +95,8 @@ class FlightResult:
     session: as in the task.
     faults: how often the decision came to "fault" before the onset.
     declared_s: from the onset to the first "fault" after it.
+    score_before, score_after: highest statistic over its threshold, of the monitors that decide about propellers,
+        before and after the onset; all of a healthy flight is before. None where none of them judged.
     """
 
     key: str
@@ -119,6 +121,8 @@ class FlightResult:
     session: int = 0
     faults: int = 0
     declared_s: float | None = None
+    score_before: float | None = None
+    score_after: float | None = None
     record: Literal["flight"] = "flight"
 
 
@@ -221,17 +225,19 @@ def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> Flig
     started_ns = _started_ns(drawn, task.session, 0 if task.session else len(drawn.flights))
     log = Log(f"flight {task.index}", telemetry_digest(telemetry), spec.profile, telemetry, started_ns)
     if learnt.error:
-        verdict = LogVerdict(log.name, Verdict.NOT_JUDGEABLE, f"no baseline: {learnt.error}", profile=log.profile)
+        reason = f"no baseline: {learnt.error}"
+        judged = JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile))
     else:
         try:
-            verdict = judge(log, parse(learnt.baseline))
+            judged = judge_in_full(log, parse(learnt.baseline))
         except MavdiagError as error:
-            verdict = LogVerdict(log.name, Verdict.ERROR, str(error), profile=log.profile)
-    return _line(key, task, verdict, onset_s, flown_s)
+            judged = JudgedFlight(LogVerdict(log.name, Verdict.ERROR, str(error), profile=log.profile))
+    return _line(key, task, judged, onset_s, flown_s)
 
 
-def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None, flown_s: float) -> FlightResult:
-    border_s = flown_s if onset_s is None else onset_s
+def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | None, flown_s: float) -> FlightResult:
+    verdict, border_s = judged.verdict, flown_s if onset_s is None else onset_s
+    scores = _score(judged, -np.inf, border_s), None if onset_s is None else _score(judged, border_s, np.inf)
     before = [one for one in verdict.events if one.t_s < border_s]
     after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
     declared = _declared_s(verdict.changes)
@@ -268,7 +274,21 @@ def _line(key: str, task: FlightTask, verdict: LogVerdict, onset_s: float | None
         session=task.session,
         faults=sum(t_s < border_s for t_s in declared),
         declared_s=round(min(late), 3) if late else None,
+        score_before=scores[0],
+        score_after=scores[1],
     )
+
+
+def _score(judged: JudgedFlight, from_s: float, to_s: float) -> float | None:
+    """The highest ratio of a monitor that decides about propellers, of the values in a span of vehicle time."""
+    highest = []
+    for piece in judged.pieces:
+        for slot, found in zip(judged.chain.slots if judged.chain else (), piece.found, strict=True):
+            t_s = found.t_ns / NS_PER_S
+            use = found.valid & (t_s >= from_s) & (t_s < to_s)
+            if slot.of_propellers and use.any():
+                highest.append(float(found.value[use].max()) / slot.threshold)
+    return round(max(highest), 6) if highest else None
 
 
 def _declared_s(changes: Sequence[Change]) -> list[float]:

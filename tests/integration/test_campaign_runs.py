@@ -13,11 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_reading import check
 
 from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
-from mavdiag.judging import LogVerdict, judge
+from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
+from mavdiag.report.campaign import read_campaign
+from mavdiag.report.campaign_page import campaign_page
 from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
@@ -39,6 +42,10 @@ TINY = Design(
     cause=("F2/SV3", "gyro-noise", "ejection"), phenomenology=(1.0,), manoeuvre=("square",), wind=(0.0,),
     payload=(0.0,),
 )  # fmt: skip
+
+
+# Monitors whose alarm is no propeller's, or decides nothing.
+NOT_OF_PROPELLERS = ("fsd", "sensor_noise", "sensor_drift", "control_loss", "thrust_loss")
 
 
 @contextmanager
@@ -81,6 +88,19 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
     assert gone.latency_s is not None
     assert gone.latency_s > 0.0
     assert summarise(results).flights == 4
+
+
+def test_a_report_draws_the_results(finished: tuple[Path, Results]) -> None:
+    path, results = finished
+    campaign = read_campaign(path)
+    assert [one.key for one in campaign.flights] == [one.key for one in results.flights]
+    page = check(campaign_page(campaign, str(path), "now"))
+    assert "Of 1 judged flights with a damaged propeller 1 had an alarm" in page.said
+    for flight in results.flights:
+        assert flight.score_after is None or flight.onset_s is not None
+        found = [one for one in flight.monitors if one.name not in NOT_OF_PROPELLERS]
+        alarmed = any(one.before for one in found), any(one.after for one in found)
+        assert tuple((score or 0.0) > 1 for score in (flight.score_before, flight.score_after)) == alarmed
 
 
 def test_one_and_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:
@@ -144,12 +164,12 @@ def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytes
         started["learn"] += [one.started_ns for one in logs]
         return learn(logs, *told, **named)
 
-    def judge_seen(log: Log, baseline: Baseline) -> LogVerdict:
+    def judge_seen(log: Log, baseline: Baseline) -> JudgedFlight:
         started["judge"].append(log.started_ns)
-        return judge(log, baseline)
+        return judge_in_full(log, baseline)
 
     monkeypatch.setattr(worker, "learn", learn_seen)
-    monkeypatch.setattr(worker, "judge", judge_seen)
+    monkeypatch.setattr(worker, "judge_in_full", judge_seen)
     names = ("turbulence-8", "pick-up", "mocap-loss", "propellers-3")
     design = replace(TINY, flights=0, hours=4 * 12.0 / 3600, condition=names)
     results = run(tmp_path / "results.jsonl", design)

@@ -15,13 +15,14 @@ from mavdiag.decision.diagnosis import Change
 from mavdiag.judging import judge_in_full
 from mavdiag.link.ports.stream import frame_length
 from mavdiag.logs import read_log
-from mavdiag.logs.tlog import STAMP_BYTES
 from mavdiag.terminal.live_judge import LiveJudge
 from mavdiag.traces import rate_traces
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
 from sitl_plant.recording import record_flight
+
+STAMP_BYTES = 8  # of the time before each frame of a .tlog
 
 
 def chunks(data: bytes) -> list[tuple[bytes, int]]:

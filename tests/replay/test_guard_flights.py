@@ -1,5 +1,6 @@
 """The guards of teaching and the fingerprint on recorded flights: healthy ones teach, a crash does not."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -59,7 +60,7 @@ def test_a_real_flight_teaches_up_to_its_upset_and_is_refused_with_it() -> None:
     assert len(found.left_out) == 1
 
 
-def rows(log: Log) -> tuple[Rows, ...]:
+def rows(log: Log) -> Sequence[Rows]:
     return airborne(front_for(crazypad("normal_flight"), 0.1), log).rows
 
 

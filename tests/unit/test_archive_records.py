@@ -13,7 +13,7 @@ from mavdiag.archive.cache import Cache, cache_folder, open_cache
 from mavdiag.archive.job import Answer, Options, Question, Record, record_from, record_text
 from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.archive.windows import Window, WindowMonitor
-from mavdiag.archive.work import digest_of_file, judge_file
+from mavdiag.archive.work import digest_of_file, judge_file, mark_of
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError, LinkError, UsageError
@@ -99,15 +99,16 @@ def test_every_option_the_baseline_and_the_code_make_another_question() -> None:
 def test_a_cache_gives_back_what_it_got_and_no_damaged_file(tmp_path: Path) -> None:
     cache = open_cache(tmp_path / "new" / "cache", "scope")
     record = Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "no alarm"))
-    assert cache.get(DIGEST) is None
-    cache.put(record)
-    assert cache.get(DIGEST) == record
+    assert cache.get("mark", DIGEST) is None
+    cache.put("mark", record)
+    assert cache.get("mark", DIGEST) == record
     (file,) = cache.folder.iterdir()
-    file.rename(cache.folder / f"{'cd' * 32}.json")
-    assert cache.get("cd" * 32) is None  # it is of another log
-    cache.put(record)
-    (cache.folder / f"{DIGEST}.json").write_text("{")
-    assert cache.get(DIGEST) is None
+    assert cache.marks() == {"mark"}
+    file.rename(cache.folder / f"mark-{'cd' * 32}.json")
+    assert cache.get("mark", "cd" * 32) is None  # it is of another log
+    cache.put("mark", record)
+    (cache.folder / f"mark-{DIGEST}.json").write_text("{")
+    assert cache.get("mark", DIGEST) is None
 
 
 def test_a_cache_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -115,7 +116,7 @@ def test_a_cache_that_cannot_be_used_is_refused_in_one_line(tmp_path: Path) -> N
     with pytest.raises(UsageError, match=r"file: no folder to keep answers in .*--no-cache"):
         open_cache(tmp_path / "file", "scope")
     with pytest.raises(UsageError, match="cannot be written"):
-        Cache(tmp_path / "absent").put(Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "")))
+        Cache(tmp_path / "absent").put("mark", Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "")))
 
 
 def test_the_folder_is_that_of_the_xdg_specification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,6 +138,24 @@ def test_the_version_is_that_of_what_judges() -> None:
     every = digest_of_sources(("mavdiag",), ())
     assert judging_version() == judging_version.__wrapped__() != every
     assert digest_of_sources(("mavdiag",), ("mavdiag/monitors/innovation.py",)) != every
+
+
+def test_files_of_equal_content_share_a_mark_and_most_others_do_not(tmp_path: Path) -> None:
+    whole = content(1, 400)
+    middle = len(whole) // 2
+    other = {
+        "middle": whole[:middle] + b"?" + whole[middle + 1 :],
+        "start": b"?" + whole[1:],
+        "end": whole[:-1] + b"?",
+        "size": whole[:-1],
+        "short": b"1",
+    }
+    for name, data in {"a": whole, "b": whole, **other}.items():
+        (tmp_path / name).write_bytes(data)
+    marks = {path.name: mark_of(path) for path in tmp_path.iterdir()}
+    assert marks["a"] == marks["b"] == marks["middle"]
+    assert len(set(marks.values())) == 5
+    assert mark_of(tmp_path) == mark_of(tmp_path / "absent") == ""
 
 
 def test_a_file_that_cannot_be_read_has_no_digest(tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ from mavdiag.archive.job import Answer, Question, Record, refused
 from mavdiag.archive.paths import Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
 from mavdiag.archive.scan import in_order, scan
-from mavdiag.archive.work import answer_of
-from mavdiag.errors import LinkError
+from mavdiag.archive.work import answer_of, mark_of
+from mavdiag.errors import LinkError, UsageError
 from mavdiag.judging import LogVerdict, Verdict
 
 HERE = in_this_process
@@ -72,7 +72,9 @@ def made_workers(
         now[:] = [Workers(order, deadly, judged)]
         yield TaskExecutor(now[0], 4)
 
-    def wait(running: dict[Future[Any], Any], return_when: str) -> tuple[set[Future[Any]], set[Future[Any]]]:
+    def wait(
+        running: dict[Future[Any], Any], timeout: float, return_when: str
+    ) -> tuple[set[Future[Any]], set[Future[Any]]]:
         if not any(one.done() for one in running):
             now[0].finish_one()
         return {one for one in running if one.done()}, set()
@@ -86,10 +88,12 @@ def made_workers(
     st.lists(st.sampled_from("abcdefgh"), min_size=1, max_size=14),
     st.integers(0, 2**31),
     st.frozensets(st.integers(0, 13), max_size=3),
+    st.sampled_from(["", "abcd", "abcdefgh"]),
 )
 def test_each_log_is_answered_once_and_each_content_judged_once(
-    tmp_path_factory: pytest.TempPathFactory, contents: list[str], seed: int, deadly: frozenset[int]
+    tmp_path_factory: pytest.TempPathFactory, contents: list[str], seed: int, deadly: frozenset[int], alike: str
 ) -> None:
+    """alike: contents that share a mark, as files do that differ in the middle only."""
     folder = tmp_path_factory.mktemp("logs")
     paths = [folder / str(number) for number in range(len(contents))]
     for path, text in zip(paths, contents, strict=True):
@@ -97,6 +101,7 @@ def test_each_log_is_answered_once_and_each_content_judged_once(
     judged: list[str] = []
     names = frozenset(map(str, deadly))
     with pytest.MonkeyPatch.context() as patch, made_workers(patch, seed, names, judged) as opened:
+        patch.setattr(module, "mark_of", lambda path: text if (text := path.read_text()) not in alike else "alike")
         answers = list(scan(logs_named(paths).logs, QUESTION, opened))
     assert sorted(one.number for one in answers) == list(range(len(contents)))
     assert [one.number for one in in_order(answers)] == list(range(len(contents)))
@@ -183,7 +188,9 @@ def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
     cache = open_cache(tmp_path / "cache", asked().scope)
     answers = list(in_order(scan(logs_named([a, copy]).logs, asked(), two, cache)))
     assert [one.record.digest for one in answers] == [answer_of(str(a), None), answer_of(str(copy), None)]
-    assert {one.name for one in cache.folder.iterdir()} == {f"{one.record.digest}.json" for one in answers}
+    assert {one.name for one in cache.folder.iterdir()} == {
+        f"{mark_of(copy)}-{one.record.digest}.json" for one in answers
+    }
 
 
 def failing(error: Exception) -> Opened:
@@ -216,6 +223,45 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(tmp_path: Path, error: Ex
     answers = list(scan(logs_named(paths).logs, asked(), failing(error)))
     assert len(answers) == 2
     assert all(words in one.verdict.reason for one in answers)
+
+
+def test_that_no_worker_is_left_is_told_once_and_the_scan_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_for: list[Future[Any]] = []
+    looks: list[bool] = []
+
+    class Deserted(Executor):
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            asked_for.append(Future())
+            return asked_for[-1]
+
+    def manned() -> bool:
+        looks.append(len(looks) >= 3)
+        if looks[-1]:
+            asked_for[-1].set_result(Record("ab", LogVerdict("", Verdict.HEALTHY, "no alarm")))
+        return looks[-1]
+
+    @contextmanager
+    def opened() -> Iterator[TaskExecutor]:
+        yield TaskExecutor(Deserted(), 2, (), manned)
+
+    monkeypatch.setattr(module, "QUIET_S", 0.001)
+    warned: list[str] = []
+    logs = logs_named(made(tmp_path, "a.tlog")).logs
+    (answer,) = scan(logs, asked(), opened, None, warned.append)
+    assert answer.verdict.verdict is Verdict.HEALTHY
+    assert (len(warned), warned[0].startswith("no worker is left; waiting")) == (1, True)
+
+
+def test_workers_that_never_live_are_told(tmp_path: Path) -> None:
+    @contextmanager
+    def opened() -> Iterator[TaskExecutor]:
+        raise BrokenExecutor("no process")
+        yield
+
+    with pytest.raises(UsageError, match="use --jobs 1"):
+        list(scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), opened))
 
 
 def test_a_scheduler_that_goes_away_ends_the_scan(tmp_path: Path) -> None:

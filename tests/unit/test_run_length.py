@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors import run_length
+from mavdiag.monitors import training
 from mavdiag.monitors.run_length import (
     Exceedance,
     MarginRule,
@@ -110,7 +110,7 @@ def _part(rows: Rows, low: int, high: int) -> RateBlock:
 
 def test_b10_every_flight_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     """B10: the model was of the first flights; now a like share of every flight is taken."""
-    monkeypatch.setattr(run_length, "TRAIN_ROWS", 2000)
+    monkeypatch.setattr(training, "TRAIN_ROWS", 2000)
     flights = [flying_rows(flying(2000, seed)) for seed in range(4)]
     (spec,) = RunLength.fit(flights, replace(CONTEXT, axes=(Axis.ROLL,)))
     (backwards,) = RunLength.fit(flights[::-1], replace(CONTEXT, axes=(Axis.ROLL,)))

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from mavdiag.errors import UsageError
+from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32
 from mavdiag.link.codec import Decoder, Encoder, Frame
-from mavdiag.link.conversion import SOURCES, Part, Record, euler_angles, source
+from mavdiag.link.conversion import SOURCES, Part, euler_angles, source
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
 from mavdiag.link.profiles import PROFILES, Evidence, Profile, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle, joined

@@ -1,5 +1,7 @@
 """Telemetry logs made by hand: whole, damaged, of several vehicles, or something else altogether."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +9,11 @@ import pytest
 
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import UNKNOWN, Encoder
+from mavdiag.link.frame_loop import PAYS_BYTES, finder_for
+from mavdiag.link.frame_walk import by_arrays
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.logs import read_log, sha256_of
-from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record
+from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
 from mavdiag.telemetry import Signal
 
 START_US = 1_763_000_000_000_000
@@ -97,7 +101,7 @@ def test_garbage_never_raises() -> None:
         (b"".join(records(n=3)) + bytes(9000), "% of the file is damaged"),
         (tlog_record(START_US, Encoder(1, 1).encode(MessageId.ATTITUDE, 1)), "no autopilot's heartbeat"),
         (tlog_record(START_US, heartbeat(Encoder(255, 1), MavType.GCS, 8)), "no autopilot's heartbeat"),
-        (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one"),
+        (b"".join(records(1, 9) + records(7, 9)), "vehicles 1, 7; choose one.*vehicle_stream"),
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path: Path, data: bytes, words: str) -> None:
@@ -111,6 +115,36 @@ def test_one_vehicle_of_several_is_chosen(tmp_path: Path) -> None:
     assert len(read_log(path, vehicle=7).telemetry.need(Signal.BODY_RATE)) == 5
     with pytest.raises(InputError, match="nothing from vehicle 3; there is 1, 7"):
         read_log(path, vehicle=3)
+
+
+def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
+    ours, theirs = records(1, 250), records(7, 160)
+    companion = tlog_record(START_US, heartbeat(Encoder(9, 191), MavType.ONBOARD_CONTROLLER, 8))
+    mixed = [one for pair in zip(ours, theirs, strict=False) for one in pair]
+    path = written(tmp_path, b"".join((companion, *mixed, *ours[len(theirs) :])))
+    found = list(vehicle_stream(path))
+    assert [one.vehicle for one in found] == [1, 7]
+    assert [one.log.name for one in found] == ["flight.tlog vehicle 1", "flight.tlog vehicle 7"]
+    for sysid, log in found:
+        alone = read_tlog(path, vehicle=sysid)
+        assert (log.sha256, log.profile, log.started_ns) == (alone.sha256, alone.profile, alone.started_ns)
+        for series in alone.telemetry:
+            assert np.array_equal(log[series.signal].values, series.values)
+            assert np.array_equal(log[series.signal].t_ns, series.t_ns)
+    assert len(found[1].log[Signal.BODY_RATE]) == 160
+    (alone_in_file,) = vehicle_stream(str(written(tmp_path, b"".join(ours))))
+    assert alone_in_file.log.name == "flight.tlog"
+    with pytest.raises(InputError, match="no autopilot's heartbeat"):
+        list(vehicle_stream(written(tmp_path, companion)))
+
+
+def test_numba_is_loaded_for_large_logs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, b"".join(records()))
+    code = f"import sys; from mavdiag import read_log; read_log({str(path)!r}); print('numba' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert finder_for(PAYS_BYTES) is by_arrays
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

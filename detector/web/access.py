@@ -1,0 +1,132 @@
+"""Who may read the live page: the rules for the address, the headers of a request and the token. Values in and out.
+
+A page in the user's own browser may ask any address, loopback too. `Host` tells a name that was made to point here
+(DNS rebinding), `Origin` and `Sec-Fetch-Site` tell another site's script. A token is asked for where others can reach
+the port.
+"""
+
+import hashlib
+import hmac
+import ipaddress
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+__all__ = ["HEADERS", "Access", "Answer", "is_loopback"]
+
+_LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+
+#: Of every answer. Nothing is loaded from elsewhere, no script or style stands in the page itself, texts cannot become
+#: markup (trusted types; `drawing` makes the airframe's SVG), and no other site may frame or read it.
+HEADERS: Mapping[str, str] = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    "require-trusted-types-for 'script'; trusted-types drawing",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class Answer(IntEnum):
+    """What becomes of a request. The value is the HTTP status."""
+
+    PASS = 200
+    SIGN_IN = 303  # the token is right: keep it in a cookie and go on without it in the address
+    NO_TOKEN = 401
+    REFUSED = 403
+    NOT_A_GET = 405
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a port there.
+
+    >>> [is_loopback(one) for one in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "drone.local")]
+    [True, True, True, False, False]
+    """
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The rules of one server.
+
+    host, port: that it listens on. token: None where none is asked for.
+    """
+
+    host: str
+    port: int
+    token: str | None = field(default=None, repr=False)
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie; cookies are shared by all ports of a host."""
+        return f"mavdiag-{self.port}"
+
+    @property
+    def cookie_value(self) -> str:
+        """What the cookie holds: it proves the token and does not show it."""
+        return hmac.new((self.token or "").encode(), self.cookie.encode(), hashlib.sha256).hexdigest()
+
+    def judge(
+        self, method: str, path: str, headers: Mapping[str, str], cookie: str | None, given: str | None
+    ) -> Answer:
+        """What becomes of a request. headers: by their names in lower case. given: the token in the address."""
+        host = headers.get("host", "")
+        if not self._knows(host) or not _of_this_page(path, host, headers):
+            return Answer.REFUSED
+        if method != "GET":
+            return Answer.NOT_A_GET
+        if self.token is None:
+            return Answer.PASS
+        if given is not None:
+            return Answer.SIGN_IN if _same(given, self.token) else Answer.NO_TOKEN
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        by_cookie = cookie is not None and _same(cookie, self.cookie_value)
+        by_bearer = scheme.lower() == "bearer" and _same(bearer.strip(), self.token)
+        return Answer.PASS if by_cookie or by_bearer else Answer.NO_TOKEN
+
+    def _knows(self, host: str) -> bool:
+        """Whether a Host header names this server. A rebound name is a name: addresses as such cannot be rebound."""
+        name, port = _split(host)
+        if port != self.port:
+            return False
+        if name in (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ())):
+            return True
+        try:
+            ipaddress.ip_address(name)
+            return self.host in ("0.0.0.0", "::")
+        except ValueError:
+            return name == "localhost" and self.host in ("0.0.0.0", "::")
+
+
+def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
+    """Whether the request comes from this page itself, from the user, or from a program that is no browser.
+
+    Another site may have a link to the page, which holds nothing; what it holds comes by requests of its own.
+    """
+    origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
+    if origin is not None and origin.lower() != f"http://{host.lower()}":
+        return False
+    linked = path == "/" and headers.get("sec-fetch-mode") == "navigate"
+    return site in ("none", "same-origin") or linked
+
+
+def _split(host: str) -> tuple[str, int]:
+    """Name and port of a Host header; port 80 where it has none, -1 where it is malformed."""
+    name, colon, port = host.lower().rpartition(":")
+    if not colon or host.endswith("]"):
+        return host.lower().strip("[]"), 80
+    return name.strip("[]"), int(port) if port.isdecimal() and port.isascii() else -1
+
+
+def _same(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(), other.encode())

@@ -1,0 +1,122 @@
+"""What the server keeps for its pages: the numbered entries, and the latest of each vehicle. No socket, no clock.
+
+A line of the daemon has one letter for its kind, and what follows it:
+
+    J NUMBER ENTRY     an entry of the journal; numbers follow each other without a hole
+    F FLEET            the vehicles and the links, about once a second
+    A VEHICLE ABOUT    what does not change while a vehicle is judged: its monitors, its drawing
+    N VEHICLE NOW      the vehicle at this moment, while somebody looks at it
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import islice
+
+__all__ = ["FIRST", "KEPT", "Board", "Reader", "parse_last"]
+
+KEPT = 10_000  # entries
+FIRST = 500  # entries that a page gets which asks for none
+STRIP_PARTS = 110  # snapshots of a vehicle that are kept: over 20 s of strips
+BATCH = 1000  # entries that one answer holds at most: one page that catches up must not hold the others
+
+
+@dataclass(slots=True)
+class Board:
+    """run: of the daemon; numbers of one run mean nothing in another one."""
+
+    run: str
+    entries: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=KEPT))
+    fleet: str = ""
+    about: dict[int, str] = field(default_factory=dict)
+    now: dict[int, deque[str]] = field(default_factory=dict)
+    readers: "set[Reader]" = field(default_factory=set)
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest entry, 0 before the first."""
+        return self.entries[-1][0] if self.entries else 0
+
+    @property
+    def watched(self) -> tuple[int, ...]:
+        """The vehicles that somebody looks at."""
+        return tuple(sorted({one.vehicle for one in self.readers if one.vehicle is not None}))
+
+    def take(self, line: str) -> None:
+        """A line of the daemon; one that is none changes nothing."""
+        kind, _, rest = line.partition(" ")
+        if kind == "F":
+            self.fleet = rest
+            for reader in self.readers:
+                reader.waiting.append(("fleet", rest))
+            return
+        head, _, content = rest.partition(" ")
+        if not head.isdecimal():
+            return
+        number = int(head)
+        if kind == "J" and number > self.newest:
+            if number != self.newest + 1:  # the daemon kept no more: numbers that are kept have no hole
+                self.entries.clear()
+            self.entries.append((number, content))
+        elif kind == "A":
+            self.about[number] = content
+            self.now.pop(number, None)  # strips of another chain
+            self._give(number, "about", content)
+        elif kind == "N":
+            self.now.setdefault(number, deque(maxlen=STRIP_PARTS)).append(content)
+            self._give(number, "now", content)
+
+    def _give(self, vehicle: int, kind: str, content: str) -> None:
+        for reader in self.readers:
+            if reader.vehicle == vehicle:
+                reader.waiting.append((kind, content))
+
+    def enter(self, vehicle: int | None, last: int | None) -> "Reader":
+        """A page begins to read. last: number of the last entry that it has; None for a page that is new."""
+        sent = max(0, self.newest - FIRST) if last is None else last
+        reader = Reader(self, vehicle, sent)
+        hello = f'{{"run":"{self.run}","newest":{self.newest},"fresh":{"true" if last is None else "false"}}}'
+        reader.waiting.append(("hello", hello))
+        if self.fleet:
+            reader.waiting.append(("fleet", self.fleet))
+        if vehicle is not None and vehicle in self.about:
+            reader.waiting.append(("about", self.about[vehicle]))
+        for part in self.now.get(vehicle, ()) if vehicle is not None else ():
+            reader.waiting.append(("now", part))
+        self.readers.add(reader)
+        return reader
+
+
+@dataclass(slots=True, eq=False)
+class Reader:
+    """One page's stream.
+
+    vehicle: that it looks at; None for none yet. sent: number of the last entry that it was given.
+    waiting: what it gets next beside entries; a page that is too slow loses the oldest.
+    """
+
+    board: Board
+    vehicle: int | None
+    sent: int
+    waiting: deque[tuple[str, str]] = field(default_factory=lambda: deque(maxlen=2 * STRIP_PARTS))
+
+    def next(self) -> bytes:
+        """Server-sent events for what came since the last call; empty if nothing did. Entries are never left out."""
+        parts = [f"event: {kind}\ndata: {content}\n\n" for kind, content in self.waiting]
+        self.waiting.clear()
+        entries = self.board.entries
+        if entries and entries[-1][0] > self.sent:
+            skip = max(0, self.sent + 1 - entries[0][0])
+            for number, content in islice(entries, skip, skip + BATCH):
+                parts.append(f"event: entry\nid: {self.board.run}-{number}\ndata: {content}\n\n")
+                self.sent = number
+        return "".join(parts).encode()
+
+
+def parse_last(text: str | None, run: str) -> int | None:
+    """The number in a Last-Event-ID of this run; None if there is none.
+
+    >>> parse_last("a1-17", "a1"), parse_last("b2-17", "a1"), parse_last("a1-x", "a1"), parse_last(None, "a1")
+    (17, None, None, None)
+    """
+    of, _, number = (text or "").rpartition("-")
+    return int(number) if of == run and number.isascii() and number.isdecimal() and len(number) < 16 else None

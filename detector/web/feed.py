@@ -1,0 +1,123 @@
+"""What the live page is told, and when (edge): entries of the journal at once, figures only while somebody looks.
+
+Nothing waits. Entries are numbered and kept, so that a server that was started again, or was slow, gets them all;
+figures that find no room are left out.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import islice
+
+from detector.figures import DaemonFigures
+from detector.fleet import Fleet, Turn
+from detector.web.board import KEPT
+from detector.web.child import Child
+from detector.web.overview import fleet_now
+from detector.web.snapshot import Memory, about, as_line, level_of, snapshot
+from mavdiag.chain import Chain, Piece
+from mavdiag.telemetry import Instant
+
+__all__ = ["Feed"]
+
+SNAPSHOT_S = 0.2  # between two snapshots of a vehicle that is looked at (our choice)
+BATCH = 100  # entries that are handed over at once
+PIECES_MOST = 256  # that wait for a snapshot
+WATCHED_MOST = 8  # vehicles that are shown at a time, so that pages cannot load the daemon (our choice)
+
+
+class Feed:
+    """The daemon's end. It takes the reporter's lines (`write`); `look` after each look, `show` once a second.
+
+    child: who serves the page. began: now.
+    """
+
+    def __init__(self, child: Child, began: Instant) -> None:
+        self._child, self._began = child, began
+        self._entries: deque[str] = deque(maxlen=KEPT)
+        self._count, self._given = 0, 0
+        self._watched: tuple[int, ...] = ()
+        self._pieces: dict[int, list[Piece]] = {}
+        self._memory: dict[int, Memory] = {}
+        self._about: dict[int, Chain | None] = {}
+        self._shown = self._began
+        self._fleet = ""
+
+    @property
+    def where(self) -> str:
+        """Where the page is, for a person."""
+        return self._child.where
+
+    def write(self, text: str, *, urgent: bool = False) -> None:
+        """Take an entry of the journal, one line of JSON. urgent: all are, here."""
+        self._entries.append(text)
+        self._count += 1
+
+    def look(self, fleet: Fleet, turns: Sequence[Turn], now: Instant) -> None:
+        """After each look of the daemon."""
+        fresh, lines = self._child.look(now)
+        if fresh:
+            self._given, self._watched = 0, ()
+            self._about.clear()
+            self._put("F", self._fleet)
+        for line in lines:
+            self._heard(line)
+        for turn in turns if self._watched else ():
+            judge = fleet.vehicles[turn.vehicle].session.state.judge
+            if turn.vehicle in self._watched and judge is not None and judge.pieces:
+                self._pieces[turn.vehicle] = [*self._pieces.get(turn.vehicle, ()), *judge.pieces][-PIECES_MOST:]
+        if self._count > self._given:
+            self._give()
+        if self._watched and now - self._shown >= SNAPSHOT_S:
+            self._shown = now
+            for sysid in self._watched:
+                self._snapshot(fleet, sysid, now)
+
+    def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
+        """The vehicles and links, once a second."""
+        levels = {sysid: level_of(vehicle.session.state, now) for sysid, vehicle in fleet.vehicles.items()}
+        self._fleet = as_line(fleet_now(figures, levels, now - self._began))
+        self._put("F", self._fleet)
+
+    def close(self) -> None:
+        """Hand over what is left and end the server."""
+        self._give()
+        self._child.close()
+
+    def _heard(self, line: str) -> None:
+        word, _, rest = line.partition(" ")
+        if word == "watch":
+            self._watched = tuple(int(one) for one in rest.split() if one.isdecimal() and len(one) < 4)[:WATCHED_MOST]
+            self._pieces = {sysid: pieces for sysid, pieces in self._pieces.items() if sysid in self._watched}
+            self._memory = {sysid: memory for sysid, memory in self._memory.items() if sysid in self._watched}
+
+    def _put(self, head: str, content: str) -> bool:
+        return bool(content) and self._child.put(f"{head} {content}\n".encode())
+
+    def _give(self) -> None:
+        """Hand over entries, as far as there is room; those that are no longer kept are left out, as their numbers
+        tell."""
+        while self._given < self._count:
+            first = max(self._given + 1, self._count - len(self._entries) + 1)
+            skip = first - (self._count - len(self._entries) + 1)
+            batch = list(islice(self._entries, skip, skip + BATCH))
+            lines = "".join(f"J {number} {text}\n" for number, text in enumerate(batch, start=first))
+            if not self._child.put(lines.encode()):
+                return
+            self._given = first + len(batch) - 1
+
+    def _snapshot(self, fleet: Fleet, sysid: int, now: Instant) -> None:
+        vehicle = fleet.vehicles.get(sysid)
+        if vehicle is None:
+            return
+        session = vehicle.session
+        judge = session.state.judge
+        chain = None if judge is None else judge.chain
+        if sysid not in self._about or self._about[sysid] is not chain:
+            described = as_line(about(sysid, session.spec.profile.name, judge))
+            if not self._put(f"A {sysid}", described):
+                return
+            self._about[sysid] = chain
+        pieces = self._pieces.pop(sysid, [])
+        memory = self._memory.get(sysid, Memory())
+        self._memory[sysid], now_shown = snapshot(memory, fleet.figures_of(sysid), session.state, pieces, now)
+        self._put(f"N {sysid}", as_line(now_shown))

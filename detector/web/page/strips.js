@@ -1,0 +1,141 @@
+// Moving strips on a canvas: the residual between its margins, and the run length against its limit.
+"use strict";
+
+const SPAN_S = 20;
+const BIN_S = 0.05; // as detector.web.strips.BIN_NS
+
+// The points of one axis, by bin: [bin, low, high, fsd, judged].
+class Trace {
+  constructor() {
+    this.points = [];
+  }
+
+  add(strip) {
+    strip.bins.forEach((bin, i) => {
+      const point = [bin, strip.low[i], strip.high[i], strip.fsd_s[i], strip.judged[i]];
+      const last = this.points[this.points.length - 1];
+      if (last && bin < last[0]) this.points.length = 0; // the vehicle started anew
+      if (last && bin === last[0]) {
+        last[1] = Math.min(last[1], point[1]);
+        last[2] = Math.max(last[2], point[2]);
+        last[3] = Math.max(last[3], point[3]);
+        last[4] = last[4] || point[4];
+      } else {
+        this.points.push(point);
+      }
+    });
+    const newest = this.newest();
+    let old = 0;
+    while (old < this.points.length && this.points[old][0] < newest - SPAN_S / BIN_S) old += 1;
+    this.points.splice(0, old);
+  }
+
+  newest() {
+    return this.points.length ? this.points[this.points.length - 1][0] : 0;
+  }
+}
+
+function colours() {
+  const style = getComputedStyle(document.documentElement);
+  const one = (name) => style.getPropertyValue(name).trim();
+  return {
+    ink: one("--ink-soft"), grid: one("--line"), residual: one("--residual"), limit: one("--limit"),
+    over: one("--fault"), idle: one("--idle"),
+  };
+}
+
+// A canvas made as sharp as the screen; returns its context and size in CSS pixels.
+function sharp(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = "11px system-ui, sans-serif";
+  return [context, width, height];
+}
+
+const LEFT = 46, RIGHT = 8, TOP = 8, BOTTOM = 18;
+
+function frame(context, width, height, low, high, ticks, colour) {
+  const y = (value) => TOP + (height - TOP - BOTTOM) * (high - value) / (high - low);
+  const x = (age_s) => width - RIGHT - (width - LEFT - RIGHT) * age_s / SPAN_S;
+  context.lineWidth = 1;
+  context.fillStyle = colour.ink;
+  context.strokeStyle = colour.grid;
+  context.textAlign = "right";
+  context.textBaseline = "middle";
+  for (const value of ticks) {
+    context.beginPath();
+    context.moveTo(LEFT, y(value));
+    context.lineTo(width - RIGHT, y(value));
+    context.stroke();
+    if (value === 0 || Math.abs(y(value) - y(0)) > 11) context.fillText(shown(value), LEFT - 6, y(value));
+  }
+  context.textBaseline = "top";
+  for (let age = 0; age <= SPAN_S; age += 5) {
+    context.textAlign = age === 0 ? "right" : "center";
+    context.fillText(age === 0 ? "now" : `−${age} s`, x(age), height - BOTTOM + 5);
+  }
+  return [x, y];
+}
+
+function shown(value) {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  const text = size === 0 ? "0" : size >= 100 ? value.toFixed(0) : size >= 1 ? value.toFixed(2) : value.toPrecision(2);
+  return text.replace("-", "−");
+}
+
+function limitLine(context, width, at, colour) {
+  context.strokeStyle = colour.limit;
+  context.lineWidth = 2;
+  context.setLineDash([6, 4]);
+  context.beginPath();
+  context.moveTo(LEFT, at);
+  context.lineTo(width - RIGHT, at);
+  context.stroke();
+  context.setLineDash([]);
+}
+
+// The residual as a band from its least to its greatest value, vermilion where it leaves the margins.
+function drawResidual(canvas, trace, margin) {
+  const [context, width, height] = sharp(canvas), colour = colours();
+  const most = trace.points.reduce((all, one) => Math.max(all, Math.abs(one[1]), Math.abs(one[2])), 0);
+  const reach = Math.max(1.6 * margin, 1.1 * most);
+  const [x, y] = frame(context, width, height, -reach, reach, [-margin, 0, margin], colour);
+  const newest = trace.newest();
+  let before = null;
+  for (const point of trace.points) {
+    const [bin, low, high, , judged] = point;
+    const over = judged && Math.max(-low, high) > margin;
+    context.fillStyle = !judged ? colour.idle : over ? colour.over : colour.residual;
+    const wide = Math.max(1.5, (width - LEFT - RIGHT) * BIN_S / SPAN_S);
+    const joined = before && before[0] === bin - 1; // the line goes on where the last bin's ended
+    const top = y(joined ? Math.max(high, before[1]) : high);
+    const tall = Math.max(1.5, y(joined ? Math.min(low, before[2]) : low) - top);
+    before = point;
+    context.fillRect(x((newest - bin) * BIN_S) - wide, top, wide + 0.6, tall);
+  }
+  limitLine(context, width, y(margin), colour);
+  limitLine(context, width, y(-margin), colour);
+}
+
+// The run length FSD as steps from zero, vermilion above the limit FML.
+function drawRun(canvas, trace, limit) {
+  const [context, width, height] = sharp(canvas), colour = colours();
+  const most = trace.points.reduce((all, one) => Math.max(all, one[3]), 0);
+  const reach = Math.max(1.4 * limit, 1.1 * most);
+  const [x, y] = frame(context, width, height, 0, reach, [0, limit], colour);
+  const newest = trace.newest();
+  for (const [bin, , , fsd, judged] of trace.points) {
+    context.fillStyle = !judged ? colour.idle : fsd > limit ? colour.over : colour.residual;
+    const wide = Math.max(1.5, (width - LEFT - RIGHT) * BIN_S / SPAN_S);
+    context.fillRect(x((newest - bin) * BIN_S) - wide, y(fsd), wide + 0.6, Math.max(1, y(0) - y(fsd)));
+  }
+  limitLine(context, width, y(limit), colour);
+}

@@ -1,0 +1,183 @@
+"""The process that serves the live page (edge): lines of the daemon on stdin, HTTP on a port, who looks on stdout.
+
+    python -m detector.web.server      not for people: the daemon starts it
+
+Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes. It ends when stdin does, so it never outlives
+the daemon.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from aiohttp import web
+
+from detector.web.access import HEADERS, Access, Answer
+from detector.web.board import Board, Reader, parse_last
+
+__all__ = ["Server", "main"]
+
+PAGES = 32  # streams at a time
+LINE_BYTES = 4_000_000  # of a line on stdin, at most
+ALIVE_S = 5.0  # a comment after so much silence, so that a reader that is gone is noticed
+STUCK_S = 20.0  # a reader that takes nothing for so long is given up
+LAST_S = 0.1  # for the last entries to reach the pages
+NICENESS = 5  # the receive loop comes first
+FILES = {
+    "/": ("index.html", "text/html"),
+    "/app.js": ("app.js", "text/javascript"),
+    "/strips.js": ("strips.js", "text/javascript"),
+    "/style.css": ("style.css", "text/css"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Server:
+    """One port. access: the rules; with port 0 in them every request is refused."""
+
+    def __init__(self, access: Access, board: Board) -> None:
+        self.access, self._board, self._told = access, board, tuple[int, ...]()
+        self._wake: dict[Reader, asyncio.Event] = {}
+        folder = Path(__file__).with_name("page")
+        self._files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+
+    def application(self) -> web.Application:
+        """The routes, behind the rules of access."""
+        app = web.Application(middlewares=[self._guarded], client_max_size=0)
+        for path in FILES:
+            app.router.add_get(path, self._file, allow_head=False)
+        app.router.add_get("/stream", self._stream, allow_head=False)
+        return app
+
+    async def feed(self, lines: asyncio.StreamReader) -> None:
+        """Take the daemon's lines until it ends."""
+        while line := await lines.readline():
+            self._board.take(line.decode().rstrip("\n"))
+            for event in self._wake.values():
+                event.set()
+
+    def _answer(self, request: web.Request) -> Answer:
+        headers = {name.lower(): value for name, value in request.headers.items()}
+        if len(request.headers.getall("Host", [])) != 1:
+            return Answer.REFUSED
+        cookie, given = request.cookies.get(self.access.cookie), request.query.get("token")
+        return self.access.judge(request.method, request.path, headers, cookie, given)
+
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        match self._answer(request):
+            case Answer.PASS:
+                try:
+                    response = await handler(request)
+                except web.HTTPException as error:
+                    response = _said(error.status, error.reason)
+            case Answer.SIGN_IN:
+                response = web.Response(status=303, headers={"Location": "/"})
+                cookie, value = self.access.cookie, self.access.cookie_value
+                response.set_cookie(cookie, value, httponly=True, samesite="Strict", path="/")
+            case Answer.NO_TOKEN:
+                response = _said(401, "a token is needed: open /?token=TOKEN, the line in the detector's token file")
+                response.headers["WWW-Authenticate"] = "Bearer"
+            case Answer.REFUSED:
+                response = _said(403, "this request does not come from the page of this detector")
+            case Answer.NOT_A_GET:
+                response = _said(405, "only GET")
+                response.headers["Allow"] = "GET"
+        if not response.prepared:
+            response.headers.update(HEADERS)
+        return response
+
+    async def _file(self, request: web.Request) -> web.Response:
+        body, kind = self._files[request.path]
+        return web.Response(body=body, content_type=kind, charset="utf-8")
+
+    async def _stream(self, request: web.Request) -> web.StreamResponse:
+        if len(self._wake) >= PAGES:
+            raise web.HTTPServiceUnavailable(reason=f"{PAGES} pages are open already")
+        vehicle = request.query.get("vehicle", "")
+        last = request.headers.get("Last-Event-ID") or request.query.get("after")
+        response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream; charset=utf-8"})
+        await response.prepare(request)
+        number = int(vehicle) if vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4 else None
+        reader = self._board.enter(number, parse_last(last, self._board.run))
+        self._wake[reader] = event = asyncio.Event()
+        self._tell()
+        try:
+            await response.write(b"retry: 1000\n\n")
+            while True:
+                if not (data := reader.next()):
+                    data = b"" if await _within(event, ALIVE_S) else b":\n\n"
+                event.clear()
+                if data:
+                    await asyncio.wait_for(response.write(data), STUCK_S)
+        except (ConnectionError, TimeoutError):
+            return response
+        finally:
+            del self._wake[reader]
+            self._board.readers.discard(reader)
+            self._tell()
+
+    def _tell(self) -> None:
+        """Tell the daemon whom somebody looks at, if that changed."""
+        watched = self._board.watched
+        if watched != self._told:
+            self._told = watched
+            _to_daemon(" ".join(("watch", *(str(one) for one in watched))))
+
+
+async def _within(event: asyncio.Event, limit_s: float) -> bool:
+    try:
+        await asyncio.wait_for(event.wait(), limit_s)
+    except TimeoutError:
+        return False
+    return True
+
+
+def _said(status: int, text: str) -> web.Response:
+    return web.Response(status=status, text=f"{text}\n")
+
+
+def _to_daemon(line: str) -> None:
+    with contextlib.suppress(OSError):  # the daemon is gone: stdin tells
+        os.write(sys.stdout.fileno(), f"{line}\n".encode())
+
+
+async def _serve() -> None:
+    loop = asyncio.get_running_loop()
+    lines = asyncio.StreamReader(LINE_BYTES)
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    told = json.loads(await lines.readline())
+    server = Server(Access(told["host"], 0, told["token"]), Board(told["run"]))
+    runner = web.AppRunner(server.application(), access_log=None, handler_cancellation=True, shutdown_timeout=0.2)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, told["host"], told["port"]).start()
+    except OSError as error:
+        _to_daemon(f"refused {error.strerror or error}")
+        await runner.cleanup()
+        return
+    port = int(runner.addresses[0][1])
+    server.access = Access(told["host"], port, told["token"])
+    _to_daemon(f"listening {port}")
+    await server.feed(lines)
+    await asyncio.sleep(LAST_S)
+    await runner.cleanup()
+
+
+def main() -> None:
+    """Serve until stdin ends. Ctrl-C goes to both processes, but is the daemon's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(NICENESS)
+    with contextlib.suppress(ConnectionError, BrokenPipeError):
+        asyncio.run(_serve())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""Draw docs/report-evidence.svg and docs/report-residual.svg: two figures of a report, of an emulated flight.
+
+python docs/draw_report.py [FOLDER]
+"""
+
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from mavdiag.airframe.load import airframe_named
+from mavdiag.baseline import Baseline
+from mavdiag.judging import JudgedFlight, judge_in_full
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.report.evidence import evidence_picture
+from mavdiag.report.rates import residual_picture
+from mavdiag.telemetry import Log
+from mavdiag.traces import traces_of
+from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.campaign.causes import injections_of
+from sitl_plant.physics.injections import Injection
+from sitl_plant.plant import PlantConfig
+
+LINK = LinkSpec("qdrone2", 400.0)
+HEALTHY, JUDGED = (1, 2, 3), 9  # seeds of the flights
+FLIGHT_S, ONSET_S, FAULT, ROTOR = 20.0, 10.0, "F2/SV2", 1
+COLUMNS = 300
+CREATED = "2026-01-01T00:00:00+00:00"
+
+
+def fly(seed: int, injections: tuple[Injection, ...] = ()) -> Log:
+    """One flight, as a receiver reads it."""
+    telemetry, _ = flight_telemetry(PlantConfig(seed=seed, injections=injections), FLIGHT_S, LINK)
+    return Log(f"seed {seed}", telemetry_digest(telemetry), LINK.profile, telemetry)
+
+
+@cache
+def baseline() -> Baseline:
+    """Of the healthy flights."""
+    return learn([fly(seed) for seed in HEALTHY], LearnOptions(airframe=airframe_named("qdrone2")), created=CREATED)
+
+
+@cache
+def cracked() -> tuple[Log, JudgedFlight]:
+    """A flight in which a propeller cracks."""
+    log = fly(JUDGED, injections_of(FAULT, ROTOR, ONSET_S, 1.0, np.random.default_rng(0)))
+    return log, judge_in_full(log, baseline())
+
+
+def main(folder: Path) -> None:
+    """Draw. The same versions of the libraries give the same bytes."""
+    _, judged = cracked()
+    if judged.chain is None:
+        raise SystemExit(f"draw_report: the flight could not be judged: {judged.verdict.reason}")
+    traces = traces_of(judged.chain, judged.pieces)
+    for picture in (evidence_picture(traces.slots, COLUMNS), residual_picture(traces.rates, COLUMNS)):
+        (folder / f"report-{picture.key}.svg").write_text(picture.svg, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)

@@ -1,0 +1,123 @@
+"""From records and marks to series: what of an airframe's flights may be compared, and how near each came. Pure.
+
+A trend does not go on over new propellers, a repair or another baseline: there a new stretch begins.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mavdiag.baseline import SESSION_GAP_NS
+from mavdiag.history.records import FlightRecord, Mark
+from mavdiag.monitors import BY_NAME
+from mavdiag.monitors.base import FaultKind
+from mavdiag.telemetry import Axis, FloatArray, IntArray
+
+__all__ = ["WATCHED", "Series", "Stretch", "series_of", "stretches_of"]
+
+STEPS = ("trim_step",)  # shows what happens within a flight; wear does not raise it
+WATCHED = tuple(name for name, one in BY_NAME.items() if one.kind is FaultKind.PROPELLER and name not in STEPS)
+"""The monitors whose trend is watched: those of propellers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Flights that one baseline judged, with no mark between them, in order of time.
+
+    first: number of the first one in the whole history, from 1.
+    began: why it begins; empty for the first stretch.
+    """
+
+    first: int
+    began: str
+    flights: tuple[FlightRecord, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One statistic over the n flights of a stretch.
+
+    monitor, axis, unit: as in `SlotFigures`.
+    threshold: the highest that judged any of them: that of a flight on another day than the healthy ones.
+    number: (n,) of the flight in its stretch, from 1.
+    session: (n,) which session it is of; flights within an hour are of one.
+    peak, median: (n,) of the statistic; NaN where it was not judged.
+    """
+
+    monitor: str
+    axis: Axis | None
+    unit: str
+    threshold: float
+    number: IntArray
+    session: IntArray
+    peak: FloatArray
+    median: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Monitor and axis."""
+        return self.monitor if self.axis is None else f"{self.monitor} {self.axis}"
+
+    @property
+    def share(self) -> FloatArray:
+        """(n,) peak over threshold: 1 is the threshold."""
+        return self.peak / self.threshold
+
+
+def stretches_of(flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> tuple[Stretch, ...]:
+    """Cut a history, in order of time, at marks and at changes of the baseline.
+
+    After a mark that is newer than all flights the last stretch has none yet.
+    """
+    found: list[Stretch] = []
+    begin, why = 0, ""
+    for place, (before, after) in enumerate(pairwise(flights), 1):
+        between = [mark for mark in marks if before.t_ns < mark.t_ns <= after.t_ns]
+        reason = _reasons(between) or ("new baseline" if before.baseline != after.baseline else "")
+        if reason:
+            found.append(Stretch(begin + 1, why, tuple(flights[begin:place])))
+            begin, why = place, reason
+    if flights:
+        found.append(Stretch(begin + 1, why, tuple(flights[begin:])))
+        if later := [mark for mark in marks if mark.t_ns > flights[-1].t_ns]:
+            found.append(Stretch(len(flights) + 1, _reasons(later), ()))
+    return tuple(found)
+
+
+def _reasons(marks: Sequence[Mark]) -> str:
+    return ", ".join(dict.fromkeys(mark.kind.value for mark in marks))
+
+
+def series_of(stretch: Stretch) -> tuple[Series, ...]:
+    """The series of the watched monitors that judged at least one flight, in the order of the baseline."""
+    flights, n = stretch.flights, len(stretch.flights)
+    times = np.array([one.t_ns if one.started_ns else 0 for one in flights], dtype=np.int64)
+    known = (times[1:] > 0) & (times[:-1] > 0)
+    apart = ~known | (np.diff(times) > SESSION_GAP_NS)
+    session = np.concatenate(([0], np.cumsum(apart))).astype(np.int64)[:n]
+    keys = dict.fromkeys((s.monitor, s.axis) for one in flights for s in one.slots if s.monitor in WATCHED)
+    found = []
+    for monitor, axis in keys:
+        slots = [next((s for s in one.slots if (s.monitor, s.axis) == (monitor, axis)), None) for one in flights]
+        there = [slot for slot in slots if slot is not None]
+        if all(slot.peak is None for slot in there):
+            continue
+        found.append(
+            Series(
+                monitor=monitor,
+                axis=axis,
+                unit=there[-1].unit,
+                threshold=max(slot.threshold for slot in there),
+                number=np.arange(1, n + 1),
+                session=session,
+                peak=_column([None if slot is None else slot.peak for slot in slots]),
+                median=_column([None if slot is None else slot.median for slot in slots]),
+            )
+        )
+    return tuple(found)
+
+
+def _column(values: Sequence[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -1,0 +1,195 @@
+"""Where a statistic is heading from flight to flight, how sure that is, and when it would reach its threshold. Pure.
+
+A series holds the share z = peak/threshold of each flight; 1 is the threshold. Flights of one session (a battery, a
+day, a place) share an error, so they become one value y, their median, at their mean flight number x. With c flights
+and errors within and between sessions of like size, its variance is
+
+    var(y) = s^2 (1 + 1/c)/2                                        (the like size is our choice; measured: 0.5 to 3)
+
+The present level a and the growth b of a flight are a line, fitted by weighted least squares with older sessions
+discounted, x_n the newest flight, and Huber's weights h against single odd sessions (Huber, Robust Statistics, 1981,
+ch. 7: k = 1.345 standard deviations):
+
+    [ y ] ~ [ 1  x - x_n ] [ a ]        w = h(r) 2c/(1 + c) exp((x - x_n)/MEMORY)
+                           [ b ]        cov(a, b) = s^2 (X'WX)^-1 X'W V W X (X'WX)^-1,    V = diag((1 + 1/c)/2)
+
+s is the larger of two robust scales: of the residuals, and of the steps between sessions that follow each other, which
+a trend hardly touches. The flights that remain until the line reaches 1 are R = (1 - a)/b; their interval is Fieller's
+(J. R. Stat. Soc. B 16 (1954) 175): all R at which a + b R is not distinguishable from 1,
+
+    (1 - a - b R)^2 <= q^2 (Vaa + 2 R Vab + R^2 Vbb)
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.telemetry import FloatArray, IntArray
+
+__all__ = ["MEMORY", "Remaining", "Sessions", "Trend", "scale_of_steps", "sessions_of", "trend_of"]
+
+MEMORY = 14.0  # flights after which a session counts 1/e (tuned, see `warn`)
+LEAST_SESSIONS = 5  # fewer show no trend (our choice)
+LEAST_SCALE = 0.01  # of the threshold: smallest scatter that is believed (our choice)
+HUBER = 1.345
+ROUNDS = 4  # of reweighting: the fit changes no more by then (our choice)
+MAD = 1.4826  # standard deviations in a median absolute deviation of the normal law
+NORMAL_90 = 1.645  # of a two-sided interval
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sessions:
+    """Flights put together by session; m sessions.
+
+    number: (m,) mean flight number.
+    share: (m,) median of peak/threshold.
+    flights: (m,) how many they were.
+    """
+
+    number: FloatArray
+    share: FloatArray
+    flights: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    @property
+    def weight(self) -> FloatArray:
+        """(m,) one over the variance, 1 for a session of one flight."""
+        return 2 * self.flights / (1 + self.flights)
+
+
+@dataclass(frozen=True, slots=True)
+class Remaining:
+    """Flights until the threshold: the estimate, and its 90 % interval. high is infinite where no end is certain."""
+
+    flights: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """The line at the newest flight.
+
+    level: share of the threshold now. slope: its growth a flight.
+    level_variance, covariance, slope_variance: of the two.
+    scale: standard deviation of a session of one flight.
+    sessions: that it rests on.
+    """
+
+    level: float
+    slope: float
+    level_variance: float
+    covariance: float
+    slope_variance: float
+    scale: float
+    sessions: int
+
+    @property
+    def significance(self) -> float:
+        """The growth in its own standard errors."""
+        return self.slope / math.sqrt(self.slope_variance)
+
+    def forecast(self, flights: float) -> tuple[float, float]:
+        """Level so many flights from now, and its standard error."""
+        variance = self.level_variance + 2 * flights * self.covariance + flights**2 * self.slope_variance
+        return self.level + self.slope * flights, math.sqrt(max(variance, 0.0))
+
+    def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
+        """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
+
+        >>> found = Trend(0.8, 0.01, 1e-4, 0.0, 1e-7, 0.05, 20).remaining()
+        >>> [round(one, 1) for one in (found.low, found.flights, found.high)]
+        [18.1, 20.0, 22.0]
+        """
+        if self.slope <= 0:
+            return None
+        gap, q2 = 1.0 - self.level, quantile**2
+        # (b^2 - q^2 Vbb) R^2 - 2 (gap b + q^2 Vab) R + gap^2 - q^2 Vaa <= 0
+        square = self.slope**2 - q2 * self.slope_variance
+        linear = gap * self.slope + q2 * self.covariance
+        constant = gap**2 - q2 * self.level_variance
+        estimate = max(gap / self.slope, 0.0)
+        root = linear**2 - square * constant
+        if root < 0:  # no R at all is excluded
+            return Remaining(estimate, 0.0, math.inf)
+        first = (linear - math.sqrt(root)) / square if square else constant / (2 * linear)
+        second = (linear + math.sqrt(root)) / square if square > 0 else math.inf
+        return Remaining(estimate, max(first, 0.0), max(second, 0.0))
+
+
+def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntArray, share: FloatArray) -> Sessions:
+    """Put flights together by session; those without a share (NaN) are left out. All (n,), in order of time.
+
+    >>> found = sessions_of([1, 2, 3, 4], [0, 0, 0, 1], np.array([0.5, 0.9, 0.6, np.nan]))
+    >>> found.number.tolist(), found.share.tolist(), found.flights.tolist()
+    ([2.0], [0.6], [3.0])
+    """
+    known = np.isfinite(share)
+    x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
+    if len(y) == 0:
+        return Sessions(np.empty(0), np.empty(0), np.empty(0))
+    cuts = np.flatnonzero(np.diff(group)) + 1
+    flights = np.diff(np.concatenate(([0], cuts, [len(y)]))).astype(np.float64)
+    means = np.add.reduceat(x, np.concatenate(([0], cuts))) / flights
+    return Sessions(means, np.array([_median(part) for part in np.split(y, cuts)]), flights)
+
+
+def trend_of(sessions: Sessions, now: float) -> Trend | None:
+    """The trend at flight number `now`; None with fewer than five sessions."""
+    if len(sessions) < LEAST_SESSIONS:
+        return None
+    x, y, base = sessions.number - now, sessions.share, sessions.weight
+    recent = base * np.exp(x / MEMORY)
+    steps = scale_of_steps(sessions)
+    h = np.ones(len(y))
+    for _ in range(ROUNDS):
+        w = h * recent
+        level, slope, inverse = _line(x, y, w)
+        r = (y - level - slope * x) * np.sqrt(base)
+        scale = max(MAD * _weighted_median(np.abs(r), recent), steps, LEAST_SCALE)
+        h = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(r), 1e-12))
+    a, b, c = _spread(x, w, base, inverse)
+    variance = scale**2
+    return Trend(level, slope, variance * a, variance * b, variance * c, scale, len(y))
+
+
+def _line(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[float, float, tuple[float, float, float]]:
+    """Intercept, slope, and the inverse of X'WX."""
+    s0, s1, s2 = float(w.sum()), float(w @ x), float(w @ (x * x))
+    t0, t1 = float(w @ y), float(w @ (x * y))
+    det = s0 * s2 - s1 * s1
+    inverse = s2 / det, -s1 / det, s0 / det
+    return inverse[0] * t0 + inverse[1] * t1, inverse[1] * t0 + inverse[2] * t1, inverse
+
+
+def _spread(
+    x: FloatArray, w: FloatArray, base: FloatArray, inverse: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """(X'WX)^-1 X'W V W X (X'WX)^-1 for V = diag(1/base), as its three entries."""
+    u = w * w / base
+    M = np.array([[u.sum(), u @ x], [u @ x, u @ (x * x)]])
+    A = np.array([[inverse[0], inverse[1]], [inverse[1], inverse[2]]])
+    C = A @ M @ A
+    return float(C[0, 0]), float(C[0, 1]), float(C[1, 1])
+
+
+def scale_of_steps(sessions: Sessions) -> float:
+    """Standard deviation of a session of one flight, from the steps between neighbours."""
+    spread = np.sqrt(1 / sessions.weight[1:] + 1 / sessions.weight[:-1])
+    return MAD * _median(np.abs(np.diff(sessions.share)) / spread)
+
+
+def _median(values: FloatArray) -> float:
+    """As `numpy.median`, quicker for the few values of a session."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half]) if len(values) % 2 else float(ordered[half - 1] + ordered[half]) / 2
+
+
+def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(total, total[-1] / 2)]])

@@ -1,0 +1,151 @@
+"""When to warn that a trend reaches its threshold. Pure; the policy is values, and its price is stated.
+
+With a the present level, b its growth a flight, r the level of the stretch's first flights (all shares of the
+threshold, `trend`), a statistic is warned of if it is so at each of the last three flights that it judged:
+
+    a + b HORIZON >= 1                    the line reaches the threshold within the horizon,
+    (a - r)/(1 - r) >= PROGRESS           most of the way from the first flights to the threshold is gone,
+    a - r >= GROWN s                      and that is more than the scatter of a session,
+    q - r >= HALF (1 - r)                 and so is the median q of the last ten flights, in part.
+
+Without the second a jump, which looks steep at first, would be warned of at once; without the third a healthy statistic
+that is always near its threshold. A warning stands until the level falls back below 0.6 of the way.
+
+**Its price** (benchmarks/history_wear.py, docs/results.md): the figures were fitted to drawn histories whose wear
+reaches the threshold after 150 flights, and judged by others. Of healthy airframes with scatter as recorded fewer than
+1 in 100 are warned of in 200 flights, over all their statistics. Wear that jumps over its last fifth comes without a
+warning, and wear that slows down is warned of early. The first 20 flights of a stretch are its first level, and not
+warned of. A warning does not say which rotor it is, or why.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from mavdiag.history.changes import Change, changes_of
+from mavdiag.history.stretches import Series
+from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
+from mavdiag.telemetry import FloatArray
+
+__all__ = ["POLICY", "WARNS", "Outlook", "Policy", "Review", "review", "warned_at"]
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """The figures of the rule.
+
+    horizon: flights ahead. progress: share of the way that must be gone. grown: scatters of a session.
+    first: flights at the beginning of a stretch whose median is its first level.
+    confirmed: flights that must agree.
+    half, recent: share of the way that the median of so many flights must have gone.
+    kept: share of the way below which the level must fall back for a warning to be over.
+    """
+
+    horizon: float = 40.0
+    progress: float = 0.8
+    grown: float = 1.5
+    first: int = 20
+    confirmed: int = 3
+    half: float = 0.5
+    recent: int = 10
+    kept: float = 0.6
+
+
+POLICY = Policy()
+SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
+
+
+class Outlook(StrEnum):
+    """What the trend of a statistic says."""
+
+    TOO_FEW = "too few flights for a trend"
+    STEADY = "not grown since the first flights"
+    GROWN = "grown, and not near the threshold"
+    WARNING = "reaches the threshold soon"
+    REACHED = "has reached the threshold"
+
+
+@dataclass(frozen=True, slots=True)
+class Review:
+    """What is found of one statistic in one stretch.
+
+    outlook: in one word.
+    trend: at the newest flight that it judged; None with too few.
+    remaining: flights from then until it reaches the threshold; None if it does not grow.
+    warned_at: number of the flight since which it is warned of; None if it is not.
+    changes: where it jumped.
+    """
+
+    outlook: Outlook
+    trend: Trend | None
+    remaining: Remaining | None
+    warned_at: int | None
+    changes: tuple[Change, ...]
+
+
+def review(series: Series, policy: Policy = POLICY) -> Review:
+    """Trend, outlook and change points of a series as it stands."""
+    share = series.share
+    judged = np.flatnonzero(np.isfinite(share))
+    changes = changes_of(sessions_of(series.number, series.session, share))
+    trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= policy.confirmed else None
+    first = _first_level(share, policy)
+    if trend is None or first is None or len(series.number) < policy.first:
+        return Review(Outlook.TOO_FEW, None, None, None, changes)
+    since, grown = warned_at(series, policy), trend.level - first
+    error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(policy.first / 2)))
+    outlook = Outlook.GROWN if grown > SURE * error else Outlook.STEADY
+    if trend.level >= 1.0:
+        outlook = Outlook.REACHED
+    elif since is not None and grown >= policy.kept * (1.0 - first):
+        outlook = Outlook.WARNING
+    return Review(outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
+
+
+def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = None) -> int | None:
+    """Number of the first flight after which the series was warned of; None if it never was.
+
+    before: look at no flight from this number on.
+    """
+    share, row = series.share, 0
+    first = _first_level(share, policy)
+    if first is None:
+        return None
+    judged = np.flatnonzero(np.isfinite(share))
+    for place, at in enumerate(judged.tolist()):
+        if before is not None and series.number[at] >= before:
+            return None
+        middle = float(np.median(share[judged[max(place + 1 - policy.recent, 0) : place + 1]]))
+        far = at + 1 < policy.first or middle - first < policy.half * (1.0 - first)
+        row = 0 if far or not _near(_trend_at(series, share, at), first, policy) else row + 1
+        if row >= policy.confirmed:
+            return int(series.number[at])
+    return None
+
+
+WARNS = (Outlook.WARNING, Outlook.REACHED)
+"""The outlooks that ask for action."""
+
+
+def _first_level(share: FloatArray, policy: Policy) -> float | None:
+    known = share[: policy.first]
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else None
+
+
+def _near(trend: Trend | None, first: float, policy: Policy) -> bool:
+    """Whether the rule holds."""
+    if trend is None:
+        return False
+    grown = trend.level - first
+    return (
+        trend.level + trend.slope * policy.horizon >= 1.0
+        and grown >= policy.progress * (1.0 - first)
+        and grown >= policy.grown * trend.scale
+    )
+
+
+def _trend_at(series: Series, share: FloatArray, at: int) -> Trend | None:
+    cut = slice(0, at + 1)
+    return trend_of(sessions_of(series.number[cut], series.session[cut], share[cut]), float(series.number[at]))

@@ -1,0 +1,76 @@
+"""What the frames of one vehicle show of the way it sends: its heartbeats, its messages, what it weighs in counts."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.link.batch import Batch, Column, total
+from mavdiag.link.codec import FieldValue, Frame, field_index, record_dtype
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
+from mavdiag.telemetry import FloatArray, IntArray
+
+__all__ = ["Evidence", "autopilots_of", "evidence_of", "is_autopilot_heartbeat"]
+
+_NAMES = ("type", "autopilot")
+_TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in _NAMES)
+_HEARTBEAT = record_dtype(MessageId.HEARTBEAT, *((name, 1) for name in _NAMES))
+_RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the frames of one vehicle's autopilot show of its profile.
+
+    autopilots: what its heartbeats name it, MAV_AUTOPILOT.
+    counts: how many frames of each message.
+    weight: median size of RAW_IMU's acceleration, in counts; NaN without RAW_IMU. A vehicle feels its own weight.
+    period_us: median period of RAW_IMU [us]; NaN if it is not known.
+    """
+
+    autopilots: frozenset[int]
+    counts: Mapping[int, int]
+    weight: float
+    period_us: float
+
+    def weighs(self, span: tuple[float, float]) -> bool:
+        """Whether one g is within this span of counts."""
+        return span[0] <= self.weight < span[1]
+
+
+def is_autopilot_heartbeat(frame: Frame) -> bool:
+    """Whether a frame is the heartbeat of a vehicle's autopilot, not of a ground station or an on-board computer."""
+    if frame.msgid != MessageId.HEARTBEAT or frame.compid != Component.AUTOPILOT1:
+        return False
+    fields = frame.fields
+    return _is_autopilot(fields[_TYPE], fields[_AUTOPILOT])
+
+
+def _is_autopilot(kind: FieldValue, autopilot: FieldValue) -> bool:
+    """Whether these are the type and autopilot of a vehicle."""
+    return autopilot != Autopilot.INVALID and kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER)
+
+
+def autopilots_of(batch: Batch) -> frozenset[int]:
+    """What the heartbeats of a vehicle's autopilot name it, MAV_AUTOPILOT; see `is_autopilot_heartbeat`."""
+    found = [column.record(_HEARTBEAT) for column in batch.columns({MessageId.HEARTBEAT}).values()]
+    beats = {one for record in found for one in zip(*(record[name].tolist() for name in _NAMES), strict=True)}
+    return frozenset(autopilot for kind, autopilot in beats if _is_autopilot(kind, autopilot))
+
+
+def evidence_of(batches: Sequence[Batch]) -> Evidence:
+    """What the frames of one vehicle show, in several pieces, in order of arrival."""
+    raw = [_raw_imu(column) for batch in batches for column in batch.columns({MessageId.RAW_IMU}).values()]
+    weight = period_us = float("nan")
+    if raw:
+        weight = float(np.median(np.concatenate([sizes for sizes, _ in raw])))
+        times_us = np.concatenate([times for _, times in raw])
+        period_us = float(np.median(np.diff(times_us))) if len(times_us) > 1 else period_us
+    beats = frozenset[int]().union(*map(autopilots_of, batches))
+    return Evidence(beats, total(batches), weight, period_us)
+
+
+def _raw_imu(column: Column) -> tuple[FloatArray, IntArray]:
+    """Sizes of the accelerations in counts, and times [us]."""
+    record = column.record(_RAW_IMU)
+    return np.linalg.norm(record["xacc"].astype(np.float64), axis=1), record["time_usec"].astype(np.int64)

@@ -1,0 +1,81 @@
+"""Which monitor saw what, and when: each slot's statistic in shares of its threshold, strip by strip."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavdiag.drawing import Colour
+from mavdiag.report.style import Picture, drawn
+from mavdiag.report.thinned import COLUMNS, highest
+from mavdiag.rows.windows import spans
+from mavdiag.telemetry import FloatArray
+from mavdiag.traces import SlotTrace
+from mavdiag.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["evidence_picture", "name_of", "ratio_of"]
+
+TOP = 1.25  # of the threshold: what is higher is cut off in its strip
+EMPTY = Picture(
+    "evidence",
+    "What each monitor saw, and when",
+    "Each strip is one monitor in shares of its threshold, which is the dashed line: what reaches above that line "
+    "(dark) is evidence, the rest (pale) is what a healthy flight may have, and where nothing is filled the monitor "
+    "did not judge.",
+)
+
+
+def name_of(trace: SlotTrace) -> str:
+    """Monitor and axis, as in a baseline."""
+    name, axis = trace.slot.key
+    return name if axis is None else f"{name} {axis}"
+
+
+def ratio_of(trace: SlotTrace) -> tuple[FloatArray, FloatArray]:
+    """Vehicle time [s] and the statistic over its threshold, (n,); nan where it did not judge."""
+    found, threshold = trace.found, trace.slot.threshold
+    return found.t_ns / NS_PER_S, np.where(found.valid, found.value / threshold, np.nan)
+
+
+def evidence_picture(slots: Sequence[SlotTrace], columns: int = COLUMNS) -> Picture:
+    """All monitors over the flight, those that judged any of it."""
+    judged = [one for one in slots if one.found.valid.any()]
+    if not judged:
+        return replace(EMPTY, not_drawn="no monitor judged any part of this flight")
+
+    def plot(figure: "Figure") -> None:
+        axes = figure.subplots()
+        for place, trace in enumerate(judged):
+            _strip(axes, trace, 1.5 * (len(judged) - 1 - place), columns)
+        axes.set_yticks([1.5 * i for i in range(len(judged))], [name_of(one) for one in reversed(judged)])
+        axes.set(xlabel="vehicle time [s]", ylim=(-0.1, 1.5 * len(judged) - 0.1))
+        axes.grid(visible=False, axis="y")
+        axes.tick_params(axis="y", length=0)
+
+    highest = ", ".join(f"{name_of(one)} {np.nanmax(ratio_of(one)[1]):.2f}" for one in judged)
+    return replace(
+        EMPTY, svg=drawn(EMPTY.title, f"Highest share of the threshold: {highest}.", plot, 0.6 + 0.36 * len(judged))
+    )
+
+
+def _strip(axes: "Axes", trace: SlotTrace, base: float, columns: int) -> None:
+    t_s, ratio = ratio_of(trace)
+    t_s, ratio = highest(t_s, ratio, columns)
+    height = base + np.clip(ratio, 0.0, TOP)
+    for first, stop in spans(np.isfinite(ratio)):
+        x, y = _outline(t_s[first:stop], np.minimum(height[first:stop], base + 1.0), base)
+        axes.fill(x, y, color=Colour.RESIDUAL, linewidth=0.3)
+    for first, stop in spans(np.nan_to_num(ratio) > 1.0):
+        x, y = _outline(t_s[first:stop], height[first:stop], base)
+        axes.fill(x, y, facecolor=Colour.FAULT, edgecolor=Colour.REFERENCE, linewidth=0.6)
+    axes.axhline(base + 1.0, color=Colour.REFERENCE, linestyle="--", linewidth=0.7)
+
+
+def _outline(t_s: FloatArray, height: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
+    """The outline of what lies between a base and a line."""
+    return np.concatenate((t_s[:1], t_s, t_s[-1:])), np.concatenate(([base], height, [base]))

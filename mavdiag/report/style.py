@@ -1,0 +1,227 @@
+"""How every figure looks, and how it becomes SVG that can stand in a page.
+
+The colours are those of `mavdiag.drawing`, which people who are blind to a colour tell apart. None stands alone: each
+line has a stroke of its own as well, so a figure can be read in grey. Text stays text.
+"""
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+from mavdiag.drawing import Colour
+from mavdiag.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COMMANDED",
+    "LIMIT",
+    "LINES",
+    "MEASURED",
+    "SIMULATED",
+    "Line",
+    "Picture",
+    "check_matplotlib",
+    "drawn",
+    "embedded",
+    "legend_above",
+    "panels",
+    "plain_log",
+    "shaded",
+]
+
+WIDTH_IN = 7.6
+FEW_DECADES = 100.0
+PX_PER_PT = 4 / 3
+NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
+LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
+SVG = "http://www.w3.org/2000/svg"
+XLINK = "http://www.w3.org/1999/xlink"
+_STYLE: Any = {
+    "svg.hashsalt": "mavdiag",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#444444",
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": False,
+    "text.parse_math": False,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "hatch.linewidth": 0.6,
+    "path.simplify": True,
+    "figure.facecolor": "white",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One way to draw a line: colour, stroke and width."""
+
+    color: str
+    stroke: str
+    width: float = 1.1
+
+    def draw(self, axes: "Axes", t: Any, y: Any, label: str = "") -> None:
+        """Onto axes."""
+        axes.plot(t, y, label=label or NO_LABEL, color=self.color, linestyle=self.stroke, linewidth=self.width)
+
+    def across(self, axes: "Axes", level: float, label: str = "") -> None:
+        """A level, across the axes."""
+        label = label or NO_LABEL
+        axes.axhline(level, label=label, color=self.color, linestyle=self.stroke, linewidth=self.width)
+
+
+COMMANDED = Line(Colour.REFERENCE, ":", 1.1)
+MEASURED = Line(Colour.MEASURED, "-", 1.1)
+SIMULATED = Line(Colour.SIMULATED, "--", 1.6)
+LIMIT = Line(Colour.FAULT, "--", 1.2)
+
+#: Lines of equal rank, in order: each differs from the others in grey too.
+LINES = (
+    Line(Colour.MEASURED, "-", 1.2),
+    Line(Colour.SIMULATED, "--", 1.5),
+    Line(Colour.HEALTHY, "-.", 1.2),
+    Line(Colour.REFERENCE, ":", 1.4),
+    Line(Colour.LIMIT, "-", 2.2),
+    Line(Colour.RESIDUAL, "--", 2.2),
+    Line(Colour.NOT_JUDGED, "-.", 2.2),
+    Line(Colour.MEASURED, ":", 2.4),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure of a page, or why there is none.
+
+    key: its anchor in a page, letters and hyphens.
+    title: what it shows.
+    caption: one sentence that says what to see.
+    thesis: number of the thesis's figure like it; empty if it has none.
+    svg: the drawing; empty if there is none, and then not_drawn says why.
+    """
+
+    key: str
+    title: str
+    caption: str
+    thesis: str = ""
+    svg: str = ""
+    not_drawn: str = ""
+
+
+def check_matplotlib() -> None:
+    """Raises UsageError, with the remedy, if no figure can be drawn."""
+    try:
+        import matplotlib.backends.backend_svg  # noqa: F401  # whether it can be imported is the question
+    except ImportError as error:
+        raise UsageError("a report needs matplotlib, which is not installed: pip install 'mavdiag[report]'") from error
+
+
+def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
+    """The SVG of what `plot` puts on an empty figure. title, description: for those who cannot see it.
+
+    The same values give the same bytes. Raises UsageError if matplotlib is not installed.
+    """
+    check_matplotlib()
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        FigureCanvasSVG(figure)
+        plot(figure)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    return _cleaned(out.getvalue(), title, description)
+
+
+def panels(figure: "Figure", rows: int) -> list["Axes"]:
+    """Axes one above the other, with one axis of time."""
+    return list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+
+
+def plain_log(axes: "Axes") -> None:
+    """A logarithmic ordinate with plain numbers: at its decades, or at 1, 2 and 5 where it has few."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > FEW_DECADES * low else (1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def shaded(axes: "Axes", start: float, stop: float) -> None:
+    """A stretch of time marked as above a limit: hatched, so that it shows in grey."""
+    axes.axvspan(start, stop, facecolor="none", edgecolor=Colour.FAULT, hatch="////", linewidth=0.0, alpha=0.7)
+
+
+def legend_above(axes: "Axes", columns: int = 4) -> None:
+    """A legend above the axes, where it hides nothing."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, handlelength=2.6)
+
+
+def embedded(svg: str, prefix: str) -> str:
+    """The same drawing with a prefix to every id, so that several can stand in one page."""
+    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
+    svg = re.sub(r'href="#', f'href="#{prefix}-', svg)
+    svg = re.sub(r"url\(#", f"url(#{prefix}-", svg)
+    return re.sub(r'aria-labelledby="(\S+) (\S+)"', rf'aria-labelledby="{prefix}-\1 {prefix}-\2"', svg)
+
+
+def _cleaned(text: str, title: str, description: str) -> str:
+    """What matplotlib wrote, smaller, without what a page cannot have twice, and with words for who cannot see it."""
+    root = ElementTree.fromstring(text)
+    referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', text))
+    for node in root.iter():
+        node.tag = node.tag.partition("}")[2]
+        if (target := node.attrib.pop(f"{{{XLINK}}}href", None)) is not None:
+            node.set("href", target)
+        if node.get("id") not in referred:
+            node.attrib.pop("id", None)
+        _shorten(node)
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in ("metadata", "style"):
+                parent.remove(child)
+    width, height = (float(x) for x in root.attrib["viewBox"].split()[2:])
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    said = {"width": f"{PX_PER_PT * width:.0f}", "height": f"{PX_PER_PT * height:.0f}", "xmlns": SVG, "role": "img"}
+    stroke = {"stroke-linejoin": "round", "font-family": ", ".join(_STYLE["font.sans-serif"])}
+    root.attrib.update({**said, **stroke, "aria-labelledby": "title desc"})
+    for place, (name, words) in enumerate((("title", title), ("desc", description))):
+        node = ElementTree.Element(name, {"id": name})
+        node.text = words
+        root.insert(place, node)
+    return re.sub(r">\s+<", "><", ElementTree.tostring(root, encoding="unicode")).strip() + "\n"
+
+
+def _shorten(node: ElementTree.Element) -> None:
+    """Fewer digits than anybody can see, and the font's name once, at the root."""
+    if (path := node.get("d")) is not None:
+        places = 1 if len(path) > LONG_PATH else 2
+        path = re.sub(r"-?\d+\.\d+", lambda found: f"{float(found[0]):.{places}f}".rstrip("0").rstrip("."), path)
+        node.set("d", re.sub(r"\s*([A-Za-z])\s*", r"\1", path.strip()))
+    if (style := node.get("style")) is not None:
+        node.set("style", re.sub(r"font-family: [^;]*;? ?", "", style).replace(": ", ":").replace("; ", ";"))
+    if node.get("transform", "").startswith("rotate(-0 "):
+        del node.attrib["transform"]
+    for name in ("x", "y"):
+        if "." in (value := node.get(name, "")):
+            node.set(name, f"{float(value):.2f}".rstrip("0").rstrip("."))

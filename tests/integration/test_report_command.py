@@ -1,0 +1,142 @@
+"""`mavdiag report` as it is run: logs of each kind, folders, what cannot be read, a campaign's results."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from made_baselines import healthy, whole
+from page_reading import Page, check
+from shared_data import shared
+from typer.testing import CliRunner
+
+from mavdiag import cli
+from mavdiag.demo import command
+from mavdiag.errors import MavdiagError, UsageError
+from mavdiag.face import learn
+from mavdiag.judging import judge_in_full
+from mavdiag.report.flight import flight_report
+from mavdiag.report.page import Made, flights_page
+
+SECTIONS = 14
+
+
+def run(*arguments: object) -> str:
+    """The output of the command. Raises what it raised."""
+    result = CliRunner().invoke(cli.app, ["report", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture
+def baseline(tmp_path: Path) -> Path:
+    path = tmp_path / "baseline.json"
+    whole().save(path)
+    return path
+
+
+def page_at(path: Path) -> Page:
+    return check(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("log", "own"),
+    [
+        ("data/crazypad/cut_propeller_M3_4mm_4mm_39mm/E8_log00", "data/crazypad/normal_flight/*"),
+        ("data/arducopter_sitl/fault_quad3kg_m1_080_sq1.tlog", "data/arducopter_sitl/healthy_quad3kg_sq*.tlog"),
+        ("data/ardupilot_real/log171.bin", None),
+        ("data/px4_real/pyulog_sample.ulg", None),
+    ],
+)
+def test_logs_of_each_kind_have_a_page(log: str, own: str | None, tmp_path: Path, baseline: Path) -> None:
+    path, out = shared(log), tmp_path / "report.html"
+    if own is not None:
+        learn([str(one) for one in sorted(shared("data").parent.glob(own))]).save(baseline)
+    run(path, "--baseline", baseline, "-o", out)
+    page = page_at(out)
+    figures = [one for one in page.ids if re.fullmatch(r"log-1-[a-z-]+", one) and "title" not in one]
+    assert len([one for tag, name, one in page.attributes if (tag, name) == ("figure", "id")]) == SECTIONS, figures
+    drawn = len(page.drawings)
+    assert drawn + page.said.count("Not drawn: ") == SECTIONS
+    assert drawn >= (9 if own else 3)  # attitude, height or link, and the airframe, can always be drawn
+    assert ("A propeller fault of rotor" in page.said) == (own is not None)
+    assert out.stat().st_size < 1_000_000
+
+
+def test_a_folder_makes_one_page_and_a_bad_file_does_not_lose_the_others(tmp_path: Path, baseline: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("no log")
+    torn = tmp_path / "<b>empty.bin"
+    torn.write_bytes(b"")
+    (folder / ".hidden").write_text("not looked at")
+    out = tmp_path / "report.html"
+    said = run(folder, torn, "--baseline", baseline, "-o", out)
+    page = page_at(out)
+    assert "2 not readable" in page.said
+    assert "<b>empty.bin" in page.said
+    assert "no flight logs" in said
+    assert said.splitlines()[-1].startswith("written to ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ((), "name logs and --baseline FILE"),
+        (("x.tlog",), "name logs and --baseline FILE"),
+        (("x.tlog", "--baseline", "gone.json"), "gone.json: no such file"),
+        (("--campaign", "gone.jsonl"), "gone.jsonl: no such file"),
+        (("x.tlog", "--campaign", "c.jsonl"), "neither logs nor --baseline"),
+        (("x.tlog", "-o", "no-folder/x.html"), "no folder"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(
+    arguments: tuple[str, ...], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MavdiagError, match=reason) as caught:
+        run(*arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_empty_folder_and_a_missing_log_are_said(tmp_path: Path, baseline: Path) -> None:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    out = tmp_path / "r.html"
+    run(folder, "--baseline", baseline, "-o", out)
+    assert "no log there; name files, a folder, or a pattern" in page_at(out).said
+    run(tmp_path / "gone.tlog", "--baseline", baseline, "-o", out)
+    assert "This file could not be read: no such file" in page_at(out).said
+
+
+def test_without_matplotlib_one_line_says_what_to_install(baseline: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_svg", None)
+    with pytest.raises(UsageError, match=r"pip install 'mavdiag\[report\]'"):
+        run("x.tlog", "--baseline", baseline, "-o", baseline.with_suffix(".html"))
+
+
+def test_a_long_flight_has_no_longer_page() -> None:
+    def size(n: int) -> int:
+        (log,) = healthy(1, n)
+        report = flight_report(log, whole(), judge_in_full(log, whole()))
+        return len(flights_page([report], whole(), Made("", "")).encode())
+
+    short, long = size(5000), size(30_000)
+    assert long < 1.5 * short  # six times as long a flight
+    assert long < 900_000
+
+
+def test_the_demo_ends_with_a_report_of_its_flight(
+    tmp_path: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "read_log", lambda path: healthy(1)[0])
+    page = tmp_path / "new folder" / "demo-report.html"
+    command._print_report(tmp_path / "flight.tlog", baseline, page)
+    said = capsys.readouterr().out
+    assert f"its report: {page}" in said
+    assert "Flight report: the demo's flight" in page_at(page).said
+    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    command._print_report(tmp_path / "flight.tlog", baseline, page)
+    assert "pip install 'mavdiag[report]'" in capsys.readouterr().out

@@ -1,0 +1,285 @@
+"""The live page in Debian's Chromium: what a user sees, how soon, and that no text from outside does anything.
+
+Pictures of it are left in build/screenshots.
+"""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from detector_process import ended, port_of, running, until
+from made_session import baseline_for
+from made_vehicle import MadeVehicle
+from web_page import SCREENSHOTS, browser, give, serving, wait_for
+
+from detector.fleet import Fleet
+from detector.states import State
+from detector.values import SessionSpec
+from detector.web.child import ServerProcess
+from detector.web.feed import Feed
+from detector.web.snapshot import About, Level, LinkNow, Now, SlotAbout, SlotNow, as_line
+from detector.web.strips import Strip
+from mavdiag.airframe.layout import layout_named
+from mavdiag.drawing import airframe_svg
+from mavdiag.link.ports import open_endpoint
+from mavdiag.telemetry import Axis, Instant
+
+pytestmark = pytest.mark.realtime
+ARROW_LEFT = "\ue012"  # WebDriver 17.4.2
+HOSTILE = '<img src=x onerror="window.hurt=1"><script>window.hurt=1</script>\u202e{{7*7}}'
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with browser(tmp_path_factory.mktemp("chromium") / "profile") as driver:
+        yield driver
+
+
+@pytest.fixture
+def process() -> Iterator[ServerProcess]:
+    with serving() as one:
+        yield one
+
+
+def entry(number: int, text: str = "PROP monitoring", severity: int = 6, vehicle: int = 1) -> str:
+    content = {"kind": "text", "utc": "2026-05-01T10:00:00.000Z", "vehicle": vehicle, "severity": severity}
+    return f"J {number} {json.dumps(content | {'text': text})}"
+
+
+def fleet(*vehicles: int, sentence: str = "No fault found") -> str:
+    lines = [
+        {"vehicle": one, "state": "monitoring", "level": "quiet", "sentence": sentence, "received": 1, "lost": 0}
+        for one in vehicles
+    ]
+    told = {"vehicles": lines, "links": [], "late": 0, "cpu_s": 1.0, "uptime_s": 10.0, "refused": []}
+    return f"F {json.dumps(told)}"
+
+
+def about(vehicle: int, name: str = "QDrone 2") -> str:
+    slots = (
+        SlotAbout("fsd", "FSD", "roll", "s", 0.12, False, 0.05),
+        SlotAbout("rotor_trim", "rotor trim", "", "fraction of hover", 0.06, True, None),
+        SlotAbout("vibration_level", "vibration", "", "m/s^2", 1.5, True, None),
+    )
+    drawing = airframe_svg(layout_named("x"), title=name)
+    return f"A {vehicle} {as_line(About(vehicle, name, 'qdrone2', 'rotor layout x', drawing, slots))}"
+
+
+def now(vehicle: int, first: int, level: Level = Level.QUIET, rotor: int | None = None, sentence: str = "") -> str:
+    bins = tuple(range(first, first + 4))
+    residual = tuple(0.03 * ((one * 7) % 5 - 2) / 2 for one in bins)
+    strip = Strip(Axis.ROLL, bins, tuple(one - 0.01 for one in residual), residual, (0.02,) * 4, (True,) * 4)
+    slots = (SlotNow(0.02), SlotNow(0.11 if rotor else 0.01), SlotNow(None, "no VIBRATION"))
+    link = LinkNow(1000, 3, 0.0, (("gyro", 200.0), ("VIBRATION", 0.0)), 0.04, None)
+    rises = (0.0, 0.11, -0.05, -0.06) if rotor else (0.0, 0.01, -0.01, 0.0)
+    shown = Now(
+        vehicle,
+        level,
+        sentence or "No fault found",
+        rotor,
+        rises,
+        State.MONITORING,
+        "monitoring",
+        *(9.0, 14.0, 0),
+        slots,
+        (strip,),
+        link,
+    )
+    return f"N {vehicle} {as_line(shown)}"
+
+
+def open_page(chromium: Any, process: ServerProcess) -> None:
+    chromium.get(process.place.url)
+    wait_for(lambda: "live" in text(chromium, "#connection"), "the page is live")
+
+
+def text(chromium: Any, selector: str) -> str:
+    found: str = chromium.execute_script(f"return document.querySelector('{selector}')?.textContent ?? ''")
+    return found
+
+
+def rows(chromium: Any) -> list[int]:
+    """Numbers of the events in the list, the newest first."""
+    script = "return [...document.querySelectorAll('#list li')].map((one) => Number(one.dataset.number))"
+    found: list[int] = chromium.execute_script(script)
+    return found
+
+
+def picture(chromium: Any, name: str) -> None:
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    chromium.save_screenshot(str(SCREENSHOTS / f"{name}.png"))
+
+
+def complaints(chromium: Any, process: ServerProcess) -> list[str]:
+    """What the browser says of this page; a server of another test has ended."""
+    said = [one["message"] for one in chromium.get_log("browser")]
+    return [one for one in said if process.place.url in one]
+
+
+def test_a_fault_is_seen_at_the_rotor_the_bar_and_the_strip(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    give(process, fleet(1, 2))
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
+    give(process, about(1), *(now(1, 4 * k) for k in range(100)))
+    wait_for(lambda: text(chromium, "#level-text") == "No fault found")
+    assert chromium.execute_script("return mavdiag.traces.get('roll').points.length") == 400
+    alarm = now(1, 400, Level.FAULT, 2, "PROP FAULT motor 2 weak 11%")
+    give(process, entry(1, "PROP FAULT motor 2 weak 11%", 2), alarm)
+    wait_for(lambda: text(chromium, "#level-text") == "Fault")
+    assert text(chromium, "#alert") == "Vehicle 1: PROP FAULT motor 2 weak 11%"
+    classes = "return [...document.querySelectorAll('#airframe .rotor')].map((one) => one.getAttribute('class'))"
+    assert chromium.execute_script(classes) == ["rotor", "rotor fault", "rotor", "rotor"]
+    assert text(chromium, "#airframe-rotor-2 .rotor-label") == "+11 %"
+    states = "return [...document.querySelectorAll('#bars li')].map((one) => one.dataset.state)"
+    assert chromium.execute_script(states) == ["under", "over", "idle"]
+    assert text(chromium, "#bars li:last-child .reason") == "not judged: no VIBRATION"
+    painted = """const canvas = document.querySelector('canvas.residual'), context = canvas.getContext('2d');
+        return context.getImageData(0, 0, canvas.width, canvas.height).data.some((one) => one > 0)"""
+    wait_for(lambda: chromium.execute_script(painted))
+    picture(chromium, "fault")
+    assert complaints(chromium, process) == []
+
+
+def test_hostile_texts_stay_text(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    give(process, fleet(1, sentence=HOSTILE), about(1, HOSTILE))
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
+    give(process, about(1, HOSTILE), now(1, 0, Level.SUSPECTED, 3, HOSTILE), entry(1, HOSTILE, 4))
+    give(process, f"J 2 {json.dumps({'kind': HOSTILE, 'utc': HOSTILE, 'vehicle': HOSTILE})}", "J 3 no JSON")
+    wait_for(lambda: rows(chromium) == [2, 1])
+    wait_for(lambda: HOSTILE in text(chromium, "#alert"))
+    assert HOSTILE in text(chromium, "#list li:last-child .words")
+    assert HOSTILE in text(chromium, "#layout")
+    found = "return [window.hurt || 0, document.images.length, document.scripts.length]"
+    assert chromium.execute_script(found) == [0, 0, 2]
+    refused = "try { document.body.innerHTML = '<b>x</b>'; return 'taken' } catch { return 'refused' }"
+    assert chromium.execute_script(refused) == "refused"  # trusted types: no text becomes markup by mistake
+    inline = "const s = document.createElement('script'); try { s.text = 'window.hurt = 1' } catch {}\n"
+    assert chromium.execute_script(f"{inline}document.body.append(s); return window.hurt || 0") == 0
+
+
+def test_a_thousand_events_are_shown_in_a_bounded_list_at_once(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    give(process, fleet(1))
+    give(process, *(entry(k, f"PROP note {k}") for k in range(1, 2001)))
+    wait_for(lambda: rows(chromium)[:1] == [2000])
+    assert rows(chromium) == list(range(2000, 1800, -1))
+    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 2001))
+    chromium.execute_script("document.querySelector('#only-alerts').click()")
+    give(process, entry(2001, "PROP FAULT motor 1 weak 9%", 2))
+    wait_for(lambda: rows(chromium) == [2001])
+    chromium.execute_script("document.querySelector('#only-alerts').click()")
+    wait_for(lambda: len(rows(chromium)) == 200)
+    assert complaints(chromium, process) == []
+
+
+def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
+    """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
+    feed, nobody = Feed(process, host_now()), Fleet(SessionSpec, profile=None, only=None, datagrams=True)
+
+    def write(first: int, last: int) -> None:
+        for number in range(first, last + 1):
+            feed.write(entry(number).split(" ", 2)[2])
+
+    def shown(newest: int) -> bool:
+        feed.look(nobody, (), host_now())
+        return rows(chromium)[:1] == [newest]
+
+    open_page(chromium, process)
+    write(1, 300)
+    wait_for(lambda: shown(300))
+    os.kill(process.pid or 0, signal.SIGKILL)
+    wait_for(lambda: "no connection" in text(chromium, "#connection"))
+    write(301, 1500)
+    wait_for(lambda: shown(1500))
+    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 1501))
+    assert text(chromium, "#connection") == "live"
+    assert "not kept" not in text(chromium, "#events-count")
+
+
+def host_now() -> Instant:
+    return Instant(time.monotonic_ns())
+
+
+def test_a_detector_that_falls_silent_or_is_gone_is_not_shown_as_live(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    wait_for(lambda: text(chromium, "#connection") == "nothing comes from the detector")
+    give(process, fleet(1))
+    wait_for(lambda: text(chromium, "#connection") == "live")
+    process.close()
+    wait_for(lambda: text(chromium, "#connection") == "no connection; trying again")
+
+
+def test_tabs_are_reached_by_the_keyboard(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    give(process, fleet(1, 2, 9))
+    wait_for(lambda: chromium.execute_script("return document.querySelectorAll('[role=tab]').length") == 3)
+    chromium.execute_script("document.querySelector('[role=tab][aria-selected=true]').focus()")
+    chromium.switch_to.active_element.send_keys(ARROW_LEFT)
+    wait_for(lambda: chromium.execute_script("return mavdiag.vehicle") == 9)
+    give(process, about(9), now(9, 0, sentence="No fault found"))
+    wait_for(lambda: text(chromium, "#level-text") == "No fault found")
+    assert chromium.execute_script("return document.activeElement.dataset.vehicle") == "9"
+    assert chromium.title == "No fault found – vehicle 9 – mavdiag"
+
+
+@pytest.mark.parametrize(("name", "width", "scheme"), [("dark", 1400, "dark"), ("phone", 390, "light")])
+def test_it_fits_a_phone_and_follows_the_scheme(
+    chromium: Any, process: ServerProcess, name: str, width: int, scheme: str
+) -> None:
+    look = {"width": width, "height": 1150, "deviceScaleFactor": 1, "mobile": False}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", look)
+    wanted = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+    open_page(chromium, process)
+    give(process, fleet(1, 2))
+    wait_for(lambda: text(chromium, "#vehicles [aria-selected=true] .name").endswith("Vehicle 1"))
+    parts = [now(1, 4 * k, Level.SUSPECTED, 2, "PROP suspect motor 2 weak 11%") for k in range(100)]
+    give(process, about(1), *parts, *(entry(k, f"PROP note {k}") for k in range(1, 30)))
+    wait_for(lambda: text(chromium, "#level-text") == "Suspected")
+    wait_for(lambda: len(rows(chromium)) == 29)
+    wide = "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+    fits, ground = chromium.execute_script(wide), "return getComputedStyle(document.body).backgroundColor"
+    shades = [int(one) for one in chromium.execute_script(ground)[4:-1].split(",")]
+    picture(chromium, name)
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert fits
+    assert (sum(shades) < 380) == (scheme == "dark")
+    assert complaints(chromium, process) == []
+
+
+def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) -> None:
+    """The whole way: frames to the daemon, its STATUSTEXT to the ground station, the same text on the page."""
+    baseline, vehicle = tmp_path / "b.json", MadeVehicle(1)
+    baseline_for().save(baseline)
+    options = ("--baseline", str(baseline), "--connect", "udpin:127.0.0.1:0", "--web", "0")
+    with (
+        running(*options) as (child, first),
+        open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far,
+    ):
+        assert child.stderr is not None
+        chromium.get(child.stderr.readline().split("web page: ")[1].strip())
+        until(far, vehicle, "monitoring")
+        until(far, vehicle, "FAULT", 6.0)  # nothing is judged in the first seconds of a flight
+        vehicle.turning = 0.5
+        said = next(one for one in until(far, vehicle, "FAULT") if "FAULT" in one)
+        heard_ms = 1000.0 * time.time()
+        shown = f"""return [...document.querySelectorAll('#list [data-loud=critical] .words')]
+            .filter((one) => one.textContent === {json.dumps(said)})
+            .map((one) => Number(one.parentElement.dataset.shown))"""
+        found = wait_for(lambda: chromium.execute_script(shown), said)
+        until(far, vehicle, "nothing says this", 1.0)
+        wait_for(lambda: text(chromium, "#level-text") == "Fault")
+        assert said[:15] in text(chromium, "#alert")
+        assert found[0] - heard_ms < 10_000
+        picture(chromium, "detector")
+        code, _ = ended(child, signal.SIGTERM)
+    assert code == 0
+    wait_for(lambda: "no connection" in text(chromium, "#connection"))
+    assert text(chromium, "#list li:first-child .kind") == "stop"

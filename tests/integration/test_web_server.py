@@ -1,0 +1,172 @@
+"""The live page's server as a process: what it refuses, what a reconnect gets, and how it lives and dies."""
+
+import os
+import signal
+import socket
+import time
+from pathlib import Path
+
+import pytest
+from detector_process import PATIENCE_S, ended, ran, running
+from web_page import Reader, asked, give, serving, wait_for
+
+from detector.web.access import HEADERS
+from detector.web.child import Place, ServerProcess
+from mavdiag.errors import LinkError
+from mavdiag.telemetry import Instant
+
+pytestmark = pytest.mark.realtime
+LEARNING = ("--learn", "50", "--connect", "udpin:127.0.0.1:0")
+TOKEN = "a-token-of-24-characters"
+
+
+def now() -> Instant:
+    return Instant(time.monotonic_ns())
+
+
+def test_every_answer_has_the_headers_and_nothing_is_loaded_from_elsewhere() -> None:
+    with serving() as process:
+        port = process.place.port
+        for path in ("/", "/app.js", "/strips.js", "/style.css", "/icon.svg", "/nothing", "/../server.py"):
+            answer = asked(port, path)
+            body = answer.body
+            assert answer.status == (200 if path.count(".") < 2 and path != "/nothing" else 404), path
+            assert {name: answer.headers[name] for name in HEADERS} == dict(HEADERS)
+            assert "https://" not in body
+            assert "http://" not in body.replace("http://www.w3.org/2000/svg", "")
+        stream = asked(port, "/stream")
+        assert {name: stream.headers[name] for name in HEADERS} == dict(HEADERS)
+
+
+def test_wrong_hosts_origins_methods_and_tokens_are_refused() -> None:
+    with serving() as process:
+        port = process.place.port
+        assert asked(port, Host=f"evil.example:{port}").status == 403
+        assert asked(port, "/stream", Host=f"evil.example:{port}").status == 403
+        assert asked(port, "/stream", Origin="http://evil.example").status == 403
+        assert asked(port, "/stream", Sec_Fetch_Site="cross-site").status == 403
+        assert asked(port, "/", "POST").status == 405
+        assert asked(port, "/", "HEAD").status == 405
+    with serving(TOKEN) as process:
+        port = process.place.port
+        assert asked(port).status == 401
+        assert asked(port, "/stream").status == 401
+        assert asked(port, "/?token=wrong").status == 401
+        answer = asked(port, f"/?token={TOKEN}")
+        assert (answer.status, answer.headers["Location"]) == (303, "/")
+        cookie = answer.headers["Set-Cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=Strict" in cookie
+        assert TOKEN not in cookie
+        assert asked(port, Cookie=cookie.split(";")[0]).status == 200
+        assert asked(port, Authorization=f"Bearer {TOKEN}").status == 200
+
+
+def test_a_reconnect_loses_nothing_and_gets_nothing_twice() -> None:
+    with serving() as process:
+        port = process.place.port
+        give(process, *(f'J {k} {{"k":{k}}}' for k in range(1, 51)))
+        first = Reader(port)
+        first.until(lambda one: len(one.numbers) == 50)
+        first.close()
+        give(process, *(f'J {k} {{"k":{k}}}' for k in range(51, 2101)))
+        last = f"r1-{first.numbers[-1]}"
+        again = Reader(port, Last_Event_ID=last)
+        again.until(lambda one: one.numbers[-1:] == [2100])
+        assert again.numbers == list(range(51, 2101))
+        by_query = Reader(port, f"?after={last}")
+        by_query.until(lambda one: one.numbers[-1:] == [2100])
+        assert by_query.numbers == again.numbers
+        other_run = Reader(port, "?after=r0-99")
+        other_run.until(lambda one: one.numbers[-1:] == [2100])
+        assert other_run.numbers == list(range(1601, 2101))
+        for reader in (again, by_query, other_run):
+            reader.close()
+
+
+def test_the_daemon_is_told_who_is_looked_at() -> None:
+    with serving() as process:
+        reader = Reader(process.place.port, "?vehicle=7")
+        wait_for(lambda: "watch 7" in process.look(now())[1])
+        reader.close()
+        wait_for(lambda: "watch" in process.look(now())[1])
+
+
+def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
+    lines: list[str] = []
+    process = ServerProcess(Place("127.0.0.1", 0, None), "r1", lines.append)
+    process.start()
+    try:
+        port, pid = process.place.port, process.pid
+        assert process.look(now())[0]
+        os.kill(pid or 0, signal.SIGKILL)
+        wait_for(lambda: process.look(now())[0])
+        wait_for(lambda: process.look(now()) and len(lines) == 2, "it says that it serves again")
+        assert "its process ended (exit code -9); it is started again, the watch goes on" in lines[0]
+        assert lines[1] == f"web page: http://127.0.0.1:{port}/ is served again"
+        assert asked(port).status == 200
+        assert process.pid != pid
+    finally:
+        process.close()
+
+
+def test_a_busy_port_is_one_line() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen(1)
+        port = taken.getsockname()[1]
+        process = ServerProcess(Place("127.0.0.1", port, None), "r1", lambda line: None)
+        with pytest.raises(LinkError, match="name another --web HOST:PORT") as error:
+            process.start()
+        assert len(str(error.value).splitlines()) == 1
+        run = ran(*LEARNING, "--web", str(port))
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert "address already in use" in run.stderr.lower()
+
+
+def test_another_address_without_a_token_is_refused_at_the_start(tmp_path: Path) -> None:
+    run = ran(*LEARNING, "--web", "0.0.0.0:0")
+    assert run.returncode == 2
+    assert run.stderr.splitlines() == [
+        "mavdiag-detector: --web 0.0.0.0:0: others reach 0.0.0.0; name a --web-token-file FILE, or 127.0.0.1"
+    ]
+    token = tmp_path / "token"
+    token.write_text(f"{TOKEN}\n")
+    token.chmod(0o600)
+    run = ran(*LEARNING, "--web", "0.0.0.0:8080", "--web-token-file", str(token), "--check")
+    assert run.returncode == 0
+    assert f"web page   http://0.0.0.0:8080/; asks for the token in {token}" in run.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_server_ends_with_the_daemon_whatever_ends_that(number: signal.Signals) -> None:
+    with running(*LEARNING, "--web", "0") as (child, first):
+        assert first.startswith("ready: ")
+        assert child.stderr is not None
+        line = child.stderr.readline()
+        port = int(line.rsplit(":", 1)[1].strip("/\n"))
+        assert asked(port).status == 200
+        before = time.monotonic()
+        code, rest = ended(child, number)
+    assert time.monotonic() - before < PATIENCE_S / 2
+    assert code == (0 if number != signal.SIGKILL else -9)
+    assert "Traceback" not in rest
+
+    def gone() -> bool:
+        with socket.socket() as one:
+            return one.connect_ex(("127.0.0.1", port)) != 0
+
+    wait_for(gone)
+
+
+def test_ctrl_c_in_a_terminal_is_quiet() -> None:
+    """A terminal sends it to both processes."""
+    with running(*LEARNING, "--web", "0", before=os.setsid) as (child, _):
+        assert child.stderr is not None
+        child.stderr.readline()
+        os.killpg(child.pid, signal.SIGINT)
+        _, rest = child.communicate(timeout=PATIENCE_S)
+    assert child.returncode == 0
+    assert len(rest.splitlines()) == 1
+    assert "stopped after" in rest

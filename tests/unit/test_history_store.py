@@ -1,0 +1,170 @@
+"""The database of a history: SQLite and a real PostgreSQL give the same answers."""
+
+import sqlite3
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from made_history import record, records
+from made_postgres import postgres
+
+from mavdiag.errors import InputError, MavdiagError, UsageError
+from mavdiag.history.records import Mark, MarkKind
+from mavdiag.judging import Verdict
+
+pytest.importorskip("sqlalchemy", reason="the history is an extra")
+pytest.importorskip("alembic", reason="the history is an extra")
+
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import create_engine, text
+
+from mavdiag.history.store import address_of, open_history
+from mavdiag.history.tables import METADATA, VERSION
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with postgres() as url:
+        yield url
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    if request.param == "sqlite":
+        yield str(tmp_path / "history.sqlite")
+        return
+    url: str = request.getfixturevalue("server")
+    yield url
+    engine = create_engine(address_of(url))
+    with engine.begin() as connection:
+        connection.execute(text("DROP SCHEMA public CASCADE; CREATE SCHEMA public"))
+    engine.dispose()
+
+
+def test_what_is_kept_comes_back_in_order_of_time(database: str) -> None:
+    kept = records([0.5, None, 0.7])
+    unknown = replace(record(9), started_ns=0, rotor_trim=(), slots=(), verdict=Verdict.NOT_JUDGEABLE)
+    with open_history(database, create=True) as history:
+        assert history.airframes() == ()
+        assert [history.add(one) for one in (kept[2], kept[0], unknown, kept[1])] == [True] * 4
+    with open_history(database) as history:
+        assert history.airframes() == ("one",)
+        assert history.flights("one") == (unknown, *kept)  # added on the first of January
+        assert history.flights("another") == ()
+
+
+def test_a_flight_is_kept_once_and_replaced_when_asked(database: str) -> None:
+    with open_history(database, create=True) as history:
+        assert history.add(record(1))
+        assert not history.add(replace(record(1), airframe="another", reason="changed"))
+        assert history.airframe_of(record(1).content) == "one"
+        assert history.add(replace(record(1, 0.9), reason="changed"), again=True)
+        assert [one.reason for one in history.flights("one")] == ["changed"]
+        assert history.flights("one")[0].slots[2].peak == 0.9
+        assert history.airframe_of("unknown") is None
+
+
+def test_marks_belong_to_an_airframe_that_is_there(database: str) -> None:
+    later, earlier = Mark("one", 2000, MarkKind.REPAIR, "arm 3"), Mark("one", 1000, MarkKind.NEW_PROPELLERS)
+    with open_history(database, create=True) as history:
+        with pytest.raises(UsageError, match="no airframe 'one' in the history; there is none"):
+            history.mark(later)
+        history.add(record(1))
+        history.mark(later)
+        history.mark(earlier)
+        assert history.marks("one") == (earlier, later)
+        with pytest.raises(UsageError, match="there is one"):
+            history.mark(replace(later, airframe="two"))
+
+
+def test_several_that_add_at_once_keep_each_flight_once(database: str) -> None:
+    """Eight at a time open it, which makes the tables, and add the same ten flights."""
+
+    def add(_: int) -> int:
+        with open_history(database, create=True) as history:
+            return sum(history.add(one) for one in records([0.5] * 10))
+
+    with ThreadPoolExecutor(8) as pool:
+        added = sum(pool.map(add, range(8)))
+    with open_history(database) as history:
+        assert added == len(history.flights("one")) == 10
+
+
+def test_the_migrations_make_the_tables_that_the_code_knows(database: str) -> None:
+    with open_history(database, create=True):
+        pass
+    engine = create_engine(address_of(database))
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"version_table": VERSION, "compare_type": True})
+        assert compare_metadata(context, METADATA) == []
+    engine.dispose()
+
+
+def test_a_database_of_a_newer_version_is_refused(database: str) -> None:
+    with open_history(database, create=True) as history:
+        history.add(record(1))
+    engine = create_engine(address_of(database))
+    with engine.begin() as connection:
+        connection.execute(text(f"UPDATE {VERSION} SET version_num = '9999'"))
+    engine.dispose()
+    with pytest.raises(UsageError, match="made by a newer mavdiag"), open_history(database):
+        pass
+
+
+def test_what_is_no_history_is_said_in_one_line(tmp_path: Path) -> None:
+    other, folder = tmp_path / "other", tmp_path / "folder"
+    other.write_text("no database at all, but long enough to be looked at\n" * 20)
+    folder.mkdir()
+    cases = {
+        str(tmp_path / "none.sqlite"): "no history there",
+        str(folder): "is a folder",
+        str(other): "file is not a database",
+        str(tmp_path / "nowhere" / "h.sqlite"): "no history there",
+        "": "name the history",
+        "mysql://a@b/c": "an SQLite file or a postgresql",
+        "sqlite://": "an SQLite file or a postgresql",
+    }
+    for database, words in cases.items():
+        with pytest.raises((UsageError, InputError), match=words) as caught, open_history(database):
+            pass
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="there is no folder"), open_history(f"{tmp_path}/a/b", create=True):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "other"]
+
+
+def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
+    """As little as while another one writes: a lock to write would have to wait for it."""
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True) as history:
+        history.add(record(1))
+    before = path.stat().st_mtime_ns
+    held = sqlite3.connect(path, isolation_level=None)
+    held.execute("BEGIN IMMEDIATE")  # another one writes at the moment
+    with open_history(str(path)) as history:
+        assert len(history.flights("one")) == 1
+    held.close()
+    assert path.stat().st_mtime_ns == before
+
+
+def test_a_table_that_is_missing_is_an_error_of_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True):
+        pass
+    connection = sqlite3.connect(path)
+    connection.execute("DROP TABLE mavdiag_figure")
+    connection.close()
+    with pytest.raises(UsageError, match="no such table"), open_history(str(path)) as history:
+        history.add(record(1))
+
+
+@pytest.mark.parametrize(
+    "database", ["postgresql://me:secret@127.0.0.1:1/fleet", "postgresql://me:secret@127.0.0.1:port/fleet"]
+)
+def test_a_password_is_never_shown(database: str) -> None:
+    with pytest.raises(MavdiagError) as caught, open_history(database):
+        pass
+    assert "secret" not in str(caught.value)

@@ -1,0 +1,212 @@
+"""The numbers behind a report's figures, against calculations of their own."""
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from flying_telemetry import flying, flying_rows
+from hypothesis import given
+from hypothesis import strategies as st
+from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baseline, script
+from scipy.signal import welch
+
+from mavdiag.airframe.layout import layout_named
+from mavdiag.face import rates
+from mavdiag.identify import Method, fit
+from mavdiag.identify.validate import validate
+from mavdiag.report.campaign import roc_of
+from mavdiag.report.evidence import ratio_of
+from mavdiag.report.plane import CLASSES, unbalance_of
+from mavdiag.report.quality import quality_of
+from mavdiag.report.rates import longest_by_column, moment_of, runs_of
+from mavdiag.report.rotors import shift_of
+from mavdiag.report.spectrum import folded, spectrum_of
+from mavdiag.report.thinned import envelope, highest
+from mavdiag.report.windows import sweep_of
+from mavdiag.rows.block import Block
+from mavdiag.telemetry import Axis, FloatArray, Series, Signal
+from mavdiag.traces import RateTrace, Traces, traces_of
+
+pytest.importorskip("numba", reason="the plant is an extra")
+
+
+def traces() -> Traces:
+    _, judged = cracked()
+    assert judged.chain is not None
+    return traces_of(judged.chain, judged.pieces)
+
+
+def blocks() -> list[Block]:
+    return [piece.rows.block for piece in cracked()[1].pieces]
+
+
+@given(st.integers(1, 3000), st.integers(2, 60), st.integers(0, 2**32 - 1))
+def test_an_envelope_keeps_the_extremes_and_invents_nothing(n: int, columns: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    t, y = np.cumsum(rng.random(n)), rng.normal(size=n)
+    y[rng.random(n) < 0.2] = np.nan
+    known = y[np.isfinite(y)]
+    for thin, most in ((envelope, 3 * columns), (highest, 2 * columns)):
+        shown_t, shown = thin(t, y, columns)
+        if n > 2 * columns:
+            assert len(shown) <= most
+        assert np.all(np.diff(shown_t) >= 0)
+        assert set(shown[np.isfinite(shown)]) <= set(known)
+        if len(known):
+            assert np.nanmax(shown) == known.max()
+    if len(known):
+        assert np.nanmin(envelope(t, y, columns)[1]) == known.min()
+
+
+def test_a_gap_in_time_is_not_drawn_across() -> None:
+    t = np.concatenate((np.arange(500.0), np.arange(2000.0, 2500.0)))
+    for thin in (envelope, highest):
+        for times, columns in ((t, 50), (t, 5000), (np.repeat(t, 3), 5000)):
+            assert np.isnan(thin(times, np.ones(len(times)), columns)[1]).sum() >= 1
+
+
+def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
+    for trace in traces().rates:
+        runs = runs_of(trace)
+        walked = walk(trace)
+        np.testing.assert_allclose(runs.fsd_s, [span for _, span, _ in walked], rtol=0.03)  # less beyond the envelope
+        np.testing.assert_allclose(runs.start_s, [start for start, _, _ in walked])
+        np.testing.assert_allclose(runs.peak_rad_s, [peak for _, _, peak in walked])
+        assert runs.fsd_s.max() == pytest.approx(trace.fsd_s.max())
+        start_s, stop_s = moment_of([trace])
+        assert start_s <= trace.t_ns[trace.fsd_s.argmax()] / 1e9 <= stop_s
+        few = longest_by_column(runs, 5)
+        assert len(few) <= 5 < len(runs)
+        assert few.fsd_s.max() == runs.fsd_s.max()
+
+
+def walk(trace: RateTrace) -> list[tuple[float, float, float]]:
+    """Start [s], length [s] and highest excess of each run, row by row."""
+    found: list[tuple[float, float, float]] = []
+    start, count, peak = 0.0, 0, 0.0
+    for k in range(len(trace.t_ns)):
+        excess = abs(trace.measured[k] - trace.simulated[k]) - trace.margin_rad_s
+        if count and (not trace.judged[k] or excess <= 0 or trace.segment[k] != trace.segment[k - 1]):
+            found.append((start, count / RATE_HZ, peak))
+            count = 0
+        if trace.judged[k] and excess > 0:
+            start, peak = (start, max(peak, excess)) if count else (trace.t_ns[k] / 1e9, excess)
+            count += 1
+    return [*found, (start, count / RATE_HZ, peak)] if count else found
+
+
+def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
+    spectrum = spectrum_of(blocks())
+    assert spectrum is not None
+    log = cracked()[0]
+    speeds = log[Signal.ROTOR_SPEED]
+    late = speeds.values[speeds.t_s > ONSET_S][:, ROTOR - 1] / (2 * np.pi)
+    line = (spectrum.frequency_hz > 100) & (spectrum.frequency_hz < 199)
+    peak_hz = spectrum.frequency_hz[line][spectrum.density[line, 0].argmax()]
+    assert np.percentile(late, 2) - 2 <= peak_hz <= np.percentile(late, 98) + 2
+    valid = np.concatenate([one.valid for one in blocks()])
+    force = np.concatenate([one.force for one in blocks()])[valid, :2]
+    assert np.count_nonzero(np.diff(valid)) <= 2  # one stretch
+    frequency, power = welch(force, RATE_HZ, "hann", 400, 200, detrend="constant", axis=0)
+    use = frequency > 5
+    np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
+    np.testing.assert_allclose(spectrum.density[use], np.sqrt(power[use]), rtol=0.05)  # scipy's window is periodic
+
+
+def test_a_line_above_half_of_the_rate_is_shown_where_it_folds_to() -> None:
+    t = np.arange(4000) / 200.0
+    seen = np.abs(np.fft.rfft(np.sin(2 * np.pi * 167.0 * t)))
+    assert np.fft.rfftfreq(4000, 1 / 200.0)[seen.argmax()] == folded(167.0, 200.0)
+
+
+def test_the_window_sweep_fits_what_identify_fits() -> None:
+    log, _ = cracked()
+    sweep = sweep_of(blocks(), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
+    windows = [row.window for row in sweep.rows]
+    assert windows == sorted(set(windows))
+    row = next(one for one in sweep.rows if one.window == 41)
+    flight = rates(log, Axis.ROLL, 41 / RATE_HZ)
+    model = fit(flight.u, flight.y, (2, 2, 1), dt=flight.dt_s)
+    assert row.model is not None
+    assert row.model.r2t == pytest.approx(validate(model, flight.u, flight.y).r2t, abs=0.02)
+
+
+def test_the_shift_of_a_weak_rotor_is_three_quarters_of_its_rise() -> None:
+    rows = [one.block for one in flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2))]
+    shift = shift_of(rows, layout_named("x"), None)
+    outputs = np.array([0.5, 0.5, 0.6, 0.5])
+    B = layout_named("x").mixing
+    np.testing.assert_allclose(shift.mean(None), B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1), atol=0.01)
+    assert int(np.argmax(shift.mean(None))) == 2
+    assert not shift.beyond_health
+    assert np.isnan(shift.shift[:100]).all()  # no 5 s yet
+
+
+def test_the_ratio_is_nan_where_nothing_was_judged() -> None:
+    for trace in traces().slots:
+        t_s, ratio = ratio_of(trace)
+        assert len(t_s) == len(ratio)
+        np.testing.assert_array_equal(np.isfinite(ratio), trace.found.valid)
+    verdict = cracked()[1].verdict
+    highest_of = {one.slot.key: np.nanmax(ratio_of(one)[1]) for one in traces().slots if one.found.valid.any()}
+    for one in verdict.monitors:
+        if one.maximum is not None:
+            assert highest_of[one.name, one.axis] == pytest.approx(one.maximum / one.threshold)
+
+
+def test_the_unbalance_is_near_the_propellers() -> None:
+    found = unbalance_of(traces().slots, ONSET_S + 1.0)
+    (crack,) = (one for one in CLASSES if (one.fault_type, one.severity) == ("F2", 2))
+    assert found == pytest.approx(crack.unbalance_g_mm, rel=0.3)
+    assert unbalance_of([], None) is None
+
+
+def test_link_quality_counts_what_was_taken_out() -> None:
+    t_ns = np.arange(1000, dtype=np.int64) * 10_000_000
+    kept = np.delete(t_ns, np.r_[100:120, 500:510])
+    twice = np.sort(np.append(kept, kept[:7]))
+    series = Series(Signal.BODY_RATE, twice, twice, np.zeros((len(twice), 3)))
+    found = quality_of(series)
+    assert (found.gaps, found.repeated) == (2, 7)
+    assert found.rate_hz == pytest.approx(100.0)
+    assert found.longest_s == pytest.approx(0.21)
+    assert found.missing == pytest.approx(0.03)
+    assert quality_of(replace_length(series, 1)).rate_hz is None
+
+
+def replace_length(series: Series, n: int) -> Series:
+    return replace(series, t_ns=series.t_ns[:n], host_ns=series.host_ns[:n], values=series.values[:n])
+
+
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=40), st.lists(st.integers(0, 20), min_size=1, max_size=40))
+def test_the_area_of_a_roc_is_the_chance_to_rank_a_pair_rightly(healthy: list[int], damaged: list[int]) -> None:
+    low, high = (np.array(one, dtype=np.float64) for one in (healthy, damaged))
+    roc = roc_of(low.tolist(), high.tolist())
+    assert roc.area == pytest.approx(ranked(low, high))
+    assert (roc.false_share[0], roc.true_share[0], roc.false_share[-1], roc.true_share[-1]) == (0, 0, 1, 1)
+    assert roc.at_threshold == pytest.approx((np.mean(low > 1), np.mean(high > 1)))
+
+
+def ranked(low: FloatArray, high: FloatArray) -> float:
+    """Mann and Whitney: the share of pairs in which the damaged flight scores higher, ties half."""
+    return float(np.mean((high[:, None] > low) + 0.5 * (high[:, None] == low)))
+
+
+def test_the_baseline_is_the_emulated_vehicles() -> None:
+    assert emulated_baseline().airframe.classifier == "qdrone2-emulated"
+
+
+def test_the_pictures_of_the_readme_are_drawn(tmp_path: Path) -> None:
+    script().main(tmp_path)
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    for name in ("report-evidence.svg", "report-residual.svg"):
+        assert f"(docs/{name})" in readme
+        drawn, kept = (ElementTree.parse(folder / name).getroot() for folder in (tmp_path, DOCS))
+        # Other versions of the libraries may place a line otherwise; what is said must be the same.
+        assert texts_of(drawn) == texts_of(kept)
+
+
+def texts_of(drawing: ElementTree.Element) -> list[str]:
+    return [one.text for one in drawing.iter() if one.text and not one.tag.endswith("desc")]

@@ -1,0 +1,234 @@
+"""The page of a report: it stands alone, can be read, says what it does not show, and believes no text from outside."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+from flying_telemetry import flying, without
+from made_baselines import FRAME, healthy, logged, plain, whole
+from made_telemetry import flight
+from matplotlib.figure import Figure
+from page_reading import Page, check
+
+from mavdiag.airframe.airframe import Airframe
+from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import Change, Stage
+from mavdiag.errors import InputError
+from mavdiag.judging import LogVerdict, Verdict, judge_in_full
+from mavdiag.monitors import BY_NAME
+from mavdiag.monitors.base import FaultKind
+from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
+from mavdiag.report.campaign_page import campaign_page
+from mavdiag.report.flight import FlightReport, flight_report, unread_report
+from mavdiag.report.page import Made, flights_page
+from mavdiag.report.style import drawn, embedded
+from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline
+from mavdiag.telemetry import Log, Signal
+
+MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
+HOSTILE = "<script>alert(1)</script>\"'>&\u202e$x^2$<img src=x onerror=y>"
+SECTIONS = (
+    *("airframe", "evidence", "trim-bars", "trim", "rates", "residual", "fsd"),
+    *("plane", "severity", "spectrum", "windows", "attitude", "height", "link"),
+)
+
+
+def report_of(log: Log, baseline: Baseline, *, figures: bool = True) -> FlightReport:
+    return flight_report(log, baseline, judge_in_full(log, baseline), 120, figures=figures)
+
+
+@cache
+def weak() -> FlightReport:
+    return report_of(logged(flying(3000, 7, weak_rotor=2, rise=0.5)), whole())
+
+
+@cache
+def weak_page() -> Page:
+    return check(flights_page([weak()], whole(), MADE))
+
+
+def test_a_page_stands_alone_and_has_every_figure_or_its_reason() -> None:
+    page = weak_page()
+    assert [one.key for one in weak().pictures] == list(SECTIONS)
+    assert {f"log-1-{name}" for name in SECTIONS} <= set(page.ids)
+    shown = [one for one in weak().pictures if one.svg]
+    assert len(page.drawings) == len(shown) >= 10
+    for one in weak().pictures:
+        assert bool(one.svg) != bool(one.not_drawn)
+        assert one.caption.endswith(".")
+        assert not one.thesis or f"(thesis Fig {one.thesis})" in page.said
+    assert page.said.count("Not drawn: ") == len(weak().pictures) - len(shown)
+
+
+def test_the_page_says_the_verdict_its_evidence_and_where_it_comes_from() -> None:
+    said = weak_page().said
+    assert "A propeller fault of rotor 2 was found" in said
+    assert "Above their thresholds: " in said
+    assert "look at the propeller of rotor 2 first" in said
+    assert ("does not tell the cause (trim shift" in said) == ("trim shift: " in weak().verdict.reason)
+    assert whole().digest in said or not whole().digest
+    for name in ("rotor_trim", "unbalance", "fsd (roll)"):
+        assert name in said
+    assert "What was not judged, and why" in said
+    assert "Link quality" in said
+    assert "made 2026-01-01T00:00:00+00:00 by mavdiag" in said
+
+
+@pytest.mark.parametrize(
+    ("log", "reason"),
+    [
+        (logged(flying(3000, 7), "ardupilot"), "another link"),
+        (logged(without(flying(3000, 7), (0.0, 1e9), signals=(Signal.BODY_RATE,))), "no body rate"),
+        (logged(without(flying(3000, 7), (0.0, 1e9), signals=(Signal.ATTITUDE_SETPOINT,))), "no attitude setpoint"),
+        (logged(flight(3000, 7), "px4"), "another link"),
+        (plain(1)[0], "another link"),
+    ],
+)
+def test_a_log_that_carries_less_says_what_is_not_drawn(log: Log, reason: str) -> None:
+    found = report_of(log, whole())
+    page = check(flights_page([found], whole(), MADE))
+    assert [one.key for one in found.pictures] == list(SECTIONS)
+    assert any(one.not_drawn for one in found.pictures)
+    assert reason in page.said
+
+
+def test_a_baseline_without_rotors_says_so() -> None:
+    bare = whole().model_copy(update={"airframe": Airframe(name="bare", gate=FRAME.gate)})
+    found = report_of(healthy(1)[0], bare)
+    missing = {one.key: one.not_drawn for one in found.pictures if one.not_drawn}
+    assert all("layout is not known" in missing[key] for key in ("airframe", "trim", "trim-bars"))
+    assert "emulated QDrone 2 alone" in missing["severity"]
+
+
+def test_no_text_from_outside_is_markup() -> None:
+    log = replace(healthy(1)[0], name=f"{HOSTILE}.tlog", notes=(HOSTILE, "b"), parameters={HOSTILE: 1.0})
+    flight_there = report_of(log, whole(), figures=False)
+    frame = whole().airframe
+    outside = whole().model_copy(update={"airframe": replace(frame, name=HOSTILE, layout_basis=HOSTILE)})
+    unread = unread_report(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
+    text = flights_page([flight_there, unread], outside, replace(MADE, baseline_path=HOSTILE))
+    page = check(text)
+    assert "img" not in page.tags
+    assert "\u202e" not in text
+    assert page.said.count("<script>alert(1)</script>") >= 6  # as words
+
+
+def test_several_logs_begin_with_a_table_that_leads_to_each() -> None:
+    flights = [weak(), unread_report(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
+    page = check(flights_page(flights, whole(), MADE))
+    assert {"#log-1", "#log-2"} <= set(page.addresses)
+    assert "All logs: 1 not readable, 1 fault." in page.said
+    assert "This file could not be read: no such file." in page.said
+
+
+def test_the_same_values_give_the_same_page() -> None:
+    assert drawn("a", "b", dots) == drawn("a", "b", dots)
+    assert flights_page([weak()], whole(), MADE) == flights_page([weak()], whole(), MADE)
+
+
+def test_every_monitor_has_words_for_a_newcomer() -> None:
+    assert set(OBSERVES) == set(BY_NAME)
+
+
+def test_each_verdict_has_its_sentence_and_advice() -> None:
+    def told(verdict: Verdict, kind: FaultKind | None = None) -> LogVerdict:
+        change = Change(2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, kind)
+        return LogVerdict("a", verdict, "because", judged_s=9.0, changes=(change,) if kind else (), kind=kind)
+
+    sentence = "A propeller fault of rotor 3 was found, most like a crack (F2, severity 2 of 3)"
+    assert headline(told(Verdict.FAULT, FaultKind.PROPELLER)).startswith(sentence)
+    assert headline(told(Verdict.FAULT, FaultKind.SENSOR)).startswith(
+        "A sensor fault was found, declared first at 2.0 s"
+    )
+    assert headline(told(Verdict.HEALTHY)) == "No fault was found in 9 s of judged flight."
+    assert "because" in headline(told(Verdict.NOT_JUDGEABLE))
+    assert "no propeller is blamed" in advice(told(Verdict.FAULT, FaultKind.SENSOR))
+    assert "no proof of health" in advice(told(Verdict.HEALTHY))
+    assert evidence_sentence(told(Verdict.ERROR)) == ""
+
+
+def dots(figure: Figure) -> None:
+    figure.subplots().plot([1, 2], [3, 4], "o")
+
+
+def test_a_drawing_has_its_own_ids_in_a_page() -> None:
+    svg = drawn("A <title>", "words & more", dots)
+    first, second = embedded(svg, "a"), embedded(svg, "b")
+    ids = Page(first + second).ids
+    assert len(ids) == len(set(ids)) > 2
+    assert "<metadata" not in svg
+    assert "A &lt;title&gt;" in svg
+
+
+RESULT = {
+    "record": "flight",
+    "airframe": 0,
+    "flown_s": 40.0,
+    "judged_s": 30.0,
+    "healthy_s": 12.0,
+    "session": 0,
+    "verdict": "fault",
+    "episodes": 0,
+    "faults": 0,
+    "onset_s": 15.0,
+    "phenomenology": 1.0,
+    "link": "x",
+}
+
+
+def results() -> str:
+    lines = []
+    for number in range(40):
+        cause = ("healthy", "F1/SV1", "F2/SV2", "F3/SV3", HOSTILE[:60])[number % 5]
+        missed = number % 7 == 0
+        answer = {
+            "kind": "nothing" if missed else "propeller fault",
+            "rotor": 1,
+            "fault_type": cause[:2],
+            "severity": 1,
+        }
+        one = {**RESULT, "key": str(number), "cause": cause, "rotor": 1 + number % 4, "answer": answer}
+        if cause == "healthy":
+            one |= {"onset_s": None, "verdict": "healthy", "score_before": 0.3 + 0.01 * number, "latency_s": None}
+        else:
+            one |= {"score_after": 0.35 if missed else 3.0, "latency_s": None if missed else 0.1 * number}
+        lines.append(json.dumps(one))
+    return "\n".join([*lines, '{"record": "learn", "key": "a", "baseline": "..."}', '{"record": "fli'])
+
+
+def test_a_campaign_is_drawn_from_its_results() -> None:
+    campaign = parse_campaign(results())
+    assert (len(campaign.flights), campaign.unread, len(campaign.faulty)) == (40, 1, 24)
+    page = check(campaign_page(campaign, HOSTILE, MADE.created))
+    found = sum(one.latency_s is not None for one in campaign.faulty)
+    assert f"Of 24 judged flights with a damaged propeller {found} had an alarm" in page.said
+    assert {f"campaign-{name}" for name in ("roc", "severity", "latency", "confusion", "rotors")} <= set(page.ids)
+    assert len(page.drawings) == 5
+
+
+def test_a_campaign_without_faults_or_scores_says_so() -> None:
+    flights = parse_campaign(results()).flights
+    healthy_only = Campaign(tuple(one for one in flights if one.cause == "healthy"))
+    said = check(campaign_page(healthy_only, "x", MADE.created)).said
+    assert said.count("Not drawn: ") == 4
+    old = Campaign(tuple(one.model_copy(update={"score_before": None, "score_after": None}) for one in flights))
+    assert "no healthy flight has a score" in check(campaign_page(old, "x", MADE.created)).said
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "holds no flight"),
+        (b"[1, 2]", "holds no flight"),
+        (b'{"seed": 0, "detection": []}', "is a campaign's summary"),
+        (b"\xff\xfe", "not UTF-8"),
+        (b'{"record": "flight", "key": 1}', "holds no flight"),
+    ],
+)
+def test_what_is_no_campaign_says_what_to_name(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "c.jsonl"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"c\.jsonl: {reason}.*sitl-plant campaign -o"):
+        read_campaign(path)

@@ -1,0 +1,133 @@
+"""Who may read the live page: by the address it is on, the headers of a request, and the token."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from detector.config import Settings, load_settings
+from detector.web.access import HEADERS, Access, Answer
+from detector.web.token import read_token
+from mavdiag.errors import UsageError
+
+LOCAL = Access("127.0.0.1", 8080)
+OPEN = Access("0.0.0.0", 8080, "a-token-of-24-characters")
+
+
+def judged(access: Access, path: str = "/stream", method: str = "GET", token: str | None = None, **more: str) -> Answer:
+    headers = {"host": "127.0.0.1:8080"} | {name.replace("_", "-"): value for name, value in more.items()}
+    return access.judge(method, path, headers, headers.pop("cookie", None), token)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "LOCALHOST:8080", "[::1]:8080"])
+def test_the_names_of_this_machine_are_known(host: str) -> None:
+    assert judged(LOCAL, host=host) is Answer.PASS
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example:8080", "127.0.0.1:8081", "127.0.0.1", "", "10.0.0.7:8080", "127.0.0.1.evil.example:8080"],
+)
+def test_a_rebound_name_is_refused(host: str) -> None:
+    assert judged(LOCAL, host=host) is Answer.REFUSED
+
+
+@given(st.text(max_size=40).filter(lambda text: text.lower() not in ("127.0.0.1:8080", "localhost:8080", "[::1]:8080")))
+def test_every_other_host_is_refused(host: str) -> None:
+    if host.lower().strip() != "::1:8080":  # no name: nothing can be rebound to it
+        assert judged(LOCAL, host=host) is Answer.REFUSED
+
+
+def test_on_all_addresses_the_address_is_a_number() -> None:
+    """A name can be made to point here; the number in an address bar cannot."""
+    assert judged(OPEN, host="192.168.1.7:8080", authorization=f"Bearer {OPEN.token}") is Answer.PASS
+    assert judged(OPEN, host="drone.example:8080", authorization=f"Bearer {OPEN.token}") is Answer.REFUSED
+
+
+@pytest.mark.parametrize(
+    ("headers", "path", "answer"),
+    [
+        ({"origin": "http://127.0.0.1:8080"}, "/stream", Answer.PASS),
+        ({"origin": "http://evil.example"}, "/stream", Answer.REFUSED),
+        ({"origin": "null"}, "/stream", Answer.REFUSED),
+        ({"origin": "https://127.0.0.1:8080"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "same-origin"}, "/stream", Answer.PASS),
+        ({"sec_fetch_site": "cross-site"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "same-site"}, "/stream", Answer.REFUSED),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "no-cors"}, "/app.js", Answer.REFUSED),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}, "/", Answer.PASS),
+        ({"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}, "/stream", Answer.REFUSED),
+    ],
+)
+def test_another_sites_script_is_refused(headers: Mapping[str, str], path: str, answer: Answer) -> None:
+    assert judged(LOCAL, path, **headers) is answer
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "HEAD", "OPTIONS", "TRACE", "get"])
+def test_it_is_read_and_nothing_else(method: str) -> None:
+    assert judged(LOCAL, "/", method) is Answer.NOT_A_GET
+
+
+def test_the_token_is_asked_for_everywhere() -> None:
+    assert judged(OPEN, "/") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token="wrong") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token=OPEN.token) is Answer.SIGN_IN
+    assert judged(OPEN, "/app.js", cookie=OPEN.cookie_value) is Answer.PASS
+    assert judged(OPEN, "/app.js", cookie=OPEN.token or "") is Answer.NO_TOKEN
+    assert judged(OPEN, authorization=f"bearer {OPEN.token}") is Answer.PASS
+    assert judged(OPEN, authorization=f"Basic {OPEN.token}") is Answer.NO_TOKEN
+    assert judged(OPEN, "/", token="ü" * 24) is Answer.NO_TOKEN
+    assert (OPEN.token or "") not in repr(OPEN) + OPEN.cookie_value
+
+
+def test_the_headers_let_nothing_in_from_elsewhere() -> None:
+    policy = dict(part.strip().split(" ", 1) for part in HEADERS["Content-Security-Policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert {policy[name] for name in ("script-src", "style-src", "img-src", "connect-src")} == {"'self'"}
+    assert policy["require-trusted-types-for"] == "'script'"
+    assert "unsafe" not in HEADERS["Content-Security-Policy"]
+    assert not any("Access-Control" in name for name in HEADERS)
+
+
+@pytest.mark.parametrize("web", ["0.0.0.0:8080", "192.168.1.7:8080", "drone.local:8080", "[::]:8080"])
+def test_elsewhere_than_on_loopback_a_token_is_needed(web: str) -> None:
+    with pytest.raises(UsageError, match=r"name a --web-token-file FILE, or 127\.0\.0\.1$"):
+        load_settings(None, {"learn": 9.0, "web": web})
+    assert load_settings(None, {"learn": 9.0, "web": web, "web_token_file": "t"}).web == web
+
+
+def test_a_token_without_a_page_and_a_malformed_address_are_refused() -> None:
+    with pytest.raises(UsageError, match="add --web HOST:PORT"):
+        load_settings(None, {"learn": 9.0, "web_token_file": "t"})
+    with pytest.raises(UsageError, match="malformed web address 'here'"):
+        load_settings(None, {"learn": 9.0, "web": "here"})
+    assert Settings(learn=9.0).web is None
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "words"),
+    [
+        ("short\n", 0o600, "16 or more ASCII characters"),
+        ("long enough but with blanks\n", 0o600, "without blanks"),
+        ("äöüäöüäöüäöüäöüäöü\n", 0o600, "ASCII"),
+        ("one-line-of-the-two\nand-another-line-of-it\n", 0o600, "is one line"),
+        ("0123456789abcdef\n", 0o644, "others may read the web token; run `chmod 600"),
+    ],
+)
+def test_a_token_file_keeps_the_rules_of_a_key_file(tmp_path: Path, content: str, mode: int, words: str) -> None:
+    path = tmp_path / "token"
+    path.write_text(content)
+    path.chmod(mode)
+    with pytest.raises(UsageError) as error:
+        read_token(path)
+    assert words in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_token_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text("0123456789abcdef\n")
+    path.chmod(0o600)
+    assert read_token(path) == "0123456789abcdef"

@@ -1,0 +1,274 @@
+"""What the live page is told on a virtual clock: entries always, figures while somebody looks."""
+
+import importlib.util
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from made_session import Story, baseline_for
+from made_vehicle import START_NS, Bench, MadeVehicle
+
+from detector.config import SessionSettings, Settings
+from detector.fleet import VehicleFigures
+from detector.values import SessionSpec
+from detector.web.board import KEPT
+from detector.web.child import Place, ServerProcess
+from detector.web.feed import Feed
+from detector.web.snapshot import Level, Memory, about, as_line, snapshot
+from mavdiag.airframe.layout import layout_named
+from mavdiag.chain import Piece
+from mavdiag.errors import UsageError
+from mavdiag.link.profiles import PROFILES
+from mavdiag.telemetry import Instant, Signal
+
+SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
+
+
+@dataclass
+class FakeChild:
+    """Keeps the lines that it is given; says what a test wants it to."""
+
+    where: str = "http://127.0.0.1:1/"
+    lines: list[str] = field(default_factory=list)
+    says: list[str] = field(default_factory=list)
+    fresh: bool = True
+    room: bool = True
+    closed: bool = False
+
+    def look(self, now: Instant) -> tuple[bool, list[str]]:
+        fresh, self.fresh = self.fresh, False
+        said, self.says = self.says, []
+        return fresh, said
+
+    def put(self, data: bytes) -> bool:
+        if self.room:
+            self.lines += data.decode().splitlines()
+        return self.room
+
+    def close(self) -> None:
+        self.closed = True
+
+    def of(self, kind: str) -> list[Any]:
+        """The contents of the lines of a kind."""
+        rest = 1 if kind == "F" else 2
+        return [json.loads(line.split(" ", rest)[rest]) for line in self.lines if line.startswith(f"{kind} ")]
+
+    @property
+    def numbers(self) -> list[int]:
+        return [int(line.split(" ")[1]) for line in self.lines if line.startswith("J ")]
+
+
+@pytest.fixture
+def child() -> FakeChild:
+    return FakeChild()
+
+
+@pytest.fixture
+def bench(child: FakeChild, tmp_path: Path) -> Iterator[Bench]:
+    web = Feed(child, Instant(START_NS))
+    one = Bench(
+        SETTINGS, baseline_for(), vehicles=[MadeVehicle(1), MadeVehicle(2)], web=web, journal=tmp_path / "j.jsonl"
+    )
+    yield one
+    one.close()
+
+
+def test_the_page_gets_the_lines_of_the_journal_numbered(bench: Bench, child: FakeChild) -> None:
+    bench.run(12.0)
+    bench.vehicles[0].turning = 0.5
+    bench.run(5.0)
+    assert bench.journal is not None
+    written = [json.loads(line) for line in bench.journal.read_text().splitlines()]
+    assert child.of("J") == written
+    assert child.numbers == list(range(1, len(written) + 1))
+    assert any(one["kind"] == "text" and "FAULT" in one["text"] for one in written)
+
+
+def test_an_alert_is_handed_over_in_the_look_that_sends_it(bench: Bench, child: FakeChild) -> None:
+    bench.run(12.0)
+    bench.vehicles[0].turning = 0.5
+    for _ in range(200):
+        before = len(child.lines)
+        bench.run(0.04)
+        texts = [one for one in child.of("J")[-20:] if one["kind"] == "text" and "FAULT" in one["text"]]
+        if texts:
+            break
+    assert texts
+    assert any("FAULT" in line for line in child.lines[before:])
+
+
+def test_figures_come_only_while_somebody_looks(bench: Bench, child: FakeChild) -> None:
+    bench.run(8.0)
+    assert child.of("N") == []
+    assert len(child.of("F")) == pytest.approx(8, abs=1)
+    child.says = ["watch 2"]
+    bench.run(8.0)
+    assert {one["vehicle"] for one in child.of("N")} == {2}
+    assert len(child.of("N")) == pytest.approx(40, abs=2)
+    assert [one["vehicle"] for one in child.of("A")] == [2]
+    child.says = ["watch"]
+    bench.run(1.0)
+    count = len(child.of("N"))
+    bench.run(4.0)
+    assert len(child.of("N")) == count
+
+
+def test_the_strips_go_on_without_a_hole(bench: Bench, child: FakeChild) -> None:
+    child.says = ["watch 1"]
+    bench.run(14.0)
+    bins = sorted({one for now in child.of("N") for strip in now["strips"] for one in strip["bins"]})
+    assert bins == list(range(bins[0], bins[-1] + 1))
+    assert (bins[-1] - bins[0]) / 20 > 8.0  # of the 14 s in the air
+
+
+def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: FakeChild) -> None:
+    child.says = ["watch 1"]
+    bench.run(6.0)
+    child.room = False
+    bench.vehicles[0].turning = 0.5
+    bench.run(8.0)
+    child.room = True
+    bench.run(1.0)
+    assert child.numbers == list(range(1, child.numbers[-1] + 1))
+    assert any("FAULT" in str(one.get("text")) for one in child.of("J"))
+
+
+def test_a_child_that_began_anew_gets_everything_that_is_kept(bench: Bench, child: FakeChild) -> None:
+    bench.run(6.0)
+    known = child.numbers
+    child.lines.clear()
+    child.fresh = True
+    bench.run(1.0)
+    assert child.numbers[: len(known)] == known
+    assert child.of("F")
+    child.says = ["watch 1"]
+    bench.run(1.0)
+    assert child.of("A")
+
+
+def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
+    with pytest.raises(UsageError, match=r"^--web needs aiohttp; run `pip install 'mavdiag\[web\]'`$"):
+        process.start()
+
+
+def test_only_so_many_entries_are_kept() -> None:
+    child = FakeChild(room=False)
+    feed = Feed(child, Instant(0))
+    for k in range(KEPT + 70):
+        feed.write(json.dumps({"k": k}))
+    child.room = True
+    feed.close()
+    assert child.numbers == list(range(71, KEPT + 71))
+    assert [one["k"] for one in child.of("J")] == list(range(70, KEPT + 70))
+    assert child.closed
+
+
+def test_what_pages_say_cannot_load_or_stop_it(bench: Bench, child: FakeChild) -> None:
+    child.says = ["watch " + " ".join(str(k) for k in range(300)), "", "watch x -1 99999999999999999999", "listening 1"]
+    bench.run(2.0)
+    child.says = ["watch 77 1"]
+    bench.run(2.0)
+    assert {one["vehicle"] for one in child.of("N")} <= {1, 2}
+
+
+# --- One vehicle's figures
+
+
+@dataclass
+class Watched:
+    """A made flight, and what the page shows of it."""
+
+    story: Story
+    memory: Memory = field(default_factory=Memory)
+
+    def after(self, seconds: float, **how: Any) -> dict[str, Any]:
+        """Fly on, and return the last snapshot as the page gets it."""
+        shown = ""
+        for _ in range(round(seconds / 0.2)):
+            pieces = list[Piece]()
+            for _ in range(2):
+                self.story.fly(0.1, **how)
+                judge = self.story.state.judge
+                pieces += judge.pieces if judge is not None else ()
+            figures = VehicleFigures(1, self.story.state.state, 10, 0, 100.0, 1.0, 0)
+            self.memory, now = snapshot(self.memory, figures, self.story.state, pieces, self.story.now)
+            shown = as_line(now)
+        found: dict[str, Any] = json.loads(shown)
+        return found
+
+
+@pytest.fixture
+def watched() -> Watched:
+    baseline = baseline_for(names=("fsd", "rotor_trim", "vibration_level", "unbalance"))
+    settings = SessionSettings(negotiate=False)
+    return Watched(Story(SessionSpec(PROFILES["qdrone2"], baseline, settings)))
+
+
+def reasons(shown: dict[str, Any]) -> list[str]:
+    return [slot["reason"] for slot in shown["slots"]]
+
+
+def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) -> None:
+    first = watched.after(0.6)
+    assert (first["level"], first["state"]) == (Level.NOT_JUDGED, "waiting")
+    quiet = watched.after(15.0, outputs=True)
+    assert (quiet["level"], quiet["sentence"], quiet["rotor"]) == (Level.QUIET, "No fault found", None)
+    assert len(quiet["rises"]) == 4
+    by_name = dict(zip([one.name for one in slots_of(watched)], quiet["slots"], strict=True))
+    assert by_name["fsd"]["value"] is not None
+    assert by_name["rotor_trim"]["value"] is not None
+    assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
+    found = watched.after(4.0, outputs=True, push=0.4)
+    assert found["level"] == Level.SUSPECTED  # beside others, the thesis rule does not decide
+    assert found["sentence"].startswith("PROP suspect ")
+    ground = watched.after(10.0, outputs=True, armed=False)
+    assert ground["level"] == Level.NOT_JUDGED
+    assert set(reasons(ground)) == {"not armed", "no VIBRATION"}
+    assert all(slot["value"] is None for slot in ground["slots"])
+
+
+def test_a_lost_link_is_off_and_says_so(watched: Watched) -> None:
+    watched.after(12.0)
+    watched.story.silence(5.0)
+    state = watched.story.state
+    _, now = snapshot(watched.memory, VehicleFigures(1, state.state, 1, 0, 0.0, 0.0, 0), state, [], watched.story.now)
+    assert now.level is Level.OFF
+    assert "nothing came for 3 s" in now.sentence
+    assert now.link.silent_s >= 5.0
+    assert all(slot.value is None and slot.reason for slot in now.slots)
+
+
+def slots_of(watched: Watched) -> tuple[Any, ...]:
+    return about(1, "qdrone2", watched.story.state.judge).slots
+
+
+def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
+    assert json.loads(as_line(about(1, "qdrone2", None)))["slots"] == []
+    watched.after(3.0)
+    judge = watched.story.state.judge
+    assert judge is not None
+    told = json.loads(as_line(about(1, "qdrone2", judge)))
+    assert [one["name"] for one in told["slots"]] == [slot.monitor.name for slot in judge.chain.slots]
+    thesis = next(one for one in told["slots"] if one["name"] == "fsd")
+    assert (thesis["axis"], thesis["margin"], thesis["threshold"]) == ("roll", 0.02, 0.3)
+    assert told["drawing"] == ""  # the made baseline knows no layout
+    airframe = replace(judge.baseline.airframe, layout=layout_named("x"))
+    drawn = replace(judge, baseline=judge.baseline.model_copy(update={"airframe": airframe}))
+    assert "airframe-rotor-4" in about(1, "qdrone2", drawn).drawing
+
+
+def test_a_stream_that_stops_is_the_reason(watched: Watched) -> None:
+    watched.after(12.0, outputs=True)
+    shown = watched.after(4.0, outputs=True, without=(Signal.ATTITUDE_SETPOINT,))
+    values = {one.name: slot for one, slot in zip(slots_of(watched), shown["slots"], strict=True)}
+    assert values["fsd"] == {"value": None, "reason": "no set-points"}
+    assert values["rotor_trim"]["value"] is not None
+    shown = watched.after(4.0, without=(Signal.BODY_RATE,))
+    assert (shown["state"], shown["level"]) == ("waiting", Level.NOT_JUDGED)
+    assert all(slot["value"] is None for slot in shown["slots"])
+    assert "no gyro" in shown["sentence"]

@@ -1,0 +1,132 @@
+"""The live page's parts for tests: its server as a process, a stream read as a browser does, and Debian's Chromium."""
+
+import http.client
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from detector.web.child import Place, ServerProcess
+from mavdiag.telemetry import Instant
+
+__all__ = ["CHROMIUM", "SCREENSHOTS", "Answered", "Reader", "asked", "browser", "give", "serving", "wait_for"]
+
+PATIENCE_S = 30.0
+CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
+SCREENSHOTS = Path(__file__).resolve().parents[1] / "build" / "screenshots"
+FLAGS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage"),
+)
+
+
+def wait_for(what: Callable[[], Any], words: str = "") -> Any:
+    """What it returns as soon as that is true; fails after some time."""
+    give_up = time.monotonic() + PATIENCE_S
+    while time.monotonic() < give_up:
+        if found := what():
+            return found
+        time.sleep(0.02)
+    pytest.fail(f"it did not come: {words or what}")
+
+
+@contextmanager
+def serving(token: str | None = None, host: str = "127.0.0.1", run: str = "r1") -> Iterator[ServerProcess]:
+    """The server alone, on a free port; a test is its daemon."""
+    process = ServerProcess(Place(host, 0, token), run, lambda line: None)
+    process.start()
+    try:
+        yield process
+    finally:
+        process.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """An answer, read to its end."""
+
+    status: int
+    headers: http.client.HTTPMessage
+    body: str
+
+
+def asked(port: int, path: str = "/", method: str = "GET", **headers: str) -> Answered:
+    """One request, as it is written here and no browser would; of a stream, only the beginning."""
+    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
+        connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+        with connection.getresponse() as answer:
+            endless = answer.headers.get_content_type() == "text/event-stream"
+            return Answered(answer.status, answer.headers, "" if endless else answer.read().decode())
+
+
+class Reader:
+    """A stream of server-sent events. query, headers: of the request."""
+
+    def __init__(self, port: int, query: str = "", **headers: str) -> None:
+        self._connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        sent = {name.replace("_", "-"): value for name, value in headers.items()}
+        self._connection.request("GET", f"/stream{query}", headers=sent)
+        self.answer = self._connection.getresponse()
+        self.events: list[tuple[str, str, Any]] = []
+
+    def until(self, done: Callable[["Reader"], bool]) -> None:
+        """Read whole events until it is so."""
+        kind, number = "", ""
+        while not done(self):
+            line = self.answer.readline().decode().rstrip("\n")
+            name, _, rest = line.partition(": ")
+            if name == "event":
+                kind, number = rest, ""
+            elif name == "id":
+                number = rest
+            elif name == "data":
+                self.events.append((kind, number, json.loads(rest)))
+
+    @property
+    def numbers(self) -> list[int]:
+        return [int(number.split("-")[1]) for kind, number, _ in self.events if kind == "entry"]
+
+    def close(self) -> None:
+        self.answer.close()
+        self._connection.close()
+
+
+def give(process: ServerProcess, *lines: str) -> list[str]:
+    """Hand lines over, as the daemon does; what the server said meanwhile."""
+    said: list[str] = []
+    parts = ["".join(f"{line}\n" for line in lines[i : i + 200]).encode() for i in range(0, len(lines), 200)]
+    for data in (*parts, b""):  # the last one: all before it was written
+        while not process.put(data):
+            said += process.look(Instant(time.monotonic_ns()))[1]
+            time.sleep(0.001)
+    return said + process.look(Instant(time.monotonic_ns()))[1]
+
+
+@contextmanager
+def browser(profile: Path) -> Iterator[Any]:
+    """Debian's Chromium, headless, with a profile of its own; skips where it is not installed."""
+    if not CHROMIUM.exists() or not DRIVER.exists():
+        pytest.skip("no Chromium here: `apt-get install chromium chromium-driver` (`make system`)")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in (*FLAGS, f"--user-data-dir={profile}", "--window-size=1400,1150"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    environ = {**os.environ, "HOME": str(profile.parent)}
+    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER), env=environ))
+    try:
+        driver.set_script_timeout(PATIENCE_S)
+        yield driver
+    finally:
+        driver.quit()
+        shutil.rmtree(profile, ignore_errors=True)
