@@ -118,7 +118,7 @@ def cut(waiting: Sequence[Waiting], delay_s: float, looks: IntArray) -> Looks:
         return Looks(times, tuple(waiting), tuple(rest), at, [NAN] * len(times), nothing, nothing)
     newest, (highest, row) = found[-1]
     chunk = [newest] * len(times)
-    for number, (tops, rows) in reversed(found[:-1]):  # of an older chunk only the first looks hold something
+    for number, (tops, rows) in found[-2::-1]:  # of an older chunk only the first looks hold something
         for k in range(bisect_left(at[number], at[number][-1])):
             if highest[k] != highest[k] or tops[k] > highest[k]:  # the first is nan
                 highest[k] = tops[k]

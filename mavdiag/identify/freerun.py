@@ -28,14 +28,12 @@ STRETCH = 32  # samples (our choice: 16 and 64 take longer)
 class FreeRunState:
     """The past that the next sample needs, newest last.
 
-    past_u: (nk + nb - 1,) inputs.
-    past_y: (na,) outputs before the stretch that is not full.
-    driven: (d,) what drove that stretch so far, d less than `STRETCH`.
+    past_u: (nk + nb - 1 + d,) inputs, d of them of the stretch that is not full.
+    past_y: (na,) outputs before that stretch.
     """
 
     past_u: tuple[float, ...]
     past_y: tuple[float, ...]
-    driven: tuple[float, ...] = ()
 
 
 def start(model: ArxModel, past_u: FloatArray | None = None, past_y: FloatArray | None = None) -> FreeRunState:
@@ -52,28 +50,29 @@ def step(model: ArxModel, state: FreeRunState, u: FloatArray) -> tuple[FreeRunSt
     A NaN in u stays in the state: start anew after a break. Costs 0.03 us a sample in long blocks.
     Raises IdentificationError if the state belongs to a model of another order or u is not one-dimensional.
     """
-    if len(state.past_u) != len(model.b) - 1 or len(state.past_y) != len(model.a) - 1 or u.ndim != 1:
+    before_u = len(model.b) - 1
+    known = len(state.past_u) - before_u  # samples of the present stretch that are done
+    if not 0 <= known < STRETCH or len(state.past_y) != len(model.a) - 1 or u.ndim != 1:
         raise IdentificationError("the state or the input does not fit the model; begin with start(model)")
     if len(u) == 0:
         return state, np.empty(0)
     inputs = np.concatenate((state.past_u, u))
-    driven = np.concatenate((state.driven, np.correlate(inputs, model.b[::-1])))  # a convolution, "valid"
-    recent_u, known = tuple(inputs[len(u) :].tolist()), len(state.driven)
+    driven = np.correlate(inputs, model.b[::-1])  # a convolution, "valid"
     a = tuple(model.a.tolist())
-    answer, ring = _responses(a)
+    answer, ring, keep = _responses(a)
     if not (ring.size and math.isfinite(ring[-1, -1] + float(np.add.reduce(driven)))):
         outputs = _one_by_one(driven.tolist(), a, state.past_y)
-        past = tuple(outputs[len(outputs) - len(state.past_y) :])
-        return FreeRunState(recent_u, past), np.array(outputs[len(state.past_y) + known :])
+        past_y, past_u = tuple(outputs[len(outputs) - len(state.past_y) :]), tuple(inputs[len(driven) :].tolist())
+        return FreeRunState(past_u, past_y), np.array(outputs[len(state.past_y) + known :])
     full, count = len(driven) // STRETCH, -(-len(driven) // STRETCH)
-    rows = np.zeros(count * STRETCH)
-    rows[: len(driven)] = driven
+    rows = np.zeros((count, STRETCH))
+    rows.ravel()[: len(driven)] = driven
     # einsum and not @: BLAS rounds by the number of stretches
-    parts = np.einsum("nj,jk->nk", rows.reshape(count, STRETCH), answer)
-    keep = ring[:, -len(state.past_y) :].T.tolist()
-    before, after = _carried(parts[:full, -len(state.past_y) :].tolist(), keep, state.past_y)
+    parts = np.einsum("nj,jk->nk", rows, answer)
+    left = parts[:full, -len(state.past_y) :].tolist() if full else []
+    before, after = _carried(left, keep, state.past_y)
     parts += np.einsum("nj,jk->nk", np.array([*before, after][:count]), ring)
-    return FreeRunState(recent_u, after, tuple(driven[full * STRETCH :].tolist())), parts.ravel()[known : len(driven)]
+    return FreeRunState(tuple(inputs[full * STRETCH :].tolist()), after), parts.ravel()[known : len(driven)]
 
 
 def _last(values: FloatArray | None, count: int) -> tuple[float, ...]:
@@ -100,15 +99,16 @@ def _carried(
 
 
 @lru_cache(maxsize=64)
-def _responses(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
-    """(STRETCH, STRETCH) and (na, STRETCH): H and F transposed, the past outputs oldest first."""
+def _responses(a: tuple[float, ...]) -> tuple[FloatArray, FloatArray, list[list[float]]]:
+    """(STRETCH, STRETCH) and (na, STRETCH): H and F transposed, the past outputs oldest first; and the end of F."""
     na, still = len(a) - 1, [0.0] * STRETCH
     pulse = _one_by_one([1.0, *still[1:]], a, (0.0,) * na)[na:]
     answer = np.zeros((STRETCH, STRETCH))
     for i in range(STRETCH):
         answer[i, i:] = pulse[: STRETCH - i]
     rings = [_one_by_one(still, a, tuple(float(i == j) for i in range(na)))[na:] for j in range(na)]
-    return answer, np.array(rings).reshape(na, STRETCH)
+    ring = np.array(rings).reshape(na, STRETCH)
+    return answer, ring, ring[:, STRETCH - na :].T.tolist()
 
 
 def _one_by_one(driven: list[float], a: tuple[float, ...], past: tuple[float, ...]) -> list[float]:

@@ -177,7 +177,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     def start(self) -> RotorSignatureState:
         """No row yet."""
         missing = self.spec.samples - self.spec.least  # so the first value comes after `least` samples
-        healthy = np.tile(np.array(HEALTHY_PRODUCTS), (missing, 1))
+        healthy = np.tile(np.array(HEALTHY_PRODUCTS)[:, None], missing).T
         return RotorSignatureState(self._residual.start(), healthy, np.ones(missing, dtype=np.bool_))
 
     def step(self, state: RotorSignatureState, rows: Rows) -> tuple[RotorSignatureState, Statistic]:

@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 GROWTH, MOST_ROWS = 1e9, 4096  # of the weights of an exponential mean until it is scaled anew (our choice)
+FEW_WINDOWS = 4  # fewer are added up one by one
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
@@ -74,7 +75,7 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
     if known <= window:  # they share the rows between the first and the last one, which are added up once
         out = np.empty((columns, known))
         if known:
-            out[:] = np.add.reduce(x[known - 1 : window], axis=0)[:, None]
+            out[:] = np.add.reduce(x[known - 1 : window].T, axis=1)[:, None]
             out[:, :-1] += np.add.accumulate(x[: known - 1].T[:, ::-1], axis=1)[:, ::-1]
             out[:, 1:] += np.add.accumulate(x[window:].T, axis=1)
             out /= window
@@ -94,11 +95,19 @@ def window_mean(x: FloatArray, window: int) -> FloatArray:
 
 
 def window_sums(x: FloatArray, window: int) -> FloatArray:
-    """Sum over each full window of rows, (n, k) -> (n - window + 1, k), n at least `window`, one row after the other.
+    """Sum over each full window of rows, (n, k) -> (n - window + 1, k), n at least `window`.
 
-    For short windows: each is added up by itself, so that its sum does not depend on the others.
+    For short windows: each is added up by itself, one row after the other, so that no cut changes a bit.
     """
-    return np.asarray(np.add.reduce(windows(np.ascontiguousarray(x.T), window).transpose(2, 0, 1), axis=0).T)
+    count = len(x) - window + 1
+    if count < FEW_WINDOWS:
+        rows = np.ascontiguousarray(x)
+        return np.stack([np.add.reduce(rows[first : first + window], axis=0) for first in range(count)])
+    columns = np.ascontiguousarray(x.T)
+    sums = columns[:, :count].copy()
+    for row in range(1, window):
+        sums += columns[:, row : row + count]
+    return sums.T
 
 
 def windows(x: FloatArray, window: int, stride: int = 1) -> FloatArray:
