@@ -132,6 +132,7 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     >>> from mavdiag.testing import example_rows
     >>> rate = 0.01 * np.random.default_rng(7).standard_normal((400, 3))
     >>> rate[200:260] += 0.2   # something pushes for 0.6 s
+    >>> from mavdiag.identify import Method
     >>> model = ModelRecord(a=(1.0, -0.5), b=(0.0, 0.5), dt_s=0.01, order=(1, 1, 1), method=Method.PUBLISHED)
     >>> monitor = RunLength(RunLengthSpec(axis=Axis.ROLL, model=model, margin_rad_s=0.1))
     >>> _, found = monitor.step(monitor.start(), example_rows(400, rate=rate))
