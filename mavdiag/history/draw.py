@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.history.overview import Found, Overview
 from mavdiag.history.stretches import Stretch, series_of
 from mavdiag.history.trend import Remaining
@@ -18,8 +19,6 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Line", "chart", "day", "lines_of", "sentence", "sparkline"]
 
 LEVELS = "▁▂▃▄▅▆▇█"
-DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a braille cell, by row and column
-BRAILLE = 0x2800
 HEIGHT = 7  # lines of a chart
 LABEL = 6  # width of its scale
 TOP = 1.15  # of the threshold, at least
@@ -93,21 +92,22 @@ def chart(share: FloatArray, borders: Sequence[int], width: int, height: int = H
 
     share: (n,), NaN where nothing was judged. borders: places in it where a stretch begins.
     """
-    cells, known = max(width - LABEL, 1), share[np.isfinite(share)]
+    across, known = max(width - LABEL, 1), share[np.isfinite(share)]
     top = min(max(TOP, 1.05 * float(known.max(initial=0.0))), MOST)
-    dots = np.zeros((height, cells), dtype=np.int64)
-    columns, rows = 2 * cells, 4 * height
+    columns, rows = ACROSS * across, DOWN * height
+    dots = np.zeros((rows, columns), dtype=np.bool_)
     for place in np.flatnonzero(np.isfinite(share)).tolist():
         column = min(place * columns // max(len(share), 1), columns - 1)
         row = rows - 1 - min(int(max(share[place], 0.0) / top * rows), rows - 1)
-        dots[row // 4, column // 2] |= DOTS[row % 4][column % 2]
+        dots[row, column] = True
+    marks = cells(dots)
     at = height - 1 - min(int(1.0 / top * height), height - 1)
-    bars = {border * cells // len(share) for border in borders}
+    bars = {border * across // len(share) for border in borders}
     lines = []
     for row in range(height):
         label = "1.00" if row == at else "0.00" if row == height - 1 else ""
-        empty = ["│" if cell in bars else "┄" if row == at else " " for cell in range(cells)]
-        text = [chr(BRAILLE + int(mark)) if mark else blank for mark, blank in zip(dots[row], empty, strict=True)]
+        empty = ["│" if cell in bars else "┄" if row == at else " " for cell in range(across)]
+        text = [character(mark, blank) for mark, blank in zip(marks[row], empty, strict=True)]
         lines.append(f"{label:>{LABEL - 1}} {''.join(text)}".rstrip())
     return tuple(lines)
 

@@ -1,4 +1,4 @@
-"""Curves as text: each character holds 2 by 4 dots of the Braille block (Unicode 2800), so that a line moves smoothly.
+"""Curves as text, in dots of Braille characters, so that a line moves smoothly.
 
 A column of dots stands for a span of time and shows all values in it, from the lowest to the highest: a spike of one
 sample is not lost.
@@ -13,15 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
+from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.telemetry import FloatArray
 
 __all__ = ["Curve", "Frame", "strip"]
 
 Grid: TypeAlias = NDArray[Any]
-
-BRAILLE = 0x2800
-ACROSS, DOWN = 2, 4  # dots of one character
-DOTS = np.array([[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]])  # bit of each dot, by column and row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +54,7 @@ def strip(curves: Sequence[Curve], frame: Frame) -> list[Text]:
     bits = np.zeros((frame.height, frame.width), dtype=np.int64)
     styles = np.full((frame.height, frame.width), -1)
     for number, curve in enumerate(curves):
-        own = _characters(_dots(curve, frame))
+        own = cells(_dots(curve, frame))
         bits |= own
         styles[own > 0] = number
     return [_line(row, style, curves) for row, style in zip(bits, styles, strict=True)]
@@ -101,17 +98,8 @@ def _connect(top: Grid, bottom: Grid, breaks: Grid) -> None:
             bottom[after] = top[before] - 1
 
 
-def _characters(dots: Grid) -> Grid:
-    """The bits of each character, (height, width)."""
-    bits = np.zeros((dots.shape[0] // DOWN, dots.shape[1] // ACROSS), dtype=np.int64)
-    for across in range(ACROSS):
-        for down in range(DOWN):
-            bits += dots[down::DOWN, across::ACROSS] * DOTS[across, down]
-    return bits
-
-
 def _line(bits: Grid, styles: Grid, curves: Sequence[Curve]) -> Text:
     line = Text(no_wrap=True)
     for bit, style in zip(bits, styles, strict=True):
-        line.append(chr(BRAILLE + int(bit)) if bit else " ", curves[int(style)].style if bit else "")
+        line.append(character(bit), curves[int(style)].style if bit else "")
     return line
