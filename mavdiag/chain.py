@@ -18,7 +18,7 @@ from mavdiag.airframe.fingerprint import FIRST_S, Fingerprint, Likeness, compare
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.baseline import Baseline
 from mavdiag.decision.account import WAITING, Account
-from mavdiag.decision.alarm import LOOK_NS, DecisionSpec, DecisionState, Event, SlotSpec
+from mavdiag.decision.alarm import LOOK_NS, NOTHING_SEEN, DecisionSpec, DecisionState, Event, SlotSpec
 from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
@@ -156,10 +156,10 @@ class Chain:
     fingerprint: Fingerprint | None = None
     layout: RotorLayout | None = None
 
-    def start(self) -> ChainState:
-        """Nothing seen yet."""
-        accounts = (Account(),) * len(self.slots)
-        return ChainState(self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts)
+    def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
+        """Nothing seen yet. held: what is known from before: an open inspection."""
+        accounts, decision = (Account(),) * len(self.slots), self.decision.start(held)
+        return ChainState(self.front.start(), self.envelope.start(), self._fresh(), decision, accounts)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
@@ -175,6 +175,11 @@ class Chain:
         ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
         end_ns = ends[-1] if ends else state.now_ns
         return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns)))
+
+    def acknowledge(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+        """Somebody has looked at the vehicle: an open inspection is closed."""
+        decision, _, changes = self.decision.acknowledge(state.decision, state.now_ns or 0)
+        return replace(state, decision=decision), ChainOutput(changes=changes)
 
     def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
@@ -339,7 +344,8 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
         for slot in slots
     )
     features = {spec.feature for spec in specs}
-    known = known_fault_types(baseline.airframe.classifier) if "motion" in features else ()
+    link, classifier = baseline.link, baseline.airframe.classifier
+    known = known_fault_types(classifier, link.profile, 1.0 / link.dt_s) if "motion" in features else ()
     depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
     envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
     decision, whose = DecisionSpec(specs, known), baseline.airframe
