@@ -1,6 +1,6 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
 
-Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not healthy (--health); 2 a wrong option, baseline or address, reported in
+Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not working (--working); 2 a wrong option, baseline or address, in
 one line on stderr.
 """
 
@@ -119,8 +119,8 @@ def detect(
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print a documented configuration file, and exit.")
     ] = False,
-    health: Annotated[
-        bool, typer.Option("--health", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
+    working: Annotated[
+        bool, typer.Option("--working", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
     ] = False,
     version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
 ) -> None:
@@ -131,29 +131,29 @@ def detect(
 
     Every setting of --config can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in capitals.
 
-    Exit code 0 when stopped, 1 if --health finds it does not work, 2 for a wrong option, baseline or address.
+    Exit code 0 when stopped, 1 if --working finds it does not work, 2 for a wrong option, baseline or address.
     """
-    own = ("config", "version", "check", "print_config", "health")
+    own = ("config", "version", "check", "print_config", "working")
     given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
     given = {name: value for name, value in given.items() if name not in own}
     if print_config:
         typer.echo(example_text(), nl=False)
-    elif health:
-        _health(config, given)
+    elif working:
+        _working(config, given)
     elif check:
         _check(load_settings(config, given, os.environ))
     else:
         _serve(load_settings(config, given, os.environ))
 
 
-def _health(config: Path | None, given: dict[str, object]) -> None:
-    from detector.health import ask_health  # only if asked for: the import takes its time
+def _working(config: Path | None, given: dict[str, object]) -> None:
+    from detector.working import ask_working  # only if asked for: the import takes its time
 
     values, _ = collect_values(config, given, os.environ)
     metrics = values.get("metrics")
-    healthy, words = ask_health(None if metrics is None else str(metrics))
+    works, words = ask_working(None if metrics is None else str(metrics))
     commandline.say(words)
-    raise typer.Exit(0 if healthy else 1)
+    raise typer.Exit(0 if works else 1)
 
 
 def _check(settings: Settings) -> None:

@@ -267,9 +267,9 @@ class Daemon:
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
 
     def _beat(self) -> None:
-        """Heartbeats of the healthy sessions; on a link where we must send first, also before a vehicle."""
+        """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
-            if vehicle.session.healthy:
+            if vehicle.session.working:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
@@ -281,7 +281,7 @@ class Daemon:
             self._metrics.show(figures, self._host.now_ns())
         if self._web is not None:
             self._web.show(self.fleet, figures, self._now())
-        if figures.healthy:
+        if figures.working:
             self._notifier.alive(figures.status)
         else:
             self._notifier.status(figures.status)

@@ -23,7 +23,6 @@ HEALTH: Mapping[State, int] = {
     State.LEARNING: _CALIBRATING,
     State.FITTING: _CALIBRATING,
     State.MONITORING: _ACTIVE,
-    State.ALERT: _ACTIVE,
     State.LOST: _STANDBY,
 }
 

@@ -157,7 +157,7 @@ class Chain:
     layout: RotorLayout | None = None
 
     def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
-        """Nothing seen yet. held: what is known from before: an open inspection."""
+        """Nothing seen yet. held: what is known from before, as `landed` has it."""
         accounts, decision = (Account(),) * len(self.slots), self.decision.start(held)
         return ChainState(self.front.start(), self.envelope.start(), self._fresh(), decision, accounts)
 

@@ -39,7 +39,19 @@ from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
 
-__all__ = ["NEXT", "Change", "DecisionSpec", "DecisionState", "Diagnosis", "Event", "Height", "SlotSpec", "Stage"]
+__all__ = [
+    "NEXT",
+    "NOTHING_SEEN",
+    "Change",
+    "DecisionSpec",
+    "DecisionState",
+    "Diagnosis",
+    "Event",
+    "Height",
+    "SlotSpec",
+    "Stage",
+    "landed",
+]
 
 CLEAR_NS = 2 * NS_PER_S  # all calm for so long ends a suspicion, or what is seen of a fault (our choice)
 LOOK_NS = NS_PER_S // 10  # time between two looks (our choice)
@@ -155,7 +167,7 @@ class DecisionSpec:
     known: tuple[FaultTypes, ...] = ()
 
     def start(self, held: Diagnosis = NOTHING_SEEN) -> DecisionState:
-        """Nothing seen yet. held: what is known from before: an open inspection."""
+        """Nothing seen yet. held: what is known from before."""
         n = len(self.slots)
         return DecisionState((None,) * n, (EventState(),) * n, ((),) * n, held)
 
@@ -201,7 +213,7 @@ class DecisionSpec:
         closed = [
             event for slot, one in zip(self.slots, state.events, strict=True) for event in slot.events.end(one)[1]
         ]
-        ended = _landed(state.diagnosis, t_ns)
+        ended = landed(state.diagnosis, t_ns)
         if ended.stage is not state.diagnosis.stage:
             changes = (*changes, Change.of(ended, t_ns))
         events = (*events, *self._named(state, closed))
@@ -388,16 +400,14 @@ def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:
     return tuple(replace(one, end_ns=max(one.since_ns, t_ns)) if one.end_ns is None else one for one in spans)
 
 
-def _landed(held: Diagnosis, t_ns: int) -> Diagnosis:
-    """What is held once a flight has ended."""
-    match held.stage:
-        case Stage.FAULT:
-            reason, spans = "the flight with the fault has ended", _ended(held.rotors, t_ns)
-            return replace(held, stage=Stage.INSPECT, reason=reason, since_ns=t_ns, seen=False, rotors=spans)
-        case Stage.INSPECT:
-            return held
-        case _:
-            return Diagnosis(reason="not flying", since_ns=t_ns)
+def landed(held: Diagnosis, t_ns: int) -> Diagnosis:
+    """What is held once a flight has ended: an open inspection, or nothing."""
+    if held.stage is Stage.INSPECT:
+        return held
+    if held.stage is not Stage.FAULT:
+        return Diagnosis(reason="not flying", since_ns=t_ns)
+    reason, spans = "the flight with the fault has ended", _ended(held.rotors, t_ns)
+    return replace(held, stage=Stage.INSPECT, reason=reason, since_ns=t_ns, seen=False, rotors=spans)
 
 
 def _readings(fresh: Sequence[Fresh]) -> list[KindReading]:

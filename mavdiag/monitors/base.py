@@ -140,7 +140,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     name: key in the baseline, the journal and the scan report.
     label: how a text for a pilot calls it, at most 10 characters.
-    statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
+    phrase: what a text for a pilot says of its alarm, with {times} its threshold or {lost} percent of thrust, if any.
     needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
     depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
         them it does not judge (`thresholds.envelope`).
@@ -157,8 +157,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     name: ClassVar[str]
     label: ClassVar[str]
-    statistic_label: ClassVar[str] = ""
-    threshold_label: ClassVar[str] = ""
+    phrase: ClassVar[str] = ""
     needs: ClassVar[frozenset[Signal]]
     depends: ClassVar[frozenset[Condition]] = frozenset()
     decides: ClassVar[bool] = True

@@ -137,6 +137,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     name = "innovation"
     label = "innovation"
+    phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
     spec_type = InnovationSpec

@@ -78,6 +78,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
 
     name = "rotor_trim"
     label = "rotor trim"
+    phrase = "lost {lost}% thrust"
     # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
     # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
     # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a

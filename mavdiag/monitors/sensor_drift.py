@@ -129,6 +129,7 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
 
     name = "sensor_drift"
     label = "IMU drift"
+    phrase = "gyro and attitude disagree"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE})
     kind = FaultKind.SENSOR
     guard = Guard(least=2.5)

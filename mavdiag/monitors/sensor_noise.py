@@ -89,6 +89,7 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
 
     name = "sensor_noise"
     label = "IMU noise"
+    phrase = "IMU noise {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     kind = FaultKind.SENSOR
     # Estimates: a simulated ArduCopter at 100 Hz, where the differences hold motion, reached 2.2 in healthy flight; and

@@ -111,6 +111,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
 
     name = "trim_step"
     label = "trim step"
+    phrase = "lost {lost}% thrust"
     guard = Guard(least=0.01)  # half of what the rotor-trim monitor must allow for wind and propellers (our choice)
     spec_type = TrimStepSpec
 

@@ -168,6 +168,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     name = "unbalance"
     label = "unbalance"
+    phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     guard = Guard(few_sessions=0.2)  # an estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6)

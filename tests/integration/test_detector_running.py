@@ -105,15 +105,15 @@ def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> No
     metrics = ("--metrics", str(free_port()))
     with running(*LEARNING, *metrics) as (child, _):
         give_up = time.monotonic() + PATIENCE_S
-        while (run := ran("--health", *metrics)).returncode and time.monotonic() < give_up:
+        while (run := ran("--working", *metrics)).returncode and time.monotonic() < give_up:
             pass
         assert (run.returncode, run.stdout) == (0, "healthy\n")
         child.send_signal(signal.SIGSTOP)
-        run = ran("--health", *metrics)
+        run = ran("--working", *metrics)
         child.send_signal(signal.SIGCONT)
         assert run.returncode == 1
         assert "does not answer (timed out)" in run.stdout
-    run = ran("--health", *metrics)
+    run = ran("--working", *metrics)
     assert run.returncode == 1
     assert "Connection refused" in run.stdout
 

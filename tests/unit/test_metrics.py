@@ -13,7 +13,7 @@ from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
 from detector.fleet import Turn
-from detector.health import ask_health, verdict
+from detector.working import ask_working, working
 from detector.metrics import Metrics
 from mavdiag.errors import LinkError, UsageError
 
@@ -59,7 +59,7 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert 0.0 <= value(text, 'statistic_ratio{axis="roll",monitor="fsd",vehicle="1"}') < 1.0
     assert value(text, 'link_connected{link="vehicle"}') == 1
     assert value(text, 'link_dropped{link="behind 1 memory:near"}') == 0
-    assert value(text, "healthy") == 1
+    assert value(text, "working") == 1
 
 
 def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> None:
@@ -85,11 +85,11 @@ def test_the_page_does_not_grow_with_the_time(metrics: Metrics) -> None:
     assert after <= before + 3 * 2  # an alarm or a ratio that was absent
 
 
-def test_before_the_first_look_there_is_nothing_and_that_is_not_healthy(metrics: Metrics) -> None:
-    assert "mavdiag_healthy" not in page(metrics)
-    healthy, words = ask_health(f"127.0.0.1:{metrics.port}")
-    assert not healthy
-    assert words == "not healthy: no figures of a detector that looks at its links"
+def test_before_the_first_look_there_is_nothing_and_that_is_not_working(metrics: Metrics) -> None:
+    assert "mavdiag_session_working" not in page(metrics)
+    works, words = ask_working(f"127.0.0.1:{metrics.port}")
+    assert not works
+    assert words == "not working: no figures of a detector that looks at its links"
 
 
 def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
@@ -100,22 +100,22 @@ def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
 @pytest.mark.parametrize(
     ("page", "words"),
     [
-        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 0.2", "healthy"),
-        ("mavdiag_healthy 0.0\nmavdiag_figures_age_seconds 0.2", "not healthy: all sessions are off"),
-        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 61.2", "not healthy: the loop hangs since 61 s"),
-        ("mavdiag_healthy one\nmavdiag_figures_age_seconds 0.2", "not healthy: no figures of a detector"),
-        ("<html>another server</html>", "not healthy: no figures of a detector"),
+        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 0.2", "working"),
+        ("mavdiag_session_working 0.0\nmavdiag_figures_age_seconds 0.2", "not working: all sessions are off"),
+        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 61.2", "not working: the loop hangs since 61 s"),
+        ("mavdiag_session_working one\nmavdiag_figures_age_seconds 0.2", "not working: no figures of a detector"),
+        ("<html>another server</html>", "not working: no figures of a detector"),
     ],
 )
 def test_the_verdict_of_a_page(page: str, words: str) -> None:
-    healthy, said = verdict(page)
+    works, said = working(page)
     assert said.startswith(words)
-    assert healthy == (words == "healthy")
+    assert works == (words == "working")
 
 
 def test_health_without_an_address_says_what_to_do() -> None:
     with pytest.raises(UsageError, match="name the --metrics HOST:PORT"):
-        ask_health(None)
+        ask_working(None)
 
 
 def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:

@@ -147,7 +147,7 @@ def test_a_lost_link_is_said_and_so_is_its_return() -> None:
     effects = story.silence(4.0)
     assert story.at(State.LOST)
     assert "PROP link lost" in texts(effects)
-    assert story.session.healthy
+    assert story.session.working
     effects = story.fly(4.0)
     assert any(text.startswith("PROP link back after 4") for text in texts(effects))
     assert story.at(State.MONITORING)
@@ -181,7 +181,7 @@ def test_a_baseline_of_another_profile_is_refused_by_name_and_the_heartbeat_stop
     effects = story.fly(0.1)
     assert story.at(State.FAULTED)
     assert story.state.reason.startswith("link.profile: ")
-    assert not story.session.healthy
+    assert not story.session.working
     said = [effect for effect in effects if isinstance(effect, SendText)]
     assert [one.severity for one in said] == [Severity.WARNING]
     assert said[0].text.startswith("PROP OFF: link.profile: ")
@@ -195,7 +195,7 @@ def test_b6_another_rate_is_asked_for_and_waited_for_but_never_a_reason_to_be_of
     assert AskInterval(MessageId.RAW_IMU, 20_000) in [effect for _, effect in story.log]
     story.fly(100.0)
     assert story.at(State.WAITING)
-    assert story.session.healthy
+    assert story.session.working
     requests = [at for at, effect in story.log if isinstance(effect, AskInterval)]
     assert min(b - a for a, b in itertools.pairwise(requests)) >= 2.0
     assert len(requests) < 12  # paced: the autopilot does not do it
@@ -238,7 +238,7 @@ def test_l3_a_ground_station_that_resets_the_rates_again_and_again_never_ends_it
         if any(isinstance(effect, AskInterval) and effect.msgid == MessageId.RAW_IMU for effect in effects):
             every = 1  # the autopilot does as it is asked
         judged += (story.state.judge.judged_s if story.state.judge else 0.0) - before
-        assert story.session.healthy
+        assert story.session.working
     assert State.FAULTED not in story.states
     assert judged > 0.5 * 110
 
@@ -370,7 +370,7 @@ def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
     collected = story.state.collection.seconds
     story.answer(LearningFailed("roll: the input is not exciting enough"))
     assert story.at(State.LEARNING)
-    assert story.session.healthy
+    assert story.session.working
     assert story.state.collection.seconds >= collected >= 20.0
     assert "PROP not learned, goes on: roll: the input is no.." in story.texts
     effects = story.fly(25.0)
@@ -390,7 +390,7 @@ def test_learning_that_failed_three_times_is_off_until_the_vehicle_starts_anew()
     story.reboots = 1
     story.fly(5.0)
     assert story.at(State.LEARNING)
-    assert story.session.healthy
+    assert story.session.working
 
 
 def loud(effects: list[Effect]) -> list[str]:
@@ -549,7 +549,7 @@ def test_a_scale_that_gravity_contradicts_is_told_with_the_profile_to_try_and_no
         story.passed += 25
         story.give(weighing(2.04, 0.25 * number))
     assert story.at(State.WAITING)
-    assert story.session.healthy
+    assert story.session.working
     assert "PROP waiting: IMU scale 2.0 g: --profile spec" in story.texts
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "1 g" in effect.text]
     said = "the vehicle does not feel 1 g by the scale of the profile qdrone2, but 2.0 g: --profile spec"

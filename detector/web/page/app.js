@@ -7,9 +7,9 @@ const ENTRIES_MOST = 10000; // events that are kept
 const SILENT_MS = 3500; // without anything for so long, the page says so: the detector speaks once a second
 const CRITICAL = 2, WARNING = 4;
 const NAMES = {
-  fault: "Fault", suspected: "Suspected", quiet: "No fault found", "not judged": "Not judged", off: "Off",
+  fault: "Fault", inspect: "Inspect before flight", suspected: "Suspected", quiet: "No fault found", "not judged": "Not judged", off: "Off",
 };
-const MARKS = {fault: "✕", suspected: "!", quiet: "✓", "not judged": "–", off: "○"};
+const MARKS = {fault: "✕", inspect: "✕", suspected: "!", quiet: "✓", "not judged": "–", off: "○"};
 
 const byId = (id) => document.getElementById(id);
 const drawing = window.trustedTypes
@@ -244,7 +244,7 @@ function renderNow() {
     ["Flight judged", `${span(now.judged_s)} of ${span(now.flight_s)}`],
     ["Monitor alarms", String(now.events)],
   ] : []);
-  const alarm = now && (level === "fault" || level === "suspected");
+  const alarm = now && (["fault", "inspect", "suspected"].includes(level));
   byId("alert").hidden = !alarm;
   byId("alert").dataset.level = level;
   text("alert", alarm ? `Vehicle ${now.vehicle}: ${now.sentence}` : "");
@@ -271,7 +271,7 @@ function renderRotors(now) {
     const number = Number(rotor.dataset.rotor), rise = now ? now.rises[number - 1] : undefined;
     const suspected = now && now.rotor === number;
     rotor.classList.toggle("suspected", Boolean(suspected && now.level === "suspected"));
-    rotor.classList.toggle("fault", Boolean(suspected && now.level === "fault"));
+    rotor.classList.toggle("fault", Boolean(suspected && ["fault", "inspect"].includes(now.level)));
     const whole = Math.round(100 * rise);
     const percent = rise === undefined ? "" : `${whole < 0 ? "−" : whole > 0 ? "+" : ""}${Math.abs(whole)} %`;
     text(rotor.querySelector(".rotor-label"), percent);
@@ -350,7 +350,7 @@ function wanted({content}) {
 
 function loudness(content) {
   if (content.kind === "text") return content.severity <= CRITICAL ? "critical" : content.severity <= WARNING ? "warning" : "";
-  if (content.kind === "stage") return {fault: "critical", suspected: "warning"}[content.stage] || "";
+  if (content.kind === "stage") return {fault: "critical", inspect: "warning", suspected: "warning"}[content.stage] || "";
   return content.kind === "opened" ? "warning" : "";
 }
 
