@@ -58,7 +58,6 @@ class SessionSettings(BaseModel):
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
-    takeoff_s: Annotated[float, Field(ge=0)] = 3.0  # time after a take-off that is not judged; a baseline may say more
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs

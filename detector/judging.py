@@ -10,6 +10,7 @@ from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
+from mavdiag.errors import BaselineError
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Monitor
 from mavdiag.telemetry import Instant, Telemetry
@@ -68,17 +69,17 @@ def rescaled(baseline: Baseline, scale: float) -> Baseline:
 
 
 def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:
-    """The chain of a baseline as the settings have it: thresholds, monitors that only raise a suspicion, take-off.
+    """The chain of a baseline as the settings have it: its thresholds, and the monitors that only raise a suspicion.
 
-    started_ns: as in `chain_of`.
+    started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
     """
     chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
     only = [bool(_names(slot.monitor) & set(settings.suspect)) for slot in chain.slots]
     slots = tuple(replace(slot, decides=slot.decides and not one) for slot, one in zip(chain.slots, only, strict=True))
     specs = tuple(replace(spec, decides=slot.decides) for spec, slot in zip(chain.decision.slots, slots, strict=True))
-    gate = replace(chain.front.gate, trim_start_s=max(chain.front.gate.trim_start_s, settings.takeoff_s))
-    decision = replace(chain.decision, slots=specs)
-    return replace(chain, front=replace(chain.front, gate=gate), slots=slots, decision=decision)
+    if chain.slots and not any(slot.decides for slot in slots):
+        raise BaselineError("suspect names every monitor that decides")
+    return replace(chain, slots=slots, decision=replace(chain.decision, slots=specs))
 
 
 def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:

@@ -457,7 +457,9 @@ def _leading(diagnosis: Diagnosis, fresh: Sequence[Fresh]) -> Diagnosis:
             return it
     if not fresh:
         return replace(it, monitor=None, axis=None, unit="", statistic=NAN, threshold=NAN)
-    reading, slot = max(fresh, key=lambda pair: (pair[1].decides, pair[0].ratio))
+    reading, slot = max(
+        fresh, key=lambda pair: (height_of(pair[0].ratio, pair[1].decides), pair[1].decides, pair[0].ratio)
+    )
     evidence = max(reading.value, reading.ratio * slot.threshold)
     return replace(
         it,

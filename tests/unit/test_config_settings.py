@@ -62,10 +62,10 @@ def test_settings_do_not_change() -> None:
 
 
 def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
-    path = written(tmp_path, "learn = 30.0\nvehicle = 3\nclear_s = 8.0\n")
-    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_CLEAR_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
+    path = written(tmp_path, "learn = 30.0\nvehicle = 3\nlink_lost_s = 8.0\n")
+    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_LINK_LOST_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
     settings = load_settings(path, {"vehicle": 5}, environ)
-    assert (settings.learn, settings.clear_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
+    assert (settings.learn, settings.link_lost_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
 
 
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:

@@ -225,7 +225,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
     found = watched.after(4.0, outputs=True, push=0.4)
     assert found["level"] == Level.SUSPECTED  # beside others, the thesis rule does not decide
-    assert found["sentence"].startswith("PROP suspect ")
+    assert found["sentence"] == "roll attitude unlike the model"
     ground = watched.after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
     assert set(reasons(ground)) == {"not armed", "no VIBRATION"}
