@@ -35,13 +35,15 @@ __all__ = [
 ]
 
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
-MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
+MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
+JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
 
 class Verdict(StrEnum):
     """What can be said of a log."""
 
     HEALTHY = "healthy"
+    SUSPECTED = "suspected"
     FAULT = "fault"
     NOT_JUDGEABLE = "not_judgeable"
     ERROR = "error"
@@ -83,20 +85,34 @@ class JudgedEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedRotor:
+    """A rotor that was named, from 1, and the span of it [s of the vehicle's clock]; end_s None if it lasted."""
+
+    rotor: int
+    since_s: float
+    end_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class LogVerdict:
     """The verdict on one log.
 
-    judged_s: judged time of the monitor that decides about propellers and judged for longest.
+    flown_s: time in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
+    judged_s: how much of it any monitor that decides about propellers judged.
     rate_hz: of the gyro stream.
     changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
     kind: the gravest kind of fault that was declared; None if none was.
+    since_s: when it was declared first, of the vehicle's clock.
+    rotor: the one that was named last; None without one.
+    rotors: every one that was named, in order of time.
     """
 
     log: str
     verdict: Verdict
     reason: str
     judged_s: float = 0.0
+    flown_s: float = 0.0
     profile: str = ""
     rate_hz: float = 0.0
     monitors: tuple[MonitorSummary, ...] = ()
@@ -104,6 +120,9 @@ class LogVerdict:
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     kind: FaultKind | None = None
+    since_s: float | None = None
+    rotor: int | None = None
+    rotors: tuple[NamedRotor, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
@@ -128,30 +147,55 @@ class JudgedFlight:
     pieces: tuple[Piece, ...] = ()
 
 
-def judge(log: Log, baseline: Baseline) -> LogVerdict:
+def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> LogVerdict:
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason.
 
+    judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
     Rows are made and judged some thousands at a time, so that it takes little memory beside the log's own.
     """
-    return _judged(log, baseline, keep=False).verdict
+    return _judged(log, baseline, judged_share, keep=False).verdict
 
 
-def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
+def judge_in_full(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> JudgedFlight:
     """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
-    return _judged(log, baseline, keep=True)
+    return _judged(log, baseline, judged_share, keep=True)
 
 
-def _judged(log: Log, baseline: Baseline, keep: bool) -> JudgedFlight:
+@dataclass(slots=True)
+class _Run:
+    """What the chain made of a whole log.
+
+    spans: first and last row of each part of it that flew [ns]. motion: of its rows, for `rows.upsets`.
+    """
+
+    state: ChainState
+    events: list[Event] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
+    kept: list[Piece] = field(default_factory=list)
+    spans: list[Stretch] = field(default_factory=list)
+    motion: list[FloatArray] = field(default_factory=list)
+
+    def add(self, block: Block) -> None:
+        """More rows that flew."""
+        first, last = int(block.t_ns[0]), int(block.t_ns[-1])
+        if self.spans and first - self.spans[-1][1] <= NS_PER_S:
+            self.spans[-1] = (self.spans[-1][0], last)
+        else:
+            self.spans.append((first, last))
+        self.motion.append(motion_of(block))
+
+
+def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> JudgedFlight:
+    def refused(reason: str, rate_hz: float = 0.0) -> JudgedFlight:
+        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=rate_hz))
+
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, str(error), profile=log.profile))
-    try:
-        check_link(baseline, profile=log.profile, dt_s=dt_s)
-    except BaselineError as error:
-        reason = f"another link: {error}"
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
-    chain = replace(chain_of(baseline, log.started_ns), fingerprint=None)  # compared here, before it is judged
+        return refused(str(error))
+    chain = replace(chain_of(baseline, log.started_ns, log.profile), fingerprint=None)  # compared before it is judged
+    if refusal := chain.refusal(log.telemetry):
+        return refused(refusal, 1 / dt_s)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
     parts = chain.front.pieces(log.telemetry, PIECE_ROWS)
@@ -159,28 +203,40 @@ def _judged(log: Log, baseline: Baseline, keep: bool) -> JudgedFlight:
     likeness = _likeness(first, baseline)
     alike = likeness.sentence(baseline.airframe.name)
     if likeness.outcome is Outcome.FAR:
-        reason = f"another vehicle: {alike}"
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
-    state, found, changes, kept = _run(chain, itertools.chain(first, parts), keep)
-    events = _merged(found)
-    monitors = _summaries(chain, state, events)
-    verdict, reason = _verdict(monitors, state, events, changes)
+        return refused(f"another vehicle: {alike}", 1 / dt_s)
+    run = _run(chain, itertools.chain(first, parts), keep)
+    events, coverage = _merged(run.events), run.state.coverage.closed()
+    monitors = _summaries(chain, run.state, events)
+    hidden = hidden_flight(log.telemetry, chain.front.gate, run.spans)
+    flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
+    upset = upset_in(run.motion)
+    rotors = _rotors(run.changes)
+    told = _Evidence(log, chain, monitors, events, run.changes, coverage, hidden, flown_s, upset, judged_share)
+    verdict, reason = told.verdict()
+    kind = _kind(run.changes)
+    since = next((one.t_ns / NS_PER_S for one in run.changes if one.stage is Stage.FAULT), None)
+    if kind is None and verdict is Verdict.FAULT and upset is not None:
+        kind, since = FaultKind.LOSS_OF_CONTROL, upset.begin_s
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
-    told = LogVerdict(
+    found = LogVerdict(
         log.name,
         verdict,
         "; ".join((reason, *notes)),
-        state.judged_s,
+        min(coverage.judged_s, flown_s),
+        flown_s,
         log.profile,
         1 / dt_s,
         monitors,
         judged,
-        tuple(changes),
+        tuple(run.changes),
         notes,
-        _kind(changes),
+        kind,
+        since,
+        rotors[-1].rotor if rotors else None,
+        rotors,
     )
-    return JudgedFlight(told, chain, tuple(kept))
+    return JudgedFlight(found, chain, tuple(run.kept))
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
@@ -194,18 +250,21 @@ def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows 
     return taken
 
 
-def _run(
-    chain: Chain, parts: Iterable[Rows | Border], keep: bool
-) -> tuple[ChainState, list[Event], list[Change], list[Piece]]:
-    """All parts through the chain: its last state, all events and changes, and the pieces if they are to be kept."""
-    state, events, changes, kept = chain.start(), list[Event](), list[Change](), list[Piece]()
+def _run(chain: Chain, parts: Iterable[Rows | Border], keep: bool) -> _Run:
+    """All parts through the chain."""
+    run = _Run(chain.start())
     for part in parts:
-        state, output = chain.judge(state, (part,))
-        events += output.events
-        changes += output.changes
-        kept += output.pieces if keep else ()
-    state, output = chain.finish(state)
-    return state, [*events, *output.events], [*changes, *output.changes], [*kept, *output.pieces]
+        if isinstance(part, Rows) and len(part.block):
+            run.add(part.block)
+        run.state, output = chain.judge(run.state, (part,))
+        run.events += output.events
+        run.changes += output.changes
+        run.kept += output.pieces if keep else ()
+    run.state, output = chain.finish(run.state)
+    run.events += output.events
+    run.changes += output.changes
+    run.kept += output.pieces if keep else ()
+    return run
 
 
 def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:
@@ -225,30 +284,79 @@ def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Exit code of a scan: the first of 2 error, 1 fault, 3 not judgeable that occurs, else 0."""
-    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.NOT_JUDGEABLE, 3))
+    """Exit code of a scan: the first of 2 error, 1 fault, 4 suspected, 3 not judgeable that occurs, else 0."""
+    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.SUSPECTED, 4), (Verdict.NOT_JUDGEABLE, 3))
     return next((code for verdict, code in order if verdict in verdicts), 0)
 
 
-def _verdict(
-    monitors: Sequence[MonitorSummary], state: ChainState, events: Sequence[Event], changes: Sequence[Change]
-) -> tuple[Verdict, str]:
-    """The verdict and its reason: a fault if the decision declared one, healthy only if a deciding monitor judged."""
-    faults = [change for change in changes if change.stage is Stage.FAULT]
-    if faults:
-        return Verdict.FAULT, _fault_reason(faults, events)
-    deciding = [one for one in monitors if one.decides]
-    spoken = [one for one in deciding if one.judged_s >= MIN_JUDGED_S]
-    others = ", ".join(f"{one.name} ({one.not_judged})" for one in deciding if one not in spoken)
-    if not any(by_name(one.name).kind is FaultKind.PROPELLER for one in spoken):
-        flight_s = max((account.flight_s for account in state.accounts), default=0.0)
-        if flight_s == 0:
-            return Verdict.NOT_JUDGEABLE, "never airborne: no armed flight with thrust"
-        return Verdict.NOT_JUDGEABLE, f"{flight_s:.1f} s of flight, but no deciding monitor judged: {others}"
-    suspected = any(change.stage is Stage.SUSPECTED for change in changes)
-    basis = ", ".join(f"{one.name} {one.judged_s:.1f} s" for one in spoken)
-    kind = f"only suspected ({len(events)} alarms)" if events else "only suspected" if suspected else "no alarm"
-    return Verdict.HEALTHY, f"{kind}; judged by {basis}" + (f"; not judged by {others}" if others else "")
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """All that a verdict rests on."""
+
+    log: Log
+    chain: Chain
+    monitors: Sequence[MonitorSummary]
+    events: Sequence[Event]
+    changes: Sequence[Change]
+    coverage: Coverage
+    hidden: Sequence[Hidden]
+    flown_s: float
+    upset: Upset | None
+    judged_share: float
+
+    def verdict(self) -> tuple[Verdict, str]:
+        """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""
+        faults = [change for change in self.changes if change.stage is Stage.FAULT]
+        upset = "" if self.upset is None else self.upset.text
+        if faults:
+            told = _fault_reason(faults, self.events) + _when(faults[0].t_ns, self.log)
+            return Verdict.FAULT, "; ".join(filter(None, (told, upset, self._share())))
+        if upset:
+            return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
+        if self.flown_s == 0:
+            return Verdict.NOT_JUDGEABLE, self._grounded()
+        if suspicion := self._suspicion():
+            return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
+        judged_s = self.coverage.judged_s
+        if judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+            return Verdict.NOT_JUDGEABLE, self._share()
+        return Verdict.HEALTHY, f"no alarm; {self._share()}"
+
+    def _grounded(self) -> str:
+        flight_s = max((span[1] - span[0] for span in self._spans()), default=0) / NS_PER_S
+        return f"only {flight_s:.1f} s of flight, all of it take-off" if flight_s else NEVER_FLEW
+
+    def _suspicion(self) -> str:
+        """What was suspected though no fault was declared; empty if nothing was."""
+        if self.events:
+            names = ", ".join(dict.fromkeys(event.monitor for event in self.events))
+            count = f"{len(self.events)} alarm{'s' if len(self.events) != 1 else ''} of {names}"
+            single = all(not one.decides for one in self.monitors if one.alarms)
+            own = ", which decides nothing alone" if single else ""
+            return f"{count}{own}{_when(self.events[0].start_ns, self.log)}"
+        near = next((change for change in self.changes if change.stage is Stage.SUSPECTED), None)
+        if near is None:
+            return ""
+        ratios = {one.name: (one.maximum or 0.0) / one.threshold for one in self.monitors if one.decides}
+        name = max(ratios, key=lambda one: ratios[one], default="a monitor")
+        return f"{name} came to {100 * ratios.get(name, 0.0):.0f} % of its threshold{_when(near.t_ns, self.log)}"
+
+    def _share(self) -> str:
+        """How much of the flight was judged, by what, and why the rest was not."""
+        judged_s = min(self.coverage.judged_s, self.flown_s)
+        share = judged_s / self.flown_s if self.flown_s else 0.0
+        text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
+        own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
+        spoken = ", ".join(f"{one.name} {one.judged_s:.1f} s" for one in own if one.judged_s >= MIN_JUDGED_S)
+        why = [one.text for one in self.hidden]
+        if share < self.judged_share:
+            why += [f"nothing judged {_between(one, self.log)}" for one in self._longest()]
+        why += [f"not judged by {one.name} ({one.not_judged})" for one in own if one.judged_s < MIN_JUDGED_S]
+        part = [one for one in own if one.judged_s >= MIN_JUDGED_S and one.not_judged and share < self.judged_share]
+        why += [f"{one.name}: {one.not_judged}" for one in part]
+        return text + (f" by {spoken}" if spoken else "") + (": " if why and not spoken else "; " if why else "") + (
+            "; ".join(why)
+        )
 
 
 def _kind(changes: Sequence[Change]) -> FaultKind | None:

@@ -4,6 +4,15 @@ Take-off, touch-down and the ground are no healthy reference: a landing gives gy
 fault's trace (8-11 rad/s, METHOD section 5). Every flying span becomes a segment of its own, and a `Border` follows it.
 Its first `trim_start_s` are marked invalid; its last `trim_end_s` are dropped, which needs the rows to be held back by
 that long, so it is zero where the alert must not wait.
+
+A vehicle in the air lands by disarming or by quiet, never by a dip of its thrust. While thrust or height is below its
+limit (*low*) the rows are held back until the matter is decided:
+
+    disarmed, or QUIET_S without a loud row     it was the landing: the rows are dropped and the span ends
+    thrust and height back                      it was flight: the rows come out and are judged
+    loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
+
+A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S was flight.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +24,11 @@ from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_S
 
 __all__ = ["Border", "GateSpec", "GateState"]
+
+QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
+QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
+LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
+DISARMED, LOW, UP = 0, 1, 2  # what a row is
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +45,26 @@ class Border:
 class GateState:
     """The rows held back, and the present flying span."""
 
-    held: tuple[Block, ...] = ()
+    held: tuple[Block, ...] = ()  # flight, held back by `trim_end_s`
     source: int = -1  # segment of the rows before the gate
     airborne: bool = False
+    resumes: bool = False  # the data broke off in the air: what flies next has not taken off
     span: int = -1  # number of the flying span
-    begun_ns: int = 0
+    settled_ns: int = 0  # until then it takes off
     last_ns: int = 0  # time of the last row that flew
+    low: "_Low | None" = None  # since thrust or height is low
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Low:
+    """A vehicle in the air with low thrust or height."""
+
+    begun_ns: int
+    loud_ns: int  # time of the last loud row, or of the first low one
+    rows: tuple[Block, ...] = ()  # undecided
+    loud: int = 0  # loud rows
+    late: int = 0  # those later than QUIET_S
+    tumbles: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,70 +96,126 @@ class GateSpec:
         out: list[Block | Border] = []
         for block in blocks:
             if block.segment != state.source:
-                state, done = _land(self, state)
-                out += done
+                state, done = _break_off(state)
+                out += [*done, Border(state.last_ns)] if state.resumes else []
                 state = replace(state, source=block.segment)
-            up = self.flying(block)
-            for first, stop in _runs(up):
-                if up[first]:
+            kinds = self._kinds(block)
+            for first, stop in _runs(kinds):
+                if kinds[first] == UP:
                     state = _fly(self, state, block, first, stop)
-                else:
+                elif not state.airborne:
+                    state = replace(state, resumes=False) if state.resumes else state
+                elif kinds[first] == DISARMED:
                     state, done = _land(self, state)
+                    out += done
+                else:
+                    state, done = _sink(self, state, block, first, stop)
                     out += done
             state, released = _release(self, state)
             out += released
         return state, tuple(out)
 
     def finish(self, state: GateState) -> tuple[GateState, tuple[Block, ...]]:
-        """The end of a log. What is held back was still flying, so it is judged."""
-        return replace(state, held=(), airborne=False), state.held
+        """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
+        if state.low is not None and not state.low.tumbles and state.low.loud * state.low.rows[0].dt_s < LOUD_S:
+            state, done = _land(self, state)
+            return replace(state, resumes=True), tuple(part for part in done if isinstance(part, Block))
+        return _break_off(state)
 
     def flying(self, block: Block) -> BoolArray:
-        """(n,) True for the rows that count as flying."""
+        """(n,) True for the rows that count as flying, as far as each row tells alone."""
+        return self._kinds(block) == UP
+
+    def _kinds(self, block: Block) -> IntArray:
+        """(n,) DISARMED, LOW or UP."""
         up = np.ones(len(block), dtype=np.bool_)
         if self.min_height_m is not None:
             up &= ~(block.height < self.min_height_m)
         if self.min_thrust is not None:
             up &= ~(block.thrust < self.min_thrust)
+        kinds = np.where(up, UP, LOW)
         if self.need_armed:
-            up &= ~(block.armed < 0.5)
-        return up
+            kinds[block.armed < 0.5] = DISARMED
+        return kinds
 
 
-def _runs(up: BoolArray) -> list[tuple[int, int]]:
+def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
-    if np.count_nonzero(up) == len(up):
-        return [(0, len(up))]
-    edges: IntArray = np.flatnonzero(np.diff(up)) + 1
+    edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
     starts = [0, *edges.tolist()]
-    return list(zip(starts, [*edges.tolist(), len(up)], strict=True))
+    return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))
 
 
 def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
     if not state.airborne:
-        state = replace(state, airborne=True, span=state.span + 1, begun_ns=int(block.t_ns[first]))
-    whole = first == 0 and stop == len(block) and block.segment == state.span
-    rows = block if whole else block.rows(first, stop, state.span)
-    settled_ns = state.begun_ns + round(spec.trim_start_s * NS_PER_S)
-    if rows.t_ns[0] < settled_ns:
-        rows = replace(rows, valid=rows.valid & (rows.t_ns >= settled_ns))
-    held = (*state.held, rows)
-    return GateState(held, state.source, state.airborne, state.span, state.begun_ns, int(rows.t_ns[-1]))
+        since_ns = int(block.t_ns[first])
+        settled_ns = since_ns if state.resumes else since_ns + round(spec.trim_start_s * NS_PER_S)
+        state = replace(state, airborne=True, resumes=False, span=state.span + 1, settled_ns=settled_ns)
+    elif state.low is not None:
+        state = _keep(replace(state, low=None), *state.low.rows)
+    return _keep(state, _cut(state, block, first, stop))
+
+
+def _sink(
+    spec: GateSpec, state: GateState, block: Block, first: int, stop: int
+) -> tuple[GateState, list[Block | Border]]:
+    """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
+    t_ns = block.t_ns[first:stop]
+    loud = np.maximum.reduce(np.abs(block.rate[first:stop]), axis=1) > QUIET_RAD_S
+    low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
+    loud_ns = np.maximum.accumulate(np.where(loud, t_ns, low.loud_ns))
+    over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
+    late = low.late + np.cumsum(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S))
+    tumbles = low.tumbles or _first(late * block.dt_s >= LOUD_S) < over
+    rows = [_cut(state, block, first, first + over)] if over else []
+    if tumbles:
+        state = _keep(state, *low.rows, *rows)
+        rows = []
+    if over < len(t_ns):
+        return _land(spec, state)
+    count = low.loud + int(np.count_nonzero(loud))
+    kept = () if tumbles else (*low.rows, *rows)
+    return replace(state, low=_Low(low.begun_ns, int(loud_ns[-1]), kept, count, int(late[-1]), tumbles)), []
+
+
+def _first(flags: BoolArray) -> int:
+    """Place of the first that is True; their number if none is."""
+    return int(flags.argmax()) if flags.any() else len(flags)
+
+
+def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
+    """Rows of the present span, invalid while it takes off."""
+    rows = replace(block.rows(first, stop, state.span), settled_ns=state.settled_ns)
+    if rows.t_ns[0] < state.settled_ns:
+        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.settled_ns))
+    return rows
+
+
+def _keep(state: GateState, *rows: Block) -> GateState:
+    """With rows that flew."""
+    return replace(state, held=(*state.held, *rows), last_ns=int(rows[-1].t_ns[-1])) if rows else state
 
 
 def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block | Border]]:
-    """The span is over: its last `trim_end_s` are dropped."""
-    if not state.airborne:
-        return state, []
-    state, done = _release(spec, state)
+    """The span is over: its last `trim_end_s` are dropped, and what was held back undecided."""
+    state, done = _release(spec, replace(state, low=None))
     return replace(state, held=(), airborne=False), [*done, Border(state.last_ns)]
+
+
+def _break_off(state: GateState) -> tuple[GateState, tuple[Block, ...]]:
+    """The data end, or break off: all that flew comes out."""
+    if not state.airborne:
+        return state, ()
+    low = state.low
+    if low is not None and (low.tumbles or (low.rows and low.loud * low.rows[0].dt_s >= LOUD_S)):
+        state = _keep(state, *low.rows)
+    return replace(state, held=(), low=None, airborne=False, resumes=True), state.held
 
 
 def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
     """Let go of the rows that are `trim_end_s` older than the newest."""
     if not state.held or spec.trim_end_s == 0:
-        flown = GateState((), state.source, state.airborne, state.span, state.begun_ns, state.last_ns)
-        return flown, list(state.held)
+        return (replace(state, held=()), list(state.held)) if state.held else (state, [])
     safe_ns = int(state.held[-1].t_ns[-1]) - round(spec.trim_end_s * NS_PER_S)
     done: list[Block] = []
     kept: list[Block] = []
