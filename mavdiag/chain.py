@@ -34,10 +34,10 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
+from mavdiag.rows.grid import LEAST_SAMPLES
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.grid import LEAST_SAMPLES
-from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
 from mavdiag.units import NS_PER_S
 
@@ -224,7 +224,8 @@ class Chain:
         if neither its mean nor its median is the baseline's.
         """
         series = telemetry.get(Signal.BODY_RATE)
-        steps = np.empty(0) if series is None else np.diff(np.unique(series.t_ns)) / NS_PER_S
+        stamps = np.empty(0) if series is None else np.unique(series.t_ns).astype(np.float64)
+        steps: FloatArray = np.diff(stamps) / NS_PER_S
         steps = steps[steps <= self.front.align.break_s]
         if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
             return None
@@ -413,6 +414,4 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
     envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
     decision, whose = DecisionSpec(specs, known), baseline.airframe
-    return Chain(
-        front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout, baseline, profile
-    )
+    return Chain(front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout, baseline, profile)

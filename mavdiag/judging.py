@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -10,16 +10,19 @@ import numpy as np
 
 from mavdiag.airframe.fingerprint import FIRST_S, Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
-from mavdiag.baseline import Baseline, check_link
+from mavdiag.baseline import Baseline
 from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
+from mavdiag.decision.account import Coverage, Stretch
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, InputError
+from mavdiag.errors import InputError
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.gate import Border
-from mavdiag.telemetry import Axis, Log, pandas_module
+from mavdiag.rows.gate import Border, Hidden, hidden_flight
+from mavdiag.rows.upsets import Upset, motion_of, upset_in
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal, pandas_module
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -27,6 +30,7 @@ __all__ = [
     "JudgedFlight",
     "LogVerdict",
     "MonitorSummary",
+    "NamedRotor",
     "Verdict",
     "exit_code",
     "judge",
@@ -36,6 +40,8 @@ __all__ = [
 
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
+MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
+NEVER_FLEW = "never airborne: no armed flight with thrust"
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
 
@@ -211,7 +217,9 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
     upset = upset_in(run.motion)
     rotors = _rotors(run.changes)
-    told = _Evidence(log, chain, monitors, events, run.changes, coverage, hidden, flown_s, upset, judged_share)
+    takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
+    seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
+    told = _Evidence(log, monitors, *seen, upset, judged_share)
     verdict, reason = told.verdict()
     kind = _kind(run.changes)
     since = next((one.t_ns / NS_PER_S for one in run.changes if one.stage is Stage.FAULT), None)
@@ -294,13 +302,13 @@ class _Evidence:
     """All that a verdict rests on."""
 
     log: Log
-    chain: Chain
     monitors: Sequence[MonitorSummary]
     events: Sequence[Event]
     changes: Sequence[Change]
     coverage: Coverage
     hidden: Sequence[Hidden]
     flown_s: float
+    takeoff_s: float
     upset: Upset | None
     judged_share: float
 
@@ -314,17 +322,13 @@ class _Evidence:
         if upset:
             return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
         if self.flown_s == 0:
-            return Verdict.NOT_JUDGEABLE, self._grounded()
+            return Verdict.NOT_JUDGEABLE, f"only a take-off of {self.takeoff_s:.1f} s" if self.takeoff_s else NEVER_FLEW
         if suspicion := self._suspicion():
             return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
         judged_s = self.coverage.judged_s
         if judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
             return Verdict.NOT_JUDGEABLE, self._share()
         return Verdict.HEALTHY, f"no alarm; {self._share()}"
-
-    def _grounded(self) -> str:
-        flight_s = max((span[1] - span[0] for span in self._spans()), default=0) / NS_PER_S
-        return f"only {flight_s:.1f} s of flight, all of it take-off" if flight_s else NEVER_FLEW
 
     def _suspicion(self) -> str:
         """What was suspected though no fault was declared; empty if nothing was."""
@@ -345,18 +349,42 @@ class _Evidence:
         """How much of the flight was judged, by what, and why the rest was not."""
         judged_s = min(self.coverage.judged_s, self.flown_s)
         share = judged_s / self.flown_s if self.flown_s else 0.0
-        text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
         own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
-        spoken = ", ".join(f"{one.name} {one.judged_s:.1f} s" for one in own if one.judged_s >= MIN_JUDGED_S)
-        why = [one.text for one in self.hidden]
+        spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
+        text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
+        text += f" by {spoken}" if spoken else ""
+        text += f", without {self.takeoff_s:.1f} s of take-off" if self.takeoff_s >= 0.1 else ""
+        why = [f"{one.reason} {_between(one.begin_s, one.end_s, self.log)}" for one in self.hidden]
         if share < self.judged_share:
-            why += [f"nothing judged {_between(one, self.log)}" for one in self._longest()]
-        why += [f"not judged by {one.name} ({one.not_judged})" for one in own if one.judged_s < MIN_JUDGED_S]
-        part = [one for one in own if one.judged_s >= MIN_JUDGED_S and one.not_judged and share < self.judged_share]
-        why += [f"{one.name}: {one.not_judged}" for one in part]
-        return text + (f" by {spoken}" if spoken else "") + (": " if why and not spoken else "; " if why else "") + (
-            "; ".join(why)
-        )
+            longest = sorted(self.coverage.unjudged, key=lambda one: one[0] - one[1])[:MOST_STRETCHES]
+            why += [f"nothing judged {_between(*_in_s(one), self.log)}" for one in sorted(longest)]
+        lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < self.judged_share)]
+        reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
+        why += [f"not judged by {reasons}"] if reasons else []
+        return f"{text}: {'; '.join(why)}" if why else text
+
+
+def _in_s(stretch: Stretch) -> tuple[float, float]:
+    return stretch[0] / NS_PER_S, stretch[1] / NS_PER_S
+
+
+def _clock(log: Log) -> tuple[float, float]:
+    """First and last time of a log [s of the vehicle's clock]."""
+    t_ns = log.telemetry.need(Signal.BODY_RATE).t_ns
+    last_ns = max(int(np.max(one.t_ns)) for one in log.telemetry.series if len(one))
+    return float(np.min(t_ns)) / NS_PER_S, last_ns / NS_PER_S
+
+
+def _when(t_ns: int, log: Log) -> str:
+    """A time of the vehicle's clock, and of the log where it begins at another one."""
+    t_s, begin_s = t_ns / NS_PER_S, _clock(log)[0]
+    into = f" of the vehicle's clock, {t_s - begin_s:.1f} s into the log" if begin_s >= 1 else ""
+    return f", first at {t_s:.2f} s{into}"
+
+
+def _between(begin_s: float, end_s: float, log: Log) -> str:
+    """A stretch of the vehicle's clock."""
+    return f"from {begin_s:.1f} s" + ("" if end_s > _clock(log)[1] - 1.0 else f" to {end_s:.1f} s")
 
 
 def _kind(changes: Sequence[Change]) -> FaultKind | None:
@@ -387,7 +415,20 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     doubts = {by_name(event.monitor).doubt for event in events if by_name(event.monitor).decides}
     doubt = "".join(f"; {text}" for text in doubts if text and len(doubts) == 1)
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
-    return f"{what}{evidence}{rotor}{graded}{doubt}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
+    return f"{what}{evidence}{rotor}{graded}{doubt}, {count}"
+
+
+def _rotors(changes: Sequence[Change]) -> tuple[NamedRotor, ...]:
+    """Every rotor that was named, with its span: it ends when another is named or the fault is over."""
+    found: list[NamedRotor] = []
+    for change in changes:
+        t_s = change.t_ns / NS_PER_S
+        rotor = change.rotor if change.stage is Stage.FAULT else None
+        if found and found[-1].end_s is None and rotor != found[-1].rotor:
+            found[-1] = replace(found[-1], end_s=t_s)
+        if rotor is not None and (not found or found[-1].end_s is not None):
+            found.append(NamedRotor(rotor, t_s, None))
+    return tuple(found)
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:

@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mavdiag.rows.conditions import Condition
 from mavdiag.rows.block import Block
+from mavdiag.rows.conditions import Condition
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import BoolArray, IntArray, Signal
 from mavdiag.thresholds.envelope import Outside
@@ -82,18 +82,29 @@ class Coverage:
     A valid value at t with a window of w seconds has judged the rows after t - w, as far as the slot knew its signals
     there. Rows of a take-off are not counted.
 
-    flown_s: flown time so far.
-    judged_s: how much of it was judged.
+    dt_s: of a row.
+    flown, judged: rows so far.
     open_ns: (n,) rows that later values may still reach back to.
     able: (slots, n) whether a slot knew all its signals in them.
     unjudged: the stretches that nothing can reach any more, in order of time.
     """
 
-    flown_s: float = 0.0
-    judged_s: float = 0.0
+    dt_s: float = 0.0
+    flown: int = 0
+    judged: int = 0
     open_ns: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     able: BoolArray = field(default_factory=lambda: np.empty((0, 0), dtype=np.bool_))
     unjudged: tuple[Stretch, ...] = ()
+
+    @property
+    def flown_s(self) -> float:
+        """Flown time so far [s]."""
+        return self.flown * self.dt_s
+
+    @property
+    def judged_s(self) -> float:
+        """How much of it was judged [s]."""
+        return self.judged * self.dt_s
 
     def add(self, block: Block, able: BoolArray, values: Sequence[Statistic], reach_s: Sequence[float]) -> "Coverage":
         """After the next rows. able: (slots, rows). values, reach_s: of each slot, and the length of its window."""
@@ -108,18 +119,18 @@ class Coverage:
             if len(at_ns) and len(fresh):
                 following = at_ns.take(at_ns.searchsorted(fresh), mode="clip") - fresh
                 covered |= known & (following >= 0) & (following < window_s * NS_PER_S)
-        judged_s = self.judged_s + int(np.count_nonzero(covered)) * block.dt_s
-        flown_s = self.flown_s + (len(block) - first) * block.dt_s
+        counts = self.flown + len(block) - first, self.judged + int(np.count_nonzero(covered))
         fresh, able = fresh[~covered], able[:, ~covered]
         late_ns = int(block.t_ns[-1]) - round((max(reach_s, default=0.0) + LATE_S) * NS_PER_S)
         gone = int(fresh.searchsorted(late_ns))
-        return Coverage(flown_s, judged_s, fresh[gone:], able[:, gone:], _joined(self.unjudged, fresh[:gone]))
+        unjudged = _joined(self.unjudged, fresh[:gone])
+        return Coverage(block.dt_s, *counts, fresh[gone:], able[:, gone:], unjudged)
 
     def closed(self) -> "Coverage":
         """At a border: no value reaches back over it."""
         if not len(self.open_ns):
             return self
-        return Coverage(self.flown_s, self.judged_s, unjudged=_joined(self.unjudged, self.open_ns))
+        return Coverage(self.dt_s, self.flown, self.judged, unjudged=_joined(self.unjudged, self.open_ns))
 
 
 def _joined(stretches: tuple[Stretch, ...], rows_ns: IntArray) -> tuple[Stretch, ...]:

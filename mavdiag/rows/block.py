@@ -61,7 +61,7 @@ class Block:
     actuator: FloatArray
     valid: BoolArray
     setpoint_valid: BoolArray
-    settled_ns: int = 0
+    settled_ns: int = field(default=0, kw_only=True)
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment if asked."""
         cut = slice(first, stop)
         columns = (getattr(self, name)[cut] for name in COLUMNS)
-        return Block(self.segment if segment is None else segment, self.dt_s, *columns, self.settled_ns)
+        return Block(self.segment if segment is None else segment, self.dt_s, *columns, settled_ns=self.settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.

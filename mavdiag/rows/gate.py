@@ -13,22 +13,29 @@ limit (*low*) the rows are held back until the matter is decided:
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
 A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S was flight.
+
+What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import BoolArray, IntArray
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState"]
+__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
+HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
+HIDDEN_BIN_NS = NS_PER_S // 2
+FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
+HELD_BINS = 2  # for so long the last thrust and outputs hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +103,9 @@ class GateSpec:
         out: list[Block | Border] = []
         for block in blocks:
             if block.segment != state.source:
-                state, done = _break_off(state)
-                out += [*done, Border(state.last_ns)] if state.resumes else []
+                flew = state.airborne
+                state, rest = _break_off(state)
+                out += [*rest, Border(state.last_ns)] if flew else []
                 state = replace(state, source=block.segment)
             kinds = self._kinds(block)
             for first, stop in _runs(kinds):
@@ -124,7 +132,7 @@ class GateSpec:
 
     def flying(self, block: Block) -> BoolArray:
         """(n,) True for the rows that count as flying, as far as each row tells alone."""
-        return self._kinds(block) == UP
+        return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
 
     def _kinds(self, block: Block) -> IntArray:
         """(n,) DISARMED, LOW or UP."""
@@ -224,3 +232,95 @@ def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
         done += [block.rows(0, stop)] if stop else []
         kept += [block.rows(stop, len(block))] if stop < len(block) else []
     return replace(state, held=tuple(kept)), done
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """A part of a log in which the vehicle flew and nobody could judge it. begin_s, end_s: of the vehicle's clock."""
+
+    begin_s: float
+    end_s: float
+    reason: str
+
+    @property
+    def span_s(self) -> float:
+        """How long it is [s]."""
+        return self.end_s - self.begin_s
+
+
+def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[int, int]]) -> tuple[Hidden, ...]:
+    """Where a vehicle that had taken off flew on though the gate passed no rows, in order of time.
+
+    The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
+    (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
+    up and it moves. spans: first and last row of what flew [ns].
+    """
+    series = [one for one in telemetry.series if len(one)]
+    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one.t_ns // HIDDEN_BIN_NS for one in series)]))
+    bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
+    if not len(bins):
+        return ()
+    flown = np.zeros(len(bins), dtype=np.bool_)
+    for first, last in spans:
+        flown |= (bins >= first // HIDDEN_BIN_NS) & (bins <= last // HIDDEN_BIN_NS)
+    thrust = _held(_mean(telemetry.get(Signal.THRUST_SETPOINT), bins), HELD_BINS)
+    outputs = _held(_mean(telemetry.get(Signal.ACTUATOR), bins), HELD_BINS)
+    height = _held(_mean(telemetry.get(Signal.HEIGHT), bins), HELD_BINS)
+    armed = _held(_mean(telemetry.get(Signal.ARMED), bins), len(bins))
+    motion = _motion(telemetry.get(Signal.BODY_RATE), bins)
+    dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
+    down = outputs < FLIES * _median(outputs[flown])
+    low = thrust < (gate.min_thrust or 0.0)
+    off = (armed < 0.5) & gate.need_armed
+    driven = np.where(np.isfinite(outputs), ~down, moves)
+    reasons = {
+        "it reads disarmed while its thrust says that it flies": off & (thrust > 0) & ~low & ~down & (moves | dead),
+        "no gyro": ~off & dead & ~low & ~down & ~(height < (gate.min_height_m or -np.inf)),
+        "its thrust reads 0 while it flies": ~off & ~dead & low & driven,
+    }
+    found = []
+    for reason, where in reasons.items():
+        at = bins[where & ~flown]
+        for part in np.split(at, np.flatnonzero(np.diff(at) > HELD_BINS) + 1):
+            if len(part) and (part[-1] + 1 - part[0]) * HIDDEN_BIN_NS >= HIDDEN_S * NS_PER_S:
+                begin_s, end_s = (np.array([part[0], part[-1] + 1]) * HIDDEN_BIN_NS / NS_PER_S).tolist()
+                found.append(Hidden(begin_s, end_s, reason))
+    return tuple(sorted(found, key=lambda one: one.begin_s))
+
+
+def _mean(series: Series | None, bins: IntArray) -> FloatArray:
+    """(bins,) mean of the finite values, nan where there is none."""
+    if series is None:
+        return np.full(len(bins), np.nan)
+    known = np.isfinite(series.values)
+    at = series.t_ns // HIDDEN_BIN_NS
+    place = bins.searchsorted(at).clip(0, len(bins) - 1)
+    inside = bins[place] == at
+    sums = np.bincount(place[inside], np.where(known, series.values, 0.0).sum(axis=1)[inside], len(bins))
+    count = np.bincount(place[inside], known.sum(axis=1)[inside], len(bins))
+    return np.divide(sums, count, out=np.full(len(bins), np.nan), where=count > 0)
+
+
+def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:
+    """(bins,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
+    if gyro is None:
+        return np.full(len(bins), np.nan)
+    t_ns, first = np.unique(gyro.t_ns, return_index=True)
+    once = Series(gyro.signal, t_ns, gyro.host_ns[first], gyro.values[first])
+    mean = np.stack([_mean(replace(once, values=column[:, None]), bins) for column in once.values.T])
+    square = _mean(replace(once, values=np.square(once.values)), bins)
+    several = np.bincount(bins.searchsorted(t_ns // HIDDEN_BIN_NS), minlength=len(bins) + 1)[: len(bins)] > 1
+    spread = np.sqrt(np.maximum(square - np.square(mean).mean(axis=0), 0.0))
+    return np.asarray(np.where(several, spread, np.nan), dtype=np.float64)
+
+
+def _held(values: FloatArray, most: int) -> FloatArray:
+    """The last known value, for so many bins."""
+    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    recent = (place >= 0) & (np.arange(len(values)) - place <= most)
+    return np.asarray(np.where(recent, values[place], np.nan), dtype=np.float64)
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan

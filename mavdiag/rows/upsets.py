@@ -7,6 +7,7 @@ tumbling. A landing shows none of them: its spikes of 8 to 11 rad/s last some te
 A flight that flies flips on purpose has the same signs, for a baseline of it would say that flips are healthy.
 """
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ def upset_in(motions: Iterable[FloatArray]) -> Upset | None:
     means = sums[:, 1:] / sums[:, :1]
     unbroken = (np.diff(motion[starts, 0]) == 0) & (np.diff(number) == 1)
     edges = [0, *(np.flatnonzero(~unbroken) + 1).tolist(), len(starts)]
-    pieces = [(float(bin_s[a]), number[a:b] * bin_s[a], means[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    pieces = [(float(bin_s[a]), number[a:b] * bin_s[a], means[a:b]) for a, b in itertools.pairwise(edges)]
     windows = [(size, t_s, window_mean(values, round(SIGN_S / size))) for size, t_s, values in pieces]
     turning = np.concatenate([values[:, 0] for _, _, values in windows])
     turning = turning[np.isfinite(turning)]

@@ -171,9 +171,7 @@ def test_any_cut_gives_the_same_flight(edges: list[int], seed: int) -> None:
     armed = levels([4000, 300], [1.0, 1.0, 1.0, 0.0])
     spec = GateSpec(min_thrust=0.1, trim_start_s=0.3, trim_end_s=0.2)
     bounds = [0, *sorted(set(edges)), 12_000]
-    parts = [
-        block(thrust[a:b], armed=armed[a:b], gyro=gyro[a:b], first=a) for a, b in itertools.pairwise(bounds)
-    ]
+    parts = [block(thrust[a:b], armed=armed[a:b], gyro=gyro[a:b], first=a) for a, b in itertools.pairwise(bounds)]
     assert spans(spec, parts) == spans(spec, [block(thrust, armed=armed, gyro=gyro)])
 
 
