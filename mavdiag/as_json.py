@@ -37,7 +37,9 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
         "kind": verdict.kind,
         "since_s": _rounded(verdict.since_s),
         "rotor": verdict.rotor,
-        "rotors": [{"rotor": r.rotor, "since_s": round(r.since_s, 6), "end_s": _rounded(r.end_s)} for r in verdict.rotors],
+        "rotors": [
+            {"rotor": r.rotor, "since_s": round(r.since_s, 6), "end_s": _rounded(r.end_s)} for r in verdict.rotors
+        ],
         "reason": verdict.reason,
         "notes": list(verdict.notes),
         "judged_s": round(verdict.judged_s, 3),

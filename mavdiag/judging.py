@@ -146,11 +146,15 @@ class LogVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFlight:
-    """A verdict and what the chain showed on the way. chain: None if the log could not be judged at all."""
+    """A verdict and what the chain showed on the way.
+
+    chain: None if the log could not be judged at all. unjudged: what of the flown time was not judged.
+    """
 
     verdict: LogVerdict
     chain: Chain | None = None
     pieces: tuple[Piece, ...] = ()
+    unjudged: tuple[Stretch, ...] = ()
 
 
 def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> LogVerdict:
@@ -244,7 +248,7 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         rotors[-1].rotor if rotors else None,
         rotors,
     )
-    return JudgedFlight(found, chain, tuple(run.kept))
+    return JudgedFlight(found, chain, tuple(run.kept), coverage.unjudged)
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
@@ -355,13 +359,14 @@ class _Evidence:
         text += f" by {spoken}" if spoken else ""
         text += f", without {self.takeoff_s:.1f} s of take-off" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {_between(one.begin_s, one.end_s, self.log)}" for one in self.hidden]
-        if share < self.judged_share:
-            longest = sorted(self.coverage.unjudged, key=lambda one: one[0] - one[1])[:MOST_STRETCHES]
+        if 0 < share < self.judged_share:
+            longest = [one for one in self.coverage.unjudged if one[1] - one[0] >= MIN_JUDGED_S * NS_PER_S]
+            longest = sorted(longest, key=lambda one: one[0] - one[1])[:MOST_STRETCHES]
             why += [f"nothing judged {_between(*_in_s(one), self.log)}" for one in sorted(longest)]
         lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < self.judged_share)]
         reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
         why += [f"not judged by {reasons}"] if reasons else []
-        return f"{text}: {'; '.join(why)}" if why else text
+        return f"{text}{': ' if share < self.judged_share else '; '}{'; '.join(why)}" if why else text
 
 
 def _in_s(stretch: Stretch) -> tuple[float, float]:

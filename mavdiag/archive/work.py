@@ -62,7 +62,9 @@ def judge_file(path: str, question: Question) -> Record:
     if options.windows_s is None:
         return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
     flight = judge_in_full(log, baseline, options.judged_share)
-    return Record(log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s, options.judged_share))
+    return Record(
+        log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s, options.judged_share)
+    )
 
 
 def answer_of(path: str, question: Question | None) -> str | Record:

@@ -178,5 +178,6 @@ def _window_lines(windows: Sequence[Window]) -> list[str]:
     lines = []
     for one in windows:
         nearest = "" if one.ratio is None else f", {one.monitor} at {one.ratio:.2f} of its threshold"
-        lines.append(f"  {one.from_s:g} to {one.to_s:g} s: {one.verdict}, judged {one.judged_s:.1f} s of {one.flown_s:.1f} s{nearest}")
+        judged = f"judged {one.judged_s:.1f} s of {one.flown_s:.1f} s"
+        lines.append(f"  {one.from_s:g} to {one.to_s:g} s: {one.verdict}, {judged}{nearest}")
     return lines

@@ -72,8 +72,6 @@ class Account:
 Stretch: TypeAlias = tuple[int, int]
 """First and last row of a part of a flight [ns]."""
 
-SAME_NS = NS_PER_S  # unjudged rows nearer to each other than this are told as one stretch (our choice)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
@@ -123,23 +121,25 @@ class Coverage:
         fresh, able = fresh[~covered], able[:, ~covered]
         late_ns = int(block.t_ns[-1]) - round((max(reach_s, default=0.0) + LATE_S) * NS_PER_S)
         gone = int(fresh.searchsorted(late_ns))
-        unjudged = _joined(self.unjudged, fresh[:gone])
+        unjudged = _joined(self.unjudged, fresh[:gone], block.dt_s)
         return Coverage(block.dt_s, *counts, fresh[gone:], able[:, gone:], unjudged)
 
     def closed(self) -> "Coverage":
         """At a border: no value reaches back over it."""
         if not len(self.open_ns):
             return self
-        return Coverage(self.dt_s, self.flown, self.judged, unjudged=_joined(self.unjudged, self.open_ns))
+        return Coverage(self.dt_s, self.flown, self.judged, unjudged=_joined(self.unjudged, self.open_ns, self.dt_s))
 
 
-def _joined(stretches: tuple[Stretch, ...], rows_ns: IntArray) -> tuple[Stretch, ...]:
+def _joined(stretches: tuple[Stretch, ...], rows_ns: IntArray, dt_s: float) -> tuple[Stretch, ...]:
+    """With the stretches of further rows that were not judged."""
     if len(rows_ns) == 0:
         return stretches
-    starts = np.flatnonzero(np.diff(rows_ns, prepend=rows_ns[0] - 2 * SAME_NS) > SAME_NS)
-    ends = np.append(starts[1:], len(rows_ns)) - 1
-    fresh = list(zip(rows_ns[starts].tolist(), rows_ns[ends].tolist(), strict=True))
-    if stretches and fresh[0][0] - stretches[-1][1] <= SAME_NS:
+    most_ns = 1.5 * dt_s * NS_PER_S  # between two rows that follow each other
+    edges = np.flatnonzero(np.diff(rows_ns) > most_ns)
+    firsts, lasts = rows_ns[np.append(0, edges + 1)], rows_ns[np.append(edges, len(rows_ns) - 1)]
+    fresh: list[Stretch] = list(zip(firsts.tolist(), lasts.tolist(), strict=True))
+    if stretches and fresh[0][0] - stretches[-1][1] <= most_ns:
         fresh[0] = (stretches[-1][0], fresh[0][1])
         stretches = stretches[:-1]
     return (*stretches, *fresh)

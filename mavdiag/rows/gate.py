@@ -9,7 +9,7 @@ A vehicle in the air lands by disarming or by quiet, never by a dip of its thrus
 limit (*low*) the rows are held back until the matter is decided:
 
     disarmed, or QUIET_S without a loud row     it was the landing: the rows are dropped and the span ends
-    thrust and height back                      it was flight: the rows come out and are judged
+    thrust and height back for BACK_S           it was flight: the rows come out and are judged
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
 A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S was flight.
@@ -30,6 +30,7 @@ __all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
+BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
@@ -68,6 +69,7 @@ class _Low:
 
     begun_ns: int
     loud_ns: int  # time of the last loud row, or of the first low one
+    up_ns: int | None = None  # since when they are back, but not for BACK_S
     rows: tuple[Block, ...] = ()  # undecided
     loud: int = 0  # loud rows
     late: int = 0  # those later than QUIET_S
@@ -125,7 +127,7 @@ class GateSpec:
 
     def finish(self, state: GateState) -> tuple[GateState, tuple[Block, ...]]:
         """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
-        if state.low is not None and not state.low.tumbles and state.low.loud * state.low.rows[0].dt_s < LOUD_S:
+        if state.low is not None and not _flew(state.low):
             state, done = _land(self, state)
             return replace(state, resumes=True), tuple(part for part in done if isinstance(part, Block))
         return _break_off(state)
@@ -159,9 +161,14 @@ def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) 
         since_ns = int(block.t_ns[first])
         settled_ns = since_ns if state.resumes else since_ns + round(spec.trim_start_s * NS_PER_S)
         state = replace(state, airborne=True, resumes=False, span=state.span + 1, settled_ns=settled_ns)
-    elif state.low is not None:
-        state = _keep(replace(state, low=None), *state.low.rows)
-    return _keep(state, _cut(state, block, first, stop))
+    low = state.low
+    if low is None:
+        return _keep(state, _cut(state, block, first, stop))
+    up_ns = int(block.t_ns[first]) if low.up_ns is None else low.up_ns
+    back = first + _first(block.t_ns[first:stop] - up_ns >= BACK_S * NS_PER_S)
+    if back < stop:
+        return _keep(replace(state, low=None), *low.rows, _cut(state, block, first, stop))
+    return _hold(state, replace(low, up_ns=up_ns), block, first, stop)
 
 
 def _sink(
@@ -169,21 +176,26 @@ def _sink(
 ) -> tuple[GateState, list[Block | Border]]:
     """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
     t_ns = block.t_ns[first:stop]
-    loud = np.maximum.reduce(np.abs(block.rate[first:stop]), axis=1) > QUIET_RAD_S
     low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
-    loud_ns = np.maximum.accumulate(np.where(loud, t_ns, low.loud_ns))
+    loud_ns = np.maximum.accumulate(np.where(_loud(block, first, stop), t_ns, low.loud_ns))
     over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
-    late = low.late + np.cumsum(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S))
-    tumbles = low.tumbles or _first(late * block.dt_s >= LOUD_S) < over
-    rows = [_cut(state, block, first, first + over)] if over else []
-    if tumbles:
-        state = _keep(state, *low.rows, *rows)
-        rows = []
-    if over < len(t_ns):
-        return _land(spec, state)
+    state = _hold(state, replace(low, up_ns=None), block, first, first + over) if over else replace(state, low=low)
+    return _land(spec, state) if over < len(t_ns) else (state, [])
+
+
+def _hold(state: GateState, low: _Low, block: Block, first: int, stop: int) -> GateState:
+    """With more undecided rows; all of them come out as soon as it tumbles."""
+    t_ns, loud = block.t_ns[first:stop], _loud(block, first, stop)
+    late = low.late + int(np.count_nonzero(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S)))
     count = low.loud + int(np.count_nonzero(loud))
-    kept = () if tumbles else (*low.rows, *rows)
-    return replace(state, low=_Low(low.begun_ns, int(loud_ns[-1]), kept, count, int(late[-1]), tumbles)), []
+    loud_ns = int(t_ns[loud][-1]) if loud.any() else low.loud_ns
+    rows, tumbles = (*low.rows, _cut(state, block, first, stop)), low.tumbles or late * block.dt_s >= LOUD_S
+    state = _keep(state, *rows) if tumbles else state
+    return replace(state, low=_Low(low.begun_ns, loud_ns, low.up_ns, () if tumbles else rows, count, late, tumbles))
+
+
+def _loud(block: Block, first: int, stop: int) -> BoolArray:
+    return np.asarray(np.maximum.reduce(np.abs(block.rate[first:stop]), axis=1) > QUIET_RAD_S, dtype=np.bool_)
 
 
 def _first(flags: BoolArray) -> int:
@@ -214,10 +226,14 @@ def _break_off(state: GateState) -> tuple[GateState, tuple[Block, ...]]:
     """The data end, or break off: all that flew comes out."""
     if not state.airborne:
         return state, ()
-    low = state.low
-    if low is not None and (low.tumbles or (low.rows and low.loud * low.rows[0].dt_s >= LOUD_S)):
-        state = _keep(state, *low.rows)
+    if state.low is not None and _flew(state.low):
+        state = _keep(state, *state.low.rows)
     return replace(state, held=(), low=None, airborne=False, resumes=True), state.held
+
+
+def _flew(low: _Low) -> bool:
+    """Whether undecided rows that nothing follows were flight."""
+    return low.tumbles or low.up_ns is not None or (bool(low.rows) and low.loud * low.rows[0].dt_s >= LOUD_S)
 
 
 def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
@@ -298,7 +314,8 @@ def _mean(series: Series | None, bins: IntArray) -> FloatArray:
     inside = bins[place] == at
     sums = np.bincount(place[inside], np.where(known, series.values, 0.0).sum(axis=1)[inside], len(bins))
     count = np.bincount(place[inside], known.sum(axis=1)[inside], len(bins))
-    return np.divide(sums, count, out=np.full(len(bins), np.nan), where=count > 0)
+    means: FloatArray = np.divide(sums, count, out=np.full(len(bins), np.nan), where=count > 0)
+    return means
 
 
 def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:

@@ -62,6 +62,7 @@ class LiveJudge:
             if len(known) > 1:
                 raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
             (self.vehicle,) = known
+        if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
             self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
         found = None if self.vehicle is None else received.get(self.vehicle)
         if found is None or not found.telemetry.series:
