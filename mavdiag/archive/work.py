@@ -60,9 +60,11 @@ def judge_file(path: str, question: Question) -> Record:
     columns = None if options.columns is None else parse_column_map(options.columns)
     log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
     if options.windows_s is None:
-        return Record(log.sha256, replace(judge(log, baseline), log=""))
-    flight = judge_in_full(log, baseline)
-    return Record(log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s))
+        return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
+    flight = judge_in_full(log, baseline, options.judged_share)
+    return Record(
+        log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s, options.judged_share)
+    )
 
 
 def answer_of(path: str, question: Question | None) -> str | Record:

@@ -18,8 +18,8 @@ from mavdiag.airframe.trim import LEVEL_RATIO, shown_trim
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.repeats import repeated, repeated_of
-from mavdiag.learning.upsets import upsets
 from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.upsets import MARGIN_S, motion_of, upset_in
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
@@ -60,6 +60,17 @@ class _Block:
 
 
 _FIGURES = ("gyro noise", "rate error", "thrust")
+
+
+def upsets(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:
+    """The upset of each flight that has one, from its first sign to its last, with two seconds around."""
+    found = []
+    for number, flight in enumerate(flights):
+        upset = upset_in(motion_of(rows.block) for rows in flight.rows if len(rows.block))
+        if upset is not None:
+            place = upset.begin_s - MARGIN_S, None if upset.ends else upset.end_s + MARGIN_S
+            found.append(Finding(number, flight.label.name, Kind.UPSET, upset.text, *place))
+    return tuple(found)
 
 
 def far_blocks(flights: Sequence[LearntFlight]) -> tuple[Finding, ...]:

@@ -40,6 +40,7 @@ class Block:
     actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
     valid: (n,) the gyro may be judged: it is there, settled and airborne.
     setpoint_valid: (n,) the set-point may be used: it is there and settled.
+    settled_ns: rows before it are of a take-off, which nobody judges.
     answers: what was found in the rows so far (`once`), so that each monitor need not look again.
     """
 
@@ -60,6 +61,7 @@ class Block:
     actuator: FloatArray
     valid: BoolArray
     setpoint_valid: BoolArray
+    settled_ns: int = field(default=0, kw_only=True)
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -69,7 +71,7 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment if asked."""
         cut = slice(first, stop)
         columns = (getattr(self, name)[cut] for name in COLUMNS)
-        return Block(self.segment if segment is None else segment, self.dt_s, *columns)
+        return Block(self.segment if segment is None else segment, self.dt_s, *columns, settled_ns=self.settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.
@@ -107,7 +109,7 @@ class Block:
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
-COLUMNS = tuple(column.name for column in fields(Block))[2:-1]  # arrays of rows, in the order of the fields
+COLUMNS = tuple(column.name for column in fields(Block))[2:-2]  # arrays of rows, in the order of the fields
 _SIGNALS = {
     Signal.BODY_RATE: "rate",
     Signal.SPECIFIC_FORCE: "force",

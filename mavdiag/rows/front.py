@@ -59,6 +59,11 @@ class Front:
         gated, rest = self.gate.finish(gated)
         return self._rows(aligned, gated, state.rates, (*parts, *rest))
 
+    def settle(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
+        gated, rest = self.gate.finish(state.gate)
+        return self._rows(state.align, gated, state.rates, rest)
+
     def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
         """All that a whole flight gives."""
         state, first = self.step(self.start(), telemetry)

@@ -12,6 +12,7 @@ __all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid"]
 
 NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
 NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
+LEAST_SAMPLES = 20  # that a rate is measured by (our choice)
 PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (our choice)
 
 
@@ -31,8 +32,8 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
         t = np.unique(t)
-    if len(t) < 20:
-        raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
+    if len(t) < LEAST_SAMPLES:
+        raise InputError(f"only {len(t)} gyro samples: at least {LEAST_SAMPLES} are needed to measure the rate")
     steps = np.diff(t).astype(np.float64)
     median = float(np.median(steps))
     usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]

@@ -30,7 +30,7 @@ COLUMNS = ("t_ns", "setpoint", "rate", "force", "torque", "rate_setpoint", "thru
 
 
 def hard_flight(seed: int) -> Telemetry:
-    """A flight that turns on and on, with a landing, losses, swapped samples and the stops above."""
+    """A flight that turns on and on, with a landing (disarmed), losses, swapped samples and the stops above."""
     rng = np.random.default_rng(seed)
     t_ns = START_NS + DT_NS * np.arange(N, dtype=np.int64)
     s = (t_ns - START_NS) / 1e9
@@ -38,7 +38,7 @@ def hard_flight(seed: int) -> Telemetry:
     values: dict[Signal, FloatArray] = {
         Signal.ATTITUDE_SETPOINT: np.column_stack((0.3 * np.sin(s), 0.2 * np.cos(2 * s), yaw)),
         Signal.THRUST_SETPOINT: np.where((s > 11.2) & (s < 12.0), 0.05, 0.5)[:, None],
-        Signal.ARMED: np.ones((N, 1)),
+        Signal.ARMED: np.where((s > 11.6) & (s < 12.0), 0.0, 1.0)[:, None],
     }
     parts = []
     for signal in (*STOPS, Signal.ARMED):

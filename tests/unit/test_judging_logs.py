@@ -39,7 +39,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     [
         (without(flight(8000, 1), ALL, signals=(Signal.BODY_RATE,)), "qdrone2", "no body rate"),
         (flight(8000, 1), "px4", "another link: link.profile"),
-        (flight(900, 1), "qdrone2", "0.9 s of flight, but no deciding monitor judged"),
+        (flight(900, 1), "qdrone2", "judged 0.0 s of 0.9 s (0 %): not judged by fsd"),
     ],
 )
 def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reason: str) -> None:
@@ -66,20 +66,22 @@ def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
     assert short.verdict is Verdict.NOT_JUDGEABLE
     assert short.judged_s == 0
     assert short.reason == (
-        "4.5 s of flight, but no deciding monitor judged: rotor_trim (waiting for enough unbroken flight)"
+        "judged 0.0 s of 4.5 s (0 %): not judged by rotor_trim (waiting for enough unbroken flight)"
     )
     silent = judge(logged(without(flying(2000, 1), ALL, signals=(Signal.ACTUATOR,))), trim())
     assert silent.verdict is Verdict.NOT_JUDGEABLE
-    assert silent.reason.endswith("no deciding monitor judged: rotor_trim (no actuator)")
+    assert silent.reason.endswith("judged 0.0 s of 20.0 s (0 %): not judged by rotor_trim (no actuator)")
 
 
 def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() -> None:
     """B1: the innovation monitor alone sufficed for "healthy", without a word of the others."""
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
     assert verdict.verdict is Verdict.HEALTHY
-    assert "; judged by innovation 22." in verdict.reason
+    assert verdict.reason.startswith("no alarm; judged 24.0 s of 25.0 s (96 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator)" in verdict.reason
-    assert verdict.judged_s == pytest.approx(23, abs=1.5)
+    assert (verdict.judged_s, verdict.flown_s) == pytest.approx((24, 25), abs=0.1)
+    assert verdict_json(verdict)["judged_s"] == pytest.approx(24, abs=0.1)
+    assert verdict_json(verdict)["flown_s"] == pytest.approx(25, abs=0.1)
 
 
 def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
@@ -152,7 +154,8 @@ def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
     healthy, fault, unknown, error = Verdict.HEALTHY, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.ERROR
     assert exit_code([healthy]) == 0
     assert exit_code([healthy, unknown]) == 3
-    assert exit_code([unknown, fault]) == 1
+    assert exit_code([Verdict.SUSPECTED, unknown, healthy]) == 4
+    assert exit_code([unknown, Verdict.SUSPECTED, fault]) == 1
     assert exit_code([fault, error, unknown]) == 2
     assert LogVerdict("x", error, "y").events == ()
 
