@@ -10,6 +10,7 @@ So a chain that is fed more often costs what one does that is fed ten times a se
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -226,8 +227,9 @@ class Chain:
     ) -> tuple[ChainState, tuple[Event, ...], tuple[Change, ...], ChainOutput]:
         monitors, found, outside = [], [], []
         envelope = self.envelope.step(state.envelope, rows)
+        flown = replace(rows, covered=partial(self.envelope.covers, envelope))
         for number, (slot, memory) in enumerate(zip(self.slots, state.monitors, strict=True)):
-            after, statistic = slot.monitor.step(memory, rows)
+            after, statistic = slot.monitor.step(memory, flown)
             statistic, denied = self.envelope.apply(number, statistic, envelope)
             monitors.append(after)
             found.append(statistic)
