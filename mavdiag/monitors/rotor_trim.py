@@ -21,10 +21,10 @@ from mavdiag.monitors.trim import (
     TrimSpec,
     judged,
     mean_of,
-    middle_means,
     start_ticks,
     tick_rows,
     turn_of,
+    window_means,
     window_ticks,
     windows_of,
 )
@@ -57,8 +57,8 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
         statistic = max_j a_j,    rotor = argmax_j a_j
 
-    m is the mean of the middle six of ten ticks, each the median of half a second, without what a turn takes of the yaw
-    trim (`monitors.trim`); so neither wild samples nor a second of outputs that stand still shift it.
+    m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
+    (`monitors.trim`), so that a few wild samples move nothing.
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
@@ -67,7 +67,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
     `signal` is the yaw trim's shift; `rotors` are the a_j. In a session of the healthy flights the
     threshold is lower (`Threshold.session_allowance`).
 
-    Warm-up: 5 s of unbroken valid flight. Latency: 1.5 to 5 s. False alarms: see `thresholds`; two flights from two
+    Warm-up: 5 s of unbroken valid flight. Latency: up to 5 s. False alarms: see `thresholds`; two flights from two
     sessions are the worst basis. Blind spots: hops shorter than 5 s; vibration without loss of thrust; all rotors
     ageing alike; a rotor whose outputs saturate. A change of propellers or of the centre of mass raises it without a
     fault.
@@ -121,7 +121,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         count = len(t_ns)
         valid, mean = judged(ticks, usable, 1, window, count), np.zeros((count, 5))
         if valid.any():
-            found = middle_means(ticks, window)[-count:]
+            found = window_means(ticks, window)[-count:]
             mean[count - len(found) :] = found
         shift = np.where(valid[:, None], mean[:, :3] - spec.mean, 0.0)
         rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))

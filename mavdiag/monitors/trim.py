@@ -26,7 +26,6 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S = 0.5  # a value twice a second (our choice)
-CUT = 5  # one in so many ticks of a window is left out at either end: a second of nonsense moves nothing (our choice)
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
@@ -100,7 +99,8 @@ def next_ticks(
 ) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
     """Time, values (k, 7) and wholeness of each tick that is completed: trim, lean, yaw rate and acceleration.
 
-    Values are medians, so that a few wild samples move nothing. The acceleration is the step of the yaw rate from the
+    Values are medians, so that a few wild samples move nothing; a tick in which no trim changes is none, for the
+    outputs of a vehicle that flies never stand still for so long, but those of a link that repeats itself do. The acceleration is the step of the yaw rate from the
     second half of the tick before to that of this one, 0 where there is none before.
     """
     tick = tick_rows(block.dt_s)
@@ -115,6 +115,7 @@ def next_ticks(
         return waiting, t_ns[:0], np.empty((0, 7)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
     values = rows[:, :used].reshape(6, count, tick)
+    whole &= (values[:3] != values[:3, :, :1]).any(axis=(0, 2))
     ends = np.where(whole, np.median(values[5, :, tick // 2 :], axis=1), np.nan)
     steps = np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s)
     found = np.column_stack((np.median(values, axis=2).T, np.nan_to_num(steps)))
@@ -128,12 +129,9 @@ def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
     return out
 
 
-def middle_means(ticks: FloatArray, window: int) -> FloatArray:
-    """Mean of each full window of ticks without its largest and smallest fifth, (k, c) -> (k - window + 1, c)."""
-    cut = window // CUT
-    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(ticks, window, axis=0), axis=2)
-    middle = np.ascontiguousarray(ordered[:, :, cut : window - cut])
-    return np.asarray(np.add.reduce(middle, axis=2) / (window - 2 * cut), dtype=np.float64)
+def window_means(ticks: FloatArray, window: int) -> FloatArray:
+    """Mean of each full window of ticks, (k, c) -> (k - window + 1, c), k at least `window`."""
+    return window_sums(ticks, window) / window
 
 
 def ticks_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
@@ -163,7 +161,7 @@ def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
     """
     means = [np.empty((0, 3))]
     for ticks in flights:
-        parts = [window_sums(part[:, [2, 5, 6]], window) / window for part in unbroken_parts(ticks, window)]
+        parts = [window_means(part[:, [2, 5, 6]], window) for part in unbroken_parts(ticks, window)]
         if parts:
             flown = np.concatenate(parts)
             means.append(flown - flown.mean(axis=0))
@@ -189,7 +187,7 @@ def mean_of(flights: Sequence[FloatArray], turn: tuple[float, float], window: in
 
 def windows_of(ticks: FloatArray, turn: tuple[float, float], window: int) -> FloatArray:
     """All full windows of a flight's ticks, (k, 5)."""
-    parts = [middle_means(without_turn(part, turn), window) for part in unbroken_parts(ticks, window)]
+    parts = [window_means(without_turn(part, turn), window) for part in unbroken_parts(ticks, window)]
     return np.concatenate([np.empty((0, 5)), *parts])
 
 

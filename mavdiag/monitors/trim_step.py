@@ -21,11 +21,11 @@ from mavdiag.monitors.trim import (
     TrimSpec,
     judged,
     mean_of,
-    middle_means,
     start_ticks,
     tick_rows,
     turn_of,
     unbroken_parts,
+    window_means,
     window_ticks,
     without_turn,
 )
@@ -101,7 +101,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     from the nearest point of the way there, so that a repair in flight is no fault of the other rotors. `level` equals
     the statistic, `signal` is the yaw trim's shift, `rotors` are the a_j.
 
-    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: 1.5 to 5 s.
+    Warm-up: 10 s of unbroken valid flight as the envelope covers it. Latency: up to 5 s.
     False alarms: see `thresholds`; a payload that is picked up shifts roll and pitch, which count little. Blind spots:
     damage that was there at take-off (the rotor-trim monitor sees it) or grows slowly, and hops shorter than 10 s.
 
@@ -168,7 +168,7 @@ def _followed(
     shift = np.zeros((count, 5))
     if not np.count_nonzero(valid):
         return shift, reference
-    means = middle_means(ticks, window)  # of the ticks from each on
+    means = window_means(ticks, window)  # of the ticks from each on
     now = np.flatnonzero(valid)
     first = len(ticks) - count + now - window + 1
     large = LargeRise(spec.layout, spec.spread, HOLD)

@@ -72,7 +72,7 @@ def test_a_step_is_not_forgotten_and_its_end_leaves_nothing() -> None:
     found = read(outputs)
     fresh, later = (found.rotors[found.t_ns >= at_s * 1e9][0] for at_s in (30.0, 65.0))
     assert later[1] == pytest.approx(fresh[1], abs=0.002)
-    assert found.value[found.t_ns >= 90e9].max() < 0.4 * LEAST  # the noise of medians
+    assert found.value[found.t_ns >= 90e9].max() < 0.4 * LEAST
 
 
 def test_a_payload_beside_the_centre_counts_little() -> None:
