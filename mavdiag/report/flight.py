@@ -152,7 +152,7 @@ def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
 
 def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> RotorLine | None:
     """One per revolution: as the speed controllers report it, else of the airframe's hover, else as it is heard."""
-    told = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    told = told_hz(log.telemetry)
     if math.isfinite(told):
         return RotorLine(told, "the rotor speeds in the log")
     if airframe.hover_rad_s is not None:
