@@ -52,7 +52,7 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
 
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
-    """(2,) whether a flight shows a trim by each of `SOURCES`: one that moves, for outputs that stand still are none."""
+    """(2,) whether a flight shows a trim by each of `SOURCES`: outputs that stand still show none."""
     return np.array([any(_moves(rows.block, layout, one) for rows in flight) for one in SOURCES])
 
 
@@ -76,7 +76,7 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
         if any(one[number] for one in shown):
             return source
     raise InputError(
-        f"it needs the outputs of {layout.rotors} motors above idle that move, or torque commands whose mixing is known"
+        f"it needs the outputs of {layout.rotors} motors that move above idle, or torque commands whose mixing is known"
     )
 
 

@@ -24,7 +24,8 @@ __all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
 ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
-PULSE_US, PULSE_LEAST_US = (1000.0, 2000.0), 800.0  # PWM for 0 and full output; below 800 no pulse is (PX4: PWM_LOWEST_MIN)
+PULSE_US = 1000.0, 2000.0  # PWM for 0 and full output
+PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
 DSHOT_FULL = 2047.0  # the largest of its 11 bits
 ANGLES = 1 << 10  # quaternions at a time: what is made of them stays in the processor's cache
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
@@ -169,7 +170,7 @@ def _actuator_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
     """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
 
     Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
-    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them says nothing.
+    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
     """
     raw, number = record["actuator"][:, :ACTUATORS].astype(np.float64), record["active"][:, None]
     used = np.isfinite(raw) & ((np.arange(ACTUATORS) < number) | (number < 1))

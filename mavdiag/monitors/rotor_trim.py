@@ -19,7 +19,6 @@ from mavdiag.monitors.trim import (
     TickState,
     TrimMonitor,
     TrimSpec,
-    judged,
     mean_of,
     start_ticks,
     tick_rows,
@@ -30,7 +29,7 @@ from mavdiag.monitors.trim import (
 )
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max
+from mavdiag.rows.windows import row_max, unbroken
 from mavdiag.thresholds.guard import Guard
 
 
@@ -58,7 +57,8 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         statistic = max_j a_j,    rotor = argmax_j a_j
 
     m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
-    (`monitors.trim`), so that a few wild samples move nothing.
+    (`monitors.trim`), so that a few wild samples move nothing; ticks in which the nose begins or ends to turn are left
+    out, half of the ten at most.
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
@@ -102,7 +102,10 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         """
         layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
         spec = RotorTrimSpec(layout=layout, source=source, spread=(1.0, 1.0, 1.0))
-        flights, window = [one[1 + SOURCES.index(source)] for one in summaries], window_ticks(spec.window_s, context.dt_s)
+        flights, window = (
+            [one[1 + SOURCES.index(source)] for one in summaries],
+            window_ticks(spec.window_s, context.dt_s),
+        )
         turn = turn_of(flights, window)
         mean = mean_of(flights, turn, window)
         found = joined_moments([moments(windows_of(ticks, turn, window)[:, :3]) for ticks in flights])
@@ -119,10 +122,11 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         window = window_ticks(spec.window_s, dt_s)
         state, t_ns, ticks, usable = self.taken(state, rows, 1)
         count = len(t_ns)
-        valid, mean = judged(ticks, usable, 1, window, count), np.zeros((count, 5))
+        valid, mean = unbroken(usable, window)[len(ticks) - count :], np.zeros((count, 5))
         if valid.any():
-            found = window_means(ticks, window)[-count:]
-            mean[count - len(found) :] = found
+            means, enough = window_means(ticks, window)
+            fresh = min(count, len(means))
+            mean[count - fresh :], valid[count - fresh :] = means[-fresh:], valid[count - fresh :] & enough[-fresh:]
         shift = np.where(valid[:, None], mean[:, :3] - spec.mean, 0.0)
         rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))
         rotors = rises(shift, spec.layout, spec.spread)

@@ -21,11 +21,14 @@ from mavdiag.monitors.healthy import three
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import unbroken, window_sums
+from mavdiag.rows.windows import window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S = 0.5  # a value twice a second (our choice)
+# rad/s^2: a tick in which the yaw rate changes faster is left out of its window, for its median hides the peak that
+# turned the vehicle (our choice: PX4 steps its heading with 5; the largest 5 s mean in health 0.014 -> 0.001)
+STEADY = 1.0
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
@@ -67,7 +70,7 @@ class TickState:
 
     t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
     end_rate: yaw rate at the end of the last whole tick [rad/s]; nan if there is none before the next.
-    ticks, usable: (k, 5) and (k,) the last ticks, without what a turn takes.
+    ticks, usable: (k, 6) and (k,) the last ticks, without what a turn takes (`without_turn`).
     """
 
     t_ns: IntArray
@@ -81,7 +84,7 @@ class TickState:
 def start_ticks() -> TickState:
     """No row yet."""
     never = np.empty(0, dtype=np.bool_)
-    return TickState(np.empty(0, dtype=np.int64), np.empty((6, 0)), never, np.nan, np.empty((0, 5)), never)
+    return TickState(np.empty(0, dtype=np.int64), np.empty((6, 0)), never, np.nan, np.empty((0, 6)), never)
 
 
 def tick_rows(dt_s: float) -> int:
@@ -99,9 +102,9 @@ def next_ticks(
 ) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
     """Time, values (k, 7) and wholeness of each tick that is completed: trim, lean, yaw rate and acceleration.
 
-    Values are medians, so that a few wild samples move nothing; a tick in which no trim changes is none, for the
-    outputs of a vehicle that flies never stand still for so long, but those of a link that repeats itself do. The acceleration is the step of the yaw rate from the
-    second half of the tick before to that of this one, 0 where there is none before.
+    Values are medians, so that a few wild samples move nothing. A tick in which no trim changes is not whole: in flight
+    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the step of
+    the yaw rate from the second half of the tick before to that of this one, 0 where there is none before.
     """
     tick = tick_rows(block.dt_s)
     trim, flown = trim_of(block, layout, source)
@@ -123,15 +126,22 @@ def next_ticks(
 
 
 def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
-    """Ticks as `next_ticks` gives them less what the turn takes of the yaw trim, (k, 7) -> (k, 5)."""
-    out = ticks[:, :5].copy()
-    out[:, 2] -= turn[0] * ticks[:, 5] + turn[1] * ticks[:, 6]
-    return out
+    """Ticks as `next_ticks` gives them less what the turn takes of the yaw trim, and 1 or 0 whether they are steady.
+
+    (k, 7) -> (k, 6)
+    """
+    steady = np.abs(ticks[:, 6]) <= STEADY
+    yaw = ticks[:, 2] - turn[0] * ticks[:, 5] - turn[1] * ticks[:, 6]
+    return np.column_stack((ticks[:, :2], yaw, ticks[:, 3:5], steady))
 
 
-def window_means(ticks: FloatArray, window: int) -> FloatArray:
-    """Mean of each full window of ticks, (k, c) -> (k - window + 1, c), k at least `window`."""
-    return window_sums(ticks, window) / window
+def window_means(ticks: FloatArray, window: int) -> tuple[FloatArray, BoolArray]:
+    """Mean of the steady ticks of each full window, (k, c + 1) -> (k - window + 1, c), k at least `window`.
+
+    ticks: the last column 1 or 0. And where at least half of a window's ticks are steady.
+    """
+    sums = window_sums(np.column_stack((ticks[:, :-1] * ticks[:, -1:], ticks[:, -1])), window)
+    return sums[:, :-1] / np.maximum(sums[:, -1:], 1.0), sums[:, -1] >= 0.5 * window
 
 
 def ticks_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
@@ -161,9 +171,14 @@ def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
     """
     means = [np.empty((0, 3))]
     for ticks in flights:
-        parts = [window_means(part[:, [2, 5, 6]], window) for part in unbroken_parts(ticks, window)]
-        if parts:
-            flown = np.concatenate(parts)
+        flown = _windows(
+            [
+                np.column_stack((part[:, [2, 5, 6]], np.abs(part[:, 6]) <= STEADY))
+                for part in unbroken_parts(ticks, window)
+            ],
+            window,
+        )
+        if len(flown):
             means.append(flown - flown.mean(axis=0))
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
     turn = PRIOR
@@ -187,8 +202,13 @@ def mean_of(flights: Sequence[FloatArray], turn: tuple[float, float], window: in
 
 def windows_of(ticks: FloatArray, turn: tuple[float, float], window: int) -> FloatArray:
     """All full windows of a flight's ticks, (k, 5)."""
-    parts = [window_means(without_turn(part, turn), window) for part in unbroken_parts(ticks, window)]
-    return np.concatenate([np.empty((0, 5)), *parts])
+    return _windows([without_turn(part, turn) for part in unbroken_parts(ticks, window)], window)
+
+
+def _windows(parts: Sequence[FloatArray], window: int) -> FloatArray:
+    """The windows of all parts that may be used."""
+    found = [means[enough] for means, enough in (window_means(part, window) for part in parts)]
+    return np.concatenate(found) if found else np.empty((0, 5))
 
 
 class TrimMonitor(Monitor[Spec, State]):
@@ -226,7 +246,7 @@ class TrimMonitor(Monitor[Spec, State]):
     def taken(self, state: TickState, rows: Rows, windows: int) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
         """The state, and the ticks that the next so many windows rest on.
 
-        Time of each fresh tick (n,); all ticks (k, 5), the fresh ones last; which of them may be used, (k,): they are
+        Time of each fresh tick (n,); all ticks (k, 6), the fresh ones last; which of them may be used, (k,): they are
         whole, and flown as the envelope covers.
         """
         spec, block = self.spec, rows.block
@@ -249,8 +269,3 @@ class TrimMonitor(Monitor[Spec, State]):
     def memory_s(self) -> float:
         """Its window, and the tick before it [s]."""
         return self.spec.window_s + TICK_S
-
-
-def judged(ticks: FloatArray, usable: BoolArray, windows: int, window: int, fresh: int) -> BoolArray:
-    """(fresh,) at which of the last ticks so many windows in a row may be used."""
-    return unbroken(usable, windows * window)[len(ticks) - fresh :]

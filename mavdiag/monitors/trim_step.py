@@ -5,7 +5,6 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,7 +18,6 @@ from mavdiag.monitors.trim import (
     TickState,
     TrimMonitor,
     TrimSpec,
-    judged,
     mean_of,
     start_ticks,
     tick_rows,
@@ -31,14 +29,16 @@ from mavdiag.monitors.trim import (
 )
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max
+from mavdiag.rows.windows import row_max, unbroken
 from mavdiag.telemetry import BoolArray, FloatArray, Three
 from mavdiag.thresholds.guard import Guard
 
 MEMORY_S = 30.0  # of the reference (our choice)
 DRIFT_PER_S = 3e-4  # of hover: no faster does the reference follow. A pack empties some 1e-5 a second (our choice)
 HOLD = 0.012  # of hover: the reference waits while a shift is larger, so that a fault is not taken in (our choice)
-HOLD_S = 120.0  # of judged flight: no longer does it wait, for what a vehicle has carried so long is its own (our choice)
+HOLD_S = (
+    120.0  # of judged flight: no longer does it wait, for what a vehicle has carried so long is its own (our choice)
+)
 SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains, as rotor_trim's guard has it
 UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
@@ -130,8 +130,7 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
         first = TrimStepSpec(layout=layout, source=source, turn=turn, spread=UNKNOWN)
         for part in (part for ticks in flights for part in unbroken_parts(ticks, 2 * window)):
             straight = without_turn(part, turn)
-            valid = np.arange(len(part)) >= 2 * window - 1
-            shift, _ = _followed(first, None, straight, valid, window, tick_s)
+            shift, valid, _ = _followed(first, None, straight, np.ones(len(part), dtype=np.bool_), len(part), tick_s)
             found.append(shift[valid, :3])
         shifts = np.concatenate(found)
         if len(shifts) == 0:
@@ -145,10 +144,9 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
         spec, dt_s = self.spec, rows.block.dt_s
-        window, tick_s = window_ticks(spec.window_s, dt_s), tick_rows(dt_s) * dt_s
+        tick_s = tick_rows(dt_s) * dt_s
         after, t_ns, ticks, usable = self.taken(state.ticks, rows, 2)
-        valid = judged(ticks, usable, 2, window, len(t_ns))
-        both, reference = _followed(spec, state.reference, ticks, valid, window, tick_s)
+        both, valid, reference = _followed(spec, state.reference, ticks, usable, len(t_ns), tick_s)
         rise = row_max(rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]))
         rotors = rises(both[:, :3], spec.layout, spec.spread)
         found = Statistic(t_ns, tick_s, rise, valid, rise, both[:, 2], rotors)
@@ -156,21 +154,18 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
 
 
 def _followed(
-    spec: TrimStepSpec,
-    reference: Reference | None,
-    ticks: FloatArray,
-    valid: BoolArray,
-    window: int,
-    tick_s: float,
-) -> tuple[FloatArray, Reference | None]:
-    """The shift at each of the last ticks, (n, 5), zero where it is not valid, (n,); and the reference after them."""
-    count = len(valid)
-    shift = np.zeros((count, 5))
+    spec: TrimStepSpec, reference: Reference | None, ticks: FloatArray, usable: BoolArray, count: int, tick_s: float
+) -> tuple[FloatArray, BoolArray, Reference | None]:
+    """The shift at each of the last `count` ticks, (n, 5), zero where not valid, (n,); and the reference after them."""
+    window, shift = max(1, round(spec.window_s / tick_s)), np.zeros((count, 5))
+    valid = unbroken(usable, 2 * window)[len(ticks) - count :]
     if not np.count_nonzero(valid):
-        return shift, reference
-    means = window_means(ticks, window)  # of the ticks from each on
+        return shift, valid, reference
+    means, enough = window_means(ticks, window)  # of the ticks from each on
     now = np.flatnonzero(valid)
     first = len(ticks) - count + now - window + 1
+    valid[now] = steady = enough[first] & enough[first - window]
+    now, first = now[steady], first[steady]
     large = LargeRise(spec.layout, spec.spread, HOLD)
     follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
     for i, new, old in zip(now.tolist(), means[first], means[first - window], strict=True):
@@ -186,7 +181,7 @@ def _followed(
             reference = replace(reference, held_s=reference.held_s + tick_s)
         else:
             reference = Reference(old, reference.back - behind[:3])
-    return shift, reference
+    return shift, valid, reference
 
 
 def _way_back(spec: TrimStepSpec, trim: FloatArray) -> FloatArray:

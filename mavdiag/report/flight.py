@@ -25,7 +25,7 @@ from mavdiag.report.windows import sweep_of, windows_picture
 from mavdiag.report.words import declared_s, named_rotor
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import Log
 from mavdiag.traces import Traces, traces_of
 
 __all__ = ["FlightReport", "Source", "flight_report", "unread_report"]

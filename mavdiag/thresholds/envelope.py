@@ -262,10 +262,8 @@ class Envelope:
         valid = found.valid & ~np.repeat(outside, far.counts) if reasons else found.valid
         return replace(found, value=found.value / grown, valid=valid), reasons
 
-    def covers(
-        self, state: EnvelopeState, conditions: frozenset[str], memory_s: float, t_ns: IntArray
-    ) -> BoolArray:
-        """At which times (n,) nothing of these conditions was outside in the last so many seconds (`rows.front.Rows`)."""
+    def covers(self, state: EnvelopeState, conditions: frozenset[str], memory_s: float, t_ns: IntArray) -> BoolArray:
+        """At which times (n,) none of these conditions was outside in the last so many seconds."""
         columns = [i for i, one in enumerate(self.covered) if one.condition in conditions]
         if len(t_ns) == 0 or not columns or not np.count_nonzero(state.excess[:, columns]):
             return np.ones(len(t_ns), dtype=np.bool_)

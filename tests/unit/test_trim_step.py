@@ -136,13 +136,13 @@ def test_any_cut_gives_the_same(edges: list[int], seed: int) -> None:
 
 
 def test_a_flight_that_is_too_short_is_refused() -> None:
-    short = [[example_rows(950, 0.01, actuator=np.full((950, 4), 0.5))]]
+    short = [[example_rows(950, 0.01, actuator=level(19))]]
     with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
         TrimStep.fit(short, example_context("x"))
-    hops = [[example_rows(950, 0.01, segment=i, actuator=np.full((950, 4), 0.5)) for i in range(3)]]
+    hops = [[example_rows(950, 0.01, segment=i, actuator=level(19)) for i in range(3)]]
     with pytest.raises(IdentificationError, match="no unbroken 10 s"):
         TrimStep.fit(hops, example_context("x"))
-    enough = [[example_rows(1050, 0.01, actuator=np.full((1050, 4), 0.5))]]
+    enough = [[example_rows(1050, 0.01, actuator=level(21))]]
     assert TrimStep.fit(enough, example_context("x"))
 
 
