@@ -13,6 +13,7 @@ log and a live vehicle (`Chain.refusal`), and is measured again every 2 s.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -291,8 +292,9 @@ class Chain:
     ) -> tuple[ChainState, tuple[Event, ...], tuple[Change, ...], ChainOutput]:
         monitors, found, outside = [], [], []
         envelope = self.envelope.step(state.envelope, rows)
+        flown = replace(rows, covered=partial(self.envelope.covers, envelope))
         for number, (slot, memory) in enumerate(zip(self.slots, state.monitors, strict=True)):
-            after, statistic = slot.monitor.step(memory, rows)
+            after, statistic = slot.monitor.step(memory, flown)
             statistic, denied = self.envelope.apply(number, statistic, envelope)
             monitors.append(after)
             found.append(statistic)

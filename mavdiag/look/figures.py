@@ -13,7 +13,8 @@ from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import FloatArray, Series, Signal, Three
+from mavdiag.telemetry import FloatArray, Signal, Telemetry, Three
+from mavdiag.units import RPM
 
 __all__ = [
     "VIBRATION_HIGH",
@@ -33,6 +34,7 @@ __all__ = [
 # above 30 there may be problems, above 60 there nearly always are.
 VIBRATION_USUAL, VIBRATION_HIGH = 30.0, 60.0
 FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
+MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 LEAST_S = 2.0  # of unbroken flight that a spectrum needs (our choice)
 SPECTRUM_S = 1.0  # of one of its windows, so 1 Hz wide lines (our choice)
 LINE_FROM_HZ = 25.0  # slower rotors fly nothing that this tool is for (our choice)
@@ -101,10 +103,23 @@ class RotorLine:
     reason: str = ""
 
 
-def told_hz(speeds: Series | None) -> float:
-    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not."""
-    turning = np.empty(0) if speeds is None else speeds.values[np.nan_to_num(speeds.values) > 0]
-    return float(turning.mean() / math.tau) if len(turning) else math.nan
+def told_hz(telemetry: Telemetry) -> float:
+    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not.
+
+    PX4's simulator makes ESC_STATUS up, as 6000 rpm of full output: that tells nothing.
+    """
+    speeds, outputs = telemetry.get(Signal.ROTOR_SPEED), telemetry.get(Signal.ACTUATOR)
+    if speeds is None or not (np.nan_to_num(speeds.values) > 0).any():
+        return math.nan
+    told = speeds.values[np.nan_to_num(speeds.values) > 0]
+    if outputs is not None and len(outputs):
+        latest = np.maximum(np.searchsorted(outputs.t_ns, speeds.t_ns, side="right") - 1, 0)
+        both = min(speeds.values.shape[1], outputs.values.shape[1])
+        made_up = MADE_UP_RAD_S * outputs.values[latest, :both]
+        turning = made_up > MADE_UP_RAD_S * IDLE
+        if turning.any() and np.nanmedian(np.abs(speeds.values[:, :both][turning] / made_up[turning] - 1)) < 0.01:
+            return math.nan
+    return float(told.mean() / math.tau)
 
 
 def output_loads(flight: Sequence[Rows], rotors: int) -> tuple[OutputLoad, ...]:

@@ -81,7 +81,7 @@ def first_look(log: Log, told: Airframe) -> FirstLook:
     count = airframe.layout.rotors if airframe.layout is not None else _outputs(log)
     profile = PROFILES.get(log.profile)
     corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
-    speeds = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    speeds = told_hz(log.telemetry)
     return FirstLook(
         log=log.name,
         profile=log.profile,

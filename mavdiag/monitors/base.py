@@ -7,6 +7,7 @@ streams that the detector asks for, and the contract tests.
 """
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -150,6 +151,7 @@ class Monitor(ABC, Generic[Spec, State]):
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
     feature: what its level means for the fault, a name of `Feature`; None if nothing.
+    reach: the highest statistic that damage gives; a threshold above it cannot be passed, and is refused.
     needs_layout: it cannot be fitted where the rotor layout is not known.
     doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
@@ -165,6 +167,7 @@ class Monitor(ABC, Generic[Spec, State]):
     clear_s: ClassVar[float] = 2.0  # our choice
     guard: ClassVar[Guard] = Guard()
     evidence: ClassVar[RotorEvidence | None] = None
+    reach: ClassVar[float] = math.inf
     needs_layout: ClassVar[bool] = False
     doubt: ClassVar[str] = ""
     spec_type: ClassVar[type[Any]]

@@ -25,7 +25,7 @@ from mavdiag.report.windows import sweep_of, windows_picture
 from mavdiag.report.words import declared_s, named_rotor
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import Log
 from mavdiag.traces import Traces, traces_of
 
 __all__ = ["FlightReport", "Source", "flight_report", "unread_report"]
@@ -152,7 +152,7 @@ def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
 
 def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> RotorLine | None:
     """One per revolution: as the speed controllers report it, else of the airframe's hover, else as it is heard."""
-    told = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    told = told_hz(log.telemetry)
     if math.isfinite(told):
         return RotorLine(told, "the rotor speeds in the log")
     if airframe.hover_rad_s is not None:

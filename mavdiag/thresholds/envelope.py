@@ -262,6 +262,14 @@ class Envelope:
         valid = found.valid & ~np.repeat(outside, far.counts) if reasons else found.valid
         return replace(found, value=found.value / grown, valid=valid), reasons
 
+    def covers(self, state: EnvelopeState, conditions: frozenset[str], memory_s: float, t_ns: IntArray) -> BoolArray:
+        """At which times (n,) none of these conditions was outside in the last so many seconds."""
+        columns = [i for i, one in enumerate(self.covered) if one.condition in conditions]
+        if len(t_ns) == 0 or not columns or not np.count_nonzero(state.excess[:, columns]):
+            return np.ones(len(t_ns), dtype=np.bool_)
+        far = _farthest(state, columns, t_ns, memory_s, self.delay_s + BIN_S)
+        return np.repeat(far.excess <= 1.0, far.counts)
+
     def sentence(self, condition: Condition, value: float) -> str:
         """Why a slot does not judge."""
         return next(one for one in self.covered if one.condition is condition).sentence(value)
