@@ -7,9 +7,11 @@ Damaged parts are skipped as pyulog skips them.
 
 import io
 import struct
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -155,8 +157,8 @@ def read_ulog(path: Path) -> Log:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
     series = tuple(found.values())
     motors = Signal.ACTUATOR in found and "actuator_motors" in topics
-    started_ns = _started_ns(topics, series)
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors)
+    started_ns, kind = _started_ns(topics, series), _mav_type(topics, parameters)
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors, kind)
 
 
 class _Metered(io.BytesIO):
@@ -235,7 +237,8 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
     damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
     cut = "it ends within a message: the recording was cut off" if _cut_short(data, log.since) else ""
     changed = {name: value for _, name, value in log.changed_parameters}
-    parameters = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    values = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    parameters = {name: value for name, value in values.items() if isfinite(value)}  # PX4 has NaN for "not set"
     return found, parameters, tuple(note for note in (damaged, cut) if note)
 
 
@@ -293,6 +296,15 @@ def _sample_time_us(fields: Mapping[str, NDArray[np.number]], delay: str | None)
     if late is None or late.dtype.kind not in "iu":
         return time_us
     return np.where(late == NO_ACCELEROMETER, 0, time_us + late.astype(np.int64))
+
+
+def _mav_type(topics: Mapping[str, ULog.Data], parameters: Mapping[str, float]) -> int | None:
+    """MAV_TYPE as most of the vehicle's states tell it, or by its parameter; None where the log does not say."""
+    states = topics.get("vehicle_status")
+    told = None if states is None else states.data.get("system_type")
+    if told is not None and told.dtype.kind in "iu" and len(told):
+        return int(Counter(told.tolist()).most_common(1)[0][0])
+    return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
 
 
 def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> int:
