@@ -124,7 +124,6 @@ def ring(name: str, *angles_deg: float, cw: tuple[int, ...], yaw: tuple[float, .
     return layout_of_effects(name, effects)
 
 
-_Y6_TAIL = ((0, -1.333, -1), (-1, 0.666, -1), (0, -1.333, 1))
 _KNOWN = (
     # T Eq 2.2-2.4, turned from y left, z up into FRD. 1 rear right, 2 front right, 3 rear left, 4 front left.
     RotorLayout("qdrone2", ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1))),
@@ -144,14 +143,12 @@ _KNOWN = (
     ring("hexa-plus", 0, 180, -120, 60, -60, 120, cw=(1, 3, 6)),
     ring("octo-x", 22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5, cw=(1, 2, 7, 8)),
     ring("octo-plus", 0, 180, 45, 135, -45, -135, -90, 90, cw=(1, 2, 7, 8)),
-    # setup_octaquad_matrix, setup_y6_matrix (its default, and Y6B), setup_deca_matrix, setup_dodecahexa_matrix.
+    # setup_octaquad_matrix, setup_y6_matrix (its default, and Y6B), setup_deca_matrix.
     ring("x8", 45, -45, -135, 135, -45, 45, 135, -135, cw=(2, 4, 6, 8)),
-    layout_of_effects("y6", ((-1, 0.666, 1), (1, 0.666, -1), (1, 0.666, 1), *_Y6_TAIL)),
-    layout_of_effects("y6b", [(x, y, yaw) for x, y in ((-1, 0.5), (0, -1), (1, 0.5)) for yaw in (-1, 1)]),
+    ring("y6", 60, -60, -60, 180, 60, 180, cw=(2, 4, 5)),
+    ring("y6b", 60, 60, 180, 180, -60, -60, cw=(1, 3, 5)),
     ring("deca-plus", *range(0, 360, 36), cw=(2, 4, 6, 8, 10)),
     ring("deca-x", *range(18, 360, 36), cw=(2, 4, 6, 8, 10)),
-    ring("dodecahexa-plus", *(deg for deg in range(0, 360, 60) for _ in "tb"), cw=(2, 3, 6, 7, 10, 11)),
-    ring("dodecahexa-x", *(deg for deg in range(30, 360, 60) for _ in "tb"), cw=(2, 3, 6, 7, 10, 11)),
 )
 
 #: The layouts known by name.

@@ -34,6 +34,12 @@ _AIRFRAME_MULTIROTOR = 0  # CA_AIRFRAME
 _UP = (0.0, 0.0, -1.0)  # CA_ROTORn_AX, _AY, _AZ by default
 _SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the same (our choice)
 
+
+def _twice(*angles_deg: float) -> tuple[float, ...]:
+    """Two rotors on each arm, one above the other."""
+    return tuple(deg for deg in angles_deg for _ in range(2))
+
+
 # FRAME_TYPE by FRAME_CLASS. The V's two rear rotors turn it more than its two front ones.
 _CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "X8", 5: "Y6", 12: "dodecahexa", 14: "deca"}
 _X8 = (45, -45, -135, 135, -45, 45, 135, -135)
@@ -61,13 +67,13 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
     (4, 2): ring("x8-v", *_X8, cw=(2, 4, 6, 8), yaw=(0.7981, 0.7981, 1.0, 1.0, 0.7981, 0.7981, 1.0, 1.0)),
     (4, 3): ring("x8-h", *_X8, cw=(1, 3, 5, 7)),
     (4, 12): ring("x8-betaflight", *_X8_BETAFLIGHT, cw=(1, 4, 6, 7)),
-    (4, 14): ring("x8-clockwise", 45, 45, 135, 135, -135, -135, -45, -45, cw=(2, 3, 6, 7)),
+    (4, 14): ring("x8-clockwise", *_twice(45, 135, -135, -45), cw=(2, 3, 6, 7)),
     (4, 18): ring("x8-betaflight-reversed", *_X8_BETAFLIGHT, cw=(2, 3, 5, 8)),
     **{(5, kind): layout_named("y6") for kind in range(22)},
     (5, 10): layout_named("y6b"),
-    (5, 11): layout_of_effects("y6f", [(x, y, yaw) for yaw in (1, -1) for x, y in ((0, -1), (-1, 0.5), (1, 0.5))]),
-    (12, 0): layout_named("dodecahexa-plus"),
-    (12, 1): layout_named("dodecahexa-x"),
+    (5, 11): ring("y6f", 180, 60, -60, 180, 60, -60, cw=(4, 5, 6)),
+    (12, 0): ring("dodecahexa-plus", *_twice(0, 60, 120, 180, -120, -60), cw=(2, 3, 6, 7, 10, 11)),
+    (12, 1): ring("dodecahexa-x", *_twice(30, 90, 150, -150, -90, -30), cw=(2, 3, 6, 7, 10, 11)),
     (14, 0): layout_named("deca-plus"),
     (14, 1): layout_named("deca-x"),
     (14, 14): layout_named("deca-x"),

@@ -175,9 +175,10 @@ def _actuator(tables: Mapping[str, Table], motors: Sequence[int], others: Sequen
         return ()
     prefix = "Ch" if table.has(("Ch1",)) else "C"
     channels = [n for n in motors if table.has((f"{prefix}{n}",))]
-    if not channels:  # nothing says which are motors: every channel up to the last that moves
+    if not channels:  # nothing says which are motors: every channel up to the last that moves, or gives a pulse
         present = [n for n in range(1, MAX_CHANNELS + 1) if table.has((f"{prefix}{n}",))]
-        moving = [n for n in present if n not in others and np.ptp(table.column(f"{prefix}{n}"))]
+        pulses = {n: table.column(f"{prefix}{n}") for n in present if n not in others}
+        moving = [n for n, pulse in pulses.items() if np.ptp(pulse)] or [n for n in pulses if pulses[n].any()]
         channels = [n for n in present if n <= max(moving, default=0)]
     if not channels:
         return ()
