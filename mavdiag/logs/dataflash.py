@@ -16,7 +16,7 @@ import numpy as np
 
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_format import INTEGERS, Table
+from mavdiag.logs.dataflash_format import HEADER, INTEGERS, Table
 from mavdiag.logs.dataflash_walk import Walk
 from mavdiag.logs.log import RECORDED_GATE, LogKind, windows_of
 from mavdiag.logs.records import recorded
@@ -27,6 +27,7 @@ __all__ = ["KIND", "WANTED", "read_dataflash"]
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
+MIN_HEADERS = 8  # of records in the first 4096 bytes: no record is longer than 255 (our choice)
 CENTIDEGREE_OUTPUT = 4500.0  # full scale of ROut, POut, YOut up to Copter 3.3
 THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
 CENTIVOLT = 0.01  # CURR.Volt where it is an integer
@@ -261,9 +262,18 @@ def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     return fix_ns - int(boot_ns[fixed[0]]) + min(int(s.t_ns[0]) for s in series)
 
 
+def _recognise(head: bytes) -> bool:
+    """Whether it begins with the format record, or amid the records: a logger that wraps overwrites its beginning.
+
+    A telemetry log may carry such records as the content of its messages; its ninth byte begins one of those.
+    """
+    amid = head.count(HEADER) >= MIN_HEADERS and head[8:9] not in (b"\xfd", b"\xfe")
+    return head.startswith(SIGNATURE) or amid
+
+
 KIND = LogKind(
     "DataFlash",
-    lambda head: head.startswith(SIGNATURE),
+    _recognise,
     lambda path, vehicle, profile: read_dataflash(path),
     PROFILE,
     RECORDED_GATE,

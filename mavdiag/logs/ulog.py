@@ -42,6 +42,7 @@ DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, t
 COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
+BLOCK_BYTES, ZERO_BLOCKS = 4096, 18  # zeros longer than any message: so many blocks are left of them (our choice)
 
 # What pyulog lets through on damaged files besides its own errors.
 _PARSER_ERRORS = (
@@ -226,6 +227,7 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
 
     Raises InputError if pyulog cannot make sense of the file.
     """
+    data = _without_holes(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
             log = _Reading(data)
@@ -240,6 +242,21 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
     values = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
     parameters = {name: value for name, value in values.items() if isfinite(value)}  # PX4 has NaN for "not set"
     return found, parameters, tuple(note for note in (damaged, cut) if note)
+
+
+def _without_holes(data: bytes) -> bytes:
+    """The file with its long runs of zeros shortened: a logger reserves space ahead, and pyulog goes byte by byte.
+
+    What is left of a run is longer than any message, so that none begins or ends elsewhere.
+    """
+    whole = len(data) // BLOCK_BYTES
+    filled = np.frombuffer(data, np.uint64, whole * BLOCK_BYTES // 8).reshape(whole, BLOCK_BYTES // 8).any(axis=1)
+    since = np.arange(whole) - np.maximum.accumulate(np.where(filled, np.arange(whole), -1))  # zero blocks up to here
+    kept = np.append(since <= ZERO_BLOCKS, [True])
+    if kept.all():
+        return data
+    edges = np.flatnonzero(np.diff(kept, prepend=False, append=False)) * BLOCK_BYTES
+    return b"".join(data[first:stop] for first, stop in edges.reshape(-1, 2).tolist())
 
 
 def _check_definitions(log: ULog) -> None:
