@@ -68,7 +68,11 @@ class FreshArduPilot:
     heard: every frame that came.
     """
 
-    PARAMETERS: ClassVar = {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "INS_GYRO_FILTER": 18.0}  # clearly below a fifth of 100 Hz
+    PARAMETERS: ClassVar = {
+        "FRAME_CLASS": 1.0,
+        "FRAME_TYPE": 1.0,
+        "INS_GYRO_FILTER": 18.0,
+    }  # clearly below a fifth of 100 Hz
     COUNTS = 1000
 
     def __init__(self) -> None:
