@@ -23,6 +23,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.traits import TRAITS, beginning, traits, traits_of_parts
 from mavdiag.airframe.trim import LEVEL_RATIO, rises
@@ -109,8 +110,9 @@ class Likeness:
         if self.outcome is Outcome.ALIKE:
             return ""
         figures = ", ".join(self.differing)
+        whose = "the baseline's" if whose == UNNAMED else whose
         if self.outcome is Outcome.FAR:
-            return f"does not look like {whose}: {figures}"
+            return f"does not look like {whose}: {figures}; judge it by a baseline of its own flights"
         return f"may be another vehicle than {whose}, or have new propellers or another load: {figures}"
 
 
@@ -218,7 +220,7 @@ def _trim_words(learnt: Sequence[Figure], seen: FloatArray) -> list[str]:
 
 def _words(i: int, learnt: Figure, seen: float) -> str:
     if TRAITS[i].log:
-        return f"{learnt.name} x{math.exp(seen - learnt.mean):.2g}"
+        return f"{learnt.name} {math.exp(seen - learnt.mean):.2g} times the learnt"
     if learnt.name == "motors":
         return f"{seen:.0f} motors (learnt {learnt.mean:.0f})"
     return f"{learnt.name} {seen:+.3f} (learnt {learnt.mean:+.3f} +- {learnt.spread:.3f})"

@@ -14,7 +14,9 @@ from mavdiag.rows.block import Block
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState"]
+__all__ = ["Border", "GateSpec", "GateState", "idle_rows"]
+
+IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +45,8 @@ class GateState:
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. So a
-    vehicle that is armed on the ground and stops sending its thrust counts as flying.
+    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. In
+    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
@@ -92,10 +94,17 @@ class GateSpec:
         if self.min_height_m is not None:
             up &= ~(block.height < self.min_height_m)
         if self.min_thrust is not None:
-            up &= ~(block.thrust < self.min_thrust)
+            up &= ~(block.thrust < self.min_thrust) & ~idle_rows(block)
         if self.need_armed:
             up &= ~(block.armed < 0.5)
         return up
+
+
+def idle_rows(block: Block) -> BoolArray:
+    """(n,) where no thrust set-point is known and all outputs idle: a vehicle on the ground that sends none."""
+    if block.actuator.shape[1] == 0 or np.isfinite(block.thrust).all():
+        return np.zeros(len(block), dtype=np.bool_)
+    return np.asarray(np.isnan(block.thrust) & (block.actuator.max(axis=1) <= IDLE_OUTPUT), dtype=np.bool_)
 
 
 def _runs(up: BoolArray) -> list[tuple[int, int]]:
