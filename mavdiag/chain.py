@@ -400,6 +400,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     monitors = [monitor_of(entry.spec) for entry in entries]
     alone = not any(monitor.decides for monitor in monitors)
     same = baseline.same_session(started_ns)
+    coaxial = baseline.airframe.layout is not None and baseline.airframe.layout.coaxial  # the arm is told, no rotor
     slots = tuple(
         Slot(monitor, entry.threshold.within(same_session=same), monitor.decides or alone)
         for monitor, entry in zip(monitors, entries, strict=True)
@@ -410,7 +411,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
             slot.monitor.unit,
             slot.decides,
             slot.monitor.delay_s,
-            slot.monitor.evidence,
+            None if coaxial else slot.monitor.evidence,
             slot.monitor.feature,
             slot.monitor.kind,
         )

@@ -289,7 +289,7 @@ def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:
 
 def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
     """That the rotor layout is unknown or doubtful, or that the log's own parameters have another one."""
-    own, said = baseline.airframe.layout, layout_from_parameters(log.parameters)
+    own, said = baseline.airframe.layout, layout_from_parameters(log.parameters, log.mav_type)
     other = own is not None and said.layout is not None and not said.layout.alike(own)
     differ = f"the log is of another rotor layout: {said.layout.name} by {said.reason}" if other and said.layout else ""
     return tuple(note for note in (baseline.layout_doubt, differ) if note)

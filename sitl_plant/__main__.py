@@ -120,7 +120,8 @@ def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
     else:
         fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
         link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
-        line = f"{config.vehicle.name} {config.drone} flies a {config.trajectory}{fault}; {link}"
+        path = "as it is told" if config.trajectory == "commanded" else f"a {config.trajectory}"
+        line = f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
     typer.echo(line)
 
 

@@ -78,9 +78,9 @@ class FakeFitter:
 class MadeVehicle:
     """Sends heartbeats and the two main streams, hovering with random set-points it follows at once."""
 
-    def __init__(self, sysid: int, autopilot: Autopilot = Autopilot.GENERIC) -> None:
+    def __init__(self, sysid: int, autopilot: Autopilot = Autopilot.GENERIC, kind: int = MavType.QUADROTOR) -> None:
         self.encoder = Encoder(sysid, Component.AUTOPILOT1)
-        self.sysid, self._autopilot = sysid, autopilot
+        self.sysid, self._autopilot, self._kind = sysid, autopilot, kind
         self._rng = np.random.default_rng(sysid)
         self.sent = 0  # samples
         self.armed = True
@@ -88,7 +88,7 @@ class MadeVehicle:
 
     def heartbeat(self) -> bytes:
         mode = ModeFlag.SAFETY_ARMED if self.armed else 0
-        return self.encoder.encode(MessageId.HEARTBEAT, MavType.QUADROTOR, self._autopilot, mode, 0, 4, 3)
+        return self.encoder.encode(MessageId.HEARTBEAT, self._kind, self._autopilot, mode, 0, 4, 3)
 
     def samples(self, count: int) -> list[bytes]:
         """The next samples of both streams, with a heartbeat every second."""

@@ -117,7 +117,8 @@ def airborne_of(front: Front, flight: HeldLog, shelf: Shelf) -> LearntFlight:
 def _judged_s(front: Front, flight: Log, rows: Sequence[Rows]) -> float:
     judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
-        raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight, too short to learn from")
+        never = "" if judged_s else " (never armed, or no thrust)"
+        raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
     return judged_s
 
 

@@ -8,7 +8,6 @@ from typing import Any
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import fingerprint_of
-from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, sealed
 from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
 from mavdiag.errors import IdentificationError, InputError, UsageError
@@ -16,10 +15,9 @@ from mavdiag.identify import Method, Order
 from mavdiag.learning.fits import fits
 from mavdiag.learning.flights import LearntFlight, sessions_of
 from mavdiag.learning.held import HeldLog, held
-from mavdiag.learning.rotors import with_rotors
+from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.learning.teaching import Taught, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
-from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext
 from mavdiag.monitors.run_length import MarginRule, RunLength
@@ -110,7 +108,7 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
     if not logs:
         raise InputError("no healthy flight to learn from")
     first = logs[0].label
-    airframe = _filtered(_airframe(options.airframe, first.profile), first)
+    airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
     found = taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
@@ -143,17 +141,6 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
             fingerprint=fingerprint_of(rows, airframe.layout),
         )
     )
-
-
-def _airframe(told: Airframe, profile: str) -> Airframe:
-    """The airframe with what the kind of log says of it; a link says nothing."""
-    name = airframe_name_for(profile)
-    if name is None or told.layout is not None:
-        return told
-    known = airframe_named(name)
-    label = known.name if told.name == Airframe().name else told.name
-    basis = f"of every vehicle that writes such logs, {profile}"
-    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate, layout_basis=basis)
 
 
 def _filtered(airframe: Airframe, flight: Log) -> Airframe:

@@ -26,7 +26,7 @@ from mavdiag.rows.block import Block
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight"]
+__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_rows"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
@@ -37,6 +37,7 @@ HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down
 HIDDEN_BIN_NS = NS_PER_S // 2
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
 HELD_BINS = 2  # for so long the last thrust and outputs hold
+IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +81,8 @@ class _Low:
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. So a
-    vehicle that is armed on the ground and stops sending its thrust counts as flying.
+    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. In
+    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
@@ -142,11 +143,18 @@ class GateSpec:
         if self.min_height_m is not None:
             up &= ~(block.height < self.min_height_m)
         if self.min_thrust is not None:
-            up &= ~(block.thrust < self.min_thrust)
+            up &= ~(block.thrust < self.min_thrust) & ~idle_rows(block)
         kinds = np.where(up, UP, LOW)
         if self.need_armed:
             kinds[block.armed < 0.5] = DISARMED
         return kinds
+
+
+def idle_rows(block: Block) -> BoolArray:
+    """(n,) where no thrust set-point is known and all outputs idle: a vehicle on the ground that sends none."""
+    if block.actuator.shape[1] == 0 or np.isfinite(block.thrust).all():
+        return np.zeros(len(block), dtype=np.bool_)
+    return np.asarray(np.isnan(block.thrust) & (block.actuator.max(axis=1) <= IDLE_OUTPUT), dtype=np.bool_)
 
 
 def _runs(kinds: IntArray) -> list[tuple[int, int]]:

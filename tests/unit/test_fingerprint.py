@@ -162,6 +162,6 @@ def test_more_flights_make_a_narrower_spread_but_no_certainty() -> None:
     one = fingerprint_of([flying_rows(flying(3000, 100))], X)
     assert one is not None
     spread = {figure.name: figure.spread for figure in one.figures}
-    assert spread["yaw trim"] == pytest.approx(0.002)
+    assert spread["yaw trim"] == pytest.approx(0.002, rel=0.02)  # and what it varies by within the flight
     many = {figure.name: figure.spread for figure in learnt().figures}
     assert 0 < many["yaw trim"] < spread["yaw trim"]

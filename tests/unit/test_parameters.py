@@ -84,7 +84,7 @@ def test_servo_functions_say_which_output_drives_which_motor() -> None:
         ({"FRAME": 1.0, "THR_MIN": 130.0}, ""),
         ({"FRAME_CLASS": 1.0}, "FRAME_TYPE is not among the parameters"),
         ({"FRAME_CLASS": 1.0, "FRAME_TYPE": 4.0}, "the geometry of FRAME_CLASS 1, FRAME_TYPE 4 (quad) is not known"),
-        ({"FRAME_CLASS": 6.0, "FRAME_TYPE": 0.0}, "FRAME_CLASS 6, FRAME_TYPE 0 (no quad, hexa or octa)"),
+        ({"FRAME_CLASS": 6.0, "FRAME_TYPE": 0.0}, "FRAME_CLASS 6, FRAME_TYPE 0 (a class without a table)"),
         ({**COPTER_X, **servos(33, 34, 35)}, "SERVOn_FUNCTION has the motors 1, 2, 3, x has 4"),
         ({**COPTER_X, **servos(33, 34, 35, 36, 37)}, "motors 1, 2, 3, 4, 5, x has 4"),
         ({**COPTER_X, **servos(33, 34, 35, 36, 33)}, "motors 1, 1, 2, 3, 4, x has 4"),
