@@ -7,6 +7,7 @@ streams that the detector asks for, and the contract tests.
 """
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -234,6 +235,11 @@ class Monitor(ABC, Generic[Spec, State]):
     def delay_s(self) -> float:
         """How much later than its time stamp a value is known [s]."""
         return 0.0
+
+    @property
+    def reach(self) -> float:
+        """What the statistic can come to, whatever breaks; a threshold at or above it would never be passed."""
+        return math.inf
 
     @property
     def memory_s(self) -> float:

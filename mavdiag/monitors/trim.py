@@ -13,6 +13,7 @@ from mavdiag.telemetry import BoolArray, Signal
 
 __all__ = ["WINDOW_S", "TrimMonitor", "TrimSpec"]
 
+MOST_RISE = 2**0.5 - 1  # of hover: 1/sqrt(1 - e) - 1 for e = 0.5; motors are chosen for twice the weight (our choice)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 
 State = TypeVar("State")
@@ -57,6 +58,11 @@ class TrimMonitor(Monitor[Spec, State]):
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
         return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
+
+    @property
+    def reach(self) -> float:
+        """A rotor that lost half of its thrust; with more than twice the thrust of hover no output can answer."""
+        return MOST_RISE
 
     @property
     def memory_s(self) -> float:
