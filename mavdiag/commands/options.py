@@ -12,6 +12,7 @@ from mavdiag.logs.part import between, read_part
 from mavdiag.telemetry import Axis
 
 __all__ = [
+    "Accept",
     "AsJson",
     "AxisChoice",
     "Columns",
@@ -24,6 +25,10 @@ __all__ = [
     "read_part",
 ]
 
+Accept: TypeAlias = Annotated[
+    bool,
+    typer.Option("--accept", help="Write a baseline of grade D, too: its flights speak against it, or it is blind."),
+]
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON, one object a line.")]
 Vehicle: TypeAlias = Annotated[
     int | None, typer.Option(metavar="SYSID", help="System id, where a .tlog or a link carries several.")

@@ -310,10 +310,10 @@ def _course(spec: Any, number: int, flight: LearntFlight) -> Course:
 
 
 def suspicions(found: Sequence[Course], airframe: Airframe) -> tuple[Finding, ...]:
-    """What speaks against flights that were learnt: changes within, odd flights, and physics."""
+    """What speaks against flights that were learnt: odd flights, physics, and changes within a flight."""
     changed = [one for one in map(_change, found) if one is not None]
     odd = () if airframe.scope == "type" else _odd(found)  # vehicles of a type differ
-    return (*changed, *odd, *_implausible(found, airframe))
+    return (*odd, *_implausible(found, airframe), *changed)
 
 
 def _change(course: Course) -> Finding | None:

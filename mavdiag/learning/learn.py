@@ -35,6 +35,7 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 __all__ = ["ALL_MONITORS", "LearnOptions", "learn", "plain_scores", "sources", "thesis_options"]
 
 ALL_MONITORS = tuple(BY_NAME)
+MOST_SAID = 2  # findings that are told in full (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,9 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     refusals = tuple(_mute(entry) for entry in mute)
     if not judging:
         raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
-    weak = "; ".join(dict.fromkeys(map(str, suspicions(found, baseline.airframe))))
+    said = [str(one) for one in suspicions(found, baseline.airframe)]
+    more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
+    weak = "; ".join(said[:MOST_SAID]) + more
     return baseline.model_copy(
         update={
             "monitors": judging,
