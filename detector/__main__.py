@@ -27,6 +27,7 @@ from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
 from detector.notify import Notifier
+from detector.reporting import kept_baselines
 from detector.web.token import read_token
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
@@ -60,7 +61,9 @@ def detect(
     learn: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Learn a baseline first, from so much healthy flight.")
     ] = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Keep what was learned.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep what was learned; where it is there, judge by it.")
+    ] = None,
     airframe: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE.toml", help="What is learned about: its rotors, mass, hover speed and gate."),
@@ -200,9 +203,12 @@ def _serve(settings: Settings) -> None:
 
 
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:
-    """The baseline for all vehicles, and those of single ones, by system id."""
+    """The baseline for all vehicles, and those of single ones, by system id; what was learned earlier among them."""
     baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
-    return baseline, {sysid: Baseline.load(one.baseline) for sysid, one in settings.vehicles.items()}
+    kept = {} if settings.learn is None or settings.save is None else kept_baselines(settings.save)
+    learned = {sysid: one for sysid, (_, one) in kept.items()}
+    baseline = learned.pop(0, baseline)
+    return baseline, learned | {sysid: Baseline.load(one.baseline) for sysid, one in settings.vehicles.items()}
 
 
 def _airframe(settings: Settings) -> Airframe | None:

@@ -78,7 +78,8 @@ class Settings(SessionSettings):
     connect: str = "udpin:127.0.0.1:14550"  # the vehicle's link
     baseline: Path | None = None  # file to judge by
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
-    save: Path | None = None  # file that keeps what was learned
+    save: Path | None = None  # file that keeps what was learned, and is used at the next start
+    accept: bool = False  # whether a learned baseline of grade D is taken, too
     airframe: str | None = None  # what is learned about: a built-in name or a TOML file
     layout: str | None = None  # its rotor layout; default: by its parameters, else by its flight
     name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
@@ -107,8 +108,8 @@ class Settings(SessionSettings):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
-        for option in ("save", "airframe", "layout", "name"):
-            if getattr(self, option) is not None and self.learn is None:
+        for option in ("save", "airframe", "layout", "name", "accept"):
+            if getattr(self, option) and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         if self.web_token_file is not None and self.web is None:
             raise ValueError("--web-token-file is about the live page; add --web HOST:PORT or leave it out")
@@ -158,6 +159,9 @@ def load_settings(
         settings = Settings.model_validate(values)
     except ValidationError as error:
         raise UsageError(_reason(error, where)) from error
+    if settings.learn is not None and settings.save is None:
+        said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
+        raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
     for address in (settings.connect, *settings.forward):
         parse_address(address)
     if settings.profile is not None:

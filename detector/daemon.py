@@ -319,7 +319,7 @@ class Daemon:
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters))
+                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters, self._settings.accept))
             case Baseline():
                 self._reporter.save(sysid, effect)
             case EventOpened(event):

@@ -13,6 +13,7 @@ from mavdiag.logs.part import between, read_part
 from mavdiag.telemetry import Axis
 
 __all__ = [
+    "Accept",
     "AsJson",
     "AxisChoice",
     "Columns",
@@ -29,6 +30,10 @@ __all__ = [
 
 _SCHEME = re.compile(r"[a-z]{2,}:")
 
+Accept: TypeAlias = Annotated[
+    bool,
+    typer.Option("--accept", help="Write a baseline of grade D, too: its flights speak against it, or it is blind."),
+]
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON, one object a line.")]
 Layout: TypeAlias = Annotated[
     str | None, typer.Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")

@@ -151,7 +151,6 @@ class Monitor(ABC, Generic[Spec, State]):
     guard: what its few healthy flights cannot show.
     evidence: how it knows about rotors; None if it does not.
     feature: what its level means for the fault, a name of `Feature`; None if nothing.
-    reach: the highest statistic that damage gives; a threshold above it cannot be passed, and is refused.
     needs_layout: it cannot be fitted where the rotor layout is not known.
     doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
@@ -167,7 +166,6 @@ class Monitor(ABC, Generic[Spec, State]):
     clear_s: ClassVar[float] = 2.0  # our choice
     guard: ClassVar[Guard] = Guard()
     evidence: ClassVar[RotorEvidence | None] = None
-    reach: ClassVar[float] = math.inf
     needs_layout: ClassVar[bool] = False
     doubt: ClassVar[str] = ""
     spec_type: ClassVar[type[Any]]
@@ -236,6 +234,11 @@ class Monitor(ABC, Generic[Spec, State]):
     def delay_s(self) -> float:
         """How much later than its time stamp a value is known [s]."""
         return 0.0
+
+    @property
+    def reach(self) -> float:
+        """What the statistic can come to, whatever breaks; a threshold at or above it would never be passed."""
+        return math.inf
 
     @property
     def memory_s(self) -> float:

@@ -201,6 +201,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         self._mean, self._a, self._b = np.array(spec.mean), np.array(spec.a), np.array(spec.b)
         self._k0, self._k1 = np.array(spec.k0), np.array(spec.k1)
 
+    @property
+    def reach(self) -> float:
+        """Where a normalised error is cut."""
+        return LIMIT
+
     def start(self) -> InnovationState:
         """No row yet."""
         return _fresh()

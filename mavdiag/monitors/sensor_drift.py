@@ -166,6 +166,11 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
         super().__init__(spec)
         self._spreads = np.array([spec.tilt, spec.heading, spec.lift])
 
+    @property
+    def reach(self) -> float:
+        """Where a value is cut."""
+        return LIMIT
+
     def start(self) -> SensorDriftState:
         """No row yet."""
         return _fresh()

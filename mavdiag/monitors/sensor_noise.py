@@ -131,6 +131,11 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         (new,) = self.fit(flights, context)
         return new, 1.0
 
+    @property
+    def reach(self) -> float:
+        """The logarithm of the power at which differences are cut: 3.58."""
+        return 2.0 * math.log(LIMIT)
+
     def start(self) -> SensorNoiseState:
         """No row yet."""
         return _fresh()

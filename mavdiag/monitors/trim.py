@@ -24,6 +24,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import window_sums
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
+MOST_RISE = 0.5  # of hover: a rotor that lost a third of its thrust; with less no output can answer (our choice)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S = 0.5  # a value twice a second (our choice)
 # rad/s^2: a tick in which the yaw rate changes faster is left out of its window, for its median hides the peak that
@@ -219,8 +220,6 @@ class TrimMonitor(Monitor[Spec, State]):
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
-    # A rotor that lost a third of its thrust is commanded half more; one that lost more does not hover on (our choice).
-    reach = 0.5
 
     @classmethod
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
@@ -264,6 +263,11 @@ class TrimMonitor(Monitor[Spec, State]):
     def known(self, block: Block, signal: Signal) -> BoolArray:
         """Of the outputs those that move a rotor."""
         return block.known(signal, slice(0, self.spec.layout.rotors) if signal is Signal.ACTUATOR else ALL)
+
+    @property
+    def reach(self) -> float:
+        """The rise of a rotor that lost a third of its thrust."""
+        return MOST_RISE
 
     @property
     def memory_s(self) -> float:

@@ -100,6 +100,11 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
         """Its window [s]."""
         return self.spec.window_s
 
+    @property
+    def reach(self) -> float:
+        """Where a value is cut [m/s^2]."""
+        return LIMIT_M_S2
+
     def start(self) -> MeanState:
         """An empty mean."""
         return start_mean(1)
