@@ -25,6 +25,7 @@ from mavdiag.printable import printable
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
+from mavdiag.rows.quality import LinkQuality
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
 from mavdiag.units import NS_PER_S
@@ -54,6 +55,7 @@ class Baseline(Part):
 
     airframe: whose it is.
     link, window: how rows are made.
+    link_quality: which samples of the link are believed.
     monitors: what judges by it.
     not_judgeable: monitors that cannot work on such flights, and why.
     envelope: the conditions that the healthy flights covered.
@@ -69,6 +71,7 @@ class Baseline(Part):
     airframe: Airframe
     link: Link
     window: Window
+    link_quality: LinkQuality = LinkQuality()
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
     envelope: tuple[Covered, ...] = ()

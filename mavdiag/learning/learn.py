@@ -17,7 +17,7 @@ from mavdiag.learning.fits import fits
 from mavdiag.learning.flights import LearntFlight, sessions_of
 from mavdiag.learning.held import HeldLog, held
 from mavdiag.learning.rotors import with_rotors
-from mavdiag.learning.teaching import Taught, one_vehicle, taught_of
+from mavdiag.learning.teaching import Taught, believing, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
@@ -111,7 +111,7 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
         raise InputError("no healthy flight to learn from")
     first = logs[0].label
     airframe = _filtered(_airframe(options.airframe, first.profile), first)
-    found = taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust)
+    found = believing(taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
@@ -135,6 +135,7 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
                 gate=front.gate,
             ),
             window=Window(samples=front.rates.window, order=2),
+            link_quality=front.align.quality,
             monitors=tuple(_entries(fitted, options, sessions)),
             not_judgeable=tuple(refusals),
             envelope=covered_by(rows),

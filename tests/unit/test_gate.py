@@ -30,6 +30,7 @@ def block(thrust: FloatArray, *, armed: FloatArray | None = None, first: int = 0
         actuator=np.empty((n, 0)),
         valid=np.ones(n, dtype=np.bool_),
         setpoint_valid=np.ones(n, dtype=np.bool_),
+        doubt=np.zeros(n),
     )
 
 
