@@ -22,10 +22,10 @@ from mavdiag.baseline_parts import Link, MonitorEntry, NotNegative, Part, Proven
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import NEED_LAYOUT, monitor_of
 from mavdiag.printable import printable
+from mavdiag.rows.quality import LinkQuality
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
-from mavdiag.rows.quality import LinkQuality
 from mavdiag.thresholds.envelope import Covered
 from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
 from mavdiag.units import NS_PER_S

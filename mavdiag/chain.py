@@ -32,7 +32,7 @@ from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
+from mavdiag.telemetry import Axis, BoolArray, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
 
 __all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Piece", "Slot", "chain_of", "front_of"]

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.telemetry import FloatArray, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Three
 
 __all__ = [
-    "LIMIT",
     "MEMORY_S",
     "Moments",
     "Three",
@@ -19,11 +18,15 @@ __all__ = [
     "three",
     "variance_law",
     "variance_law_of",
+    "without_glitches",
 ]
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-LIMIT = 1e6  # healthy rms; a normalised residual is cut here (our choice)
+# Healthy rms; a normalised residual is cut here, so that no glitch that is left makes an alarm: a Gaussian one reaches
+# it in years (our choice). Where more rows of the last `AMONG` reach it than a glitch spoils, they count in full up to
+# `MOST`: it is how the vehicle flies now.
+LIMIT, MOST, AMONG = 6.0, 1e6, 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +75,25 @@ def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> Fl
     before = np.zeros(x.shape[1]) if start is None else start
     out, _ = lfilter([alpha], [1.0, alpha - 1.0], x, axis=0, zi=(1.0 - alpha) * before[None])
     return np.asarray(out, dtype=np.float64)
+
+
+def without_glitches(z: FloatArray, before: BoolArray, rows: int) -> tuple[FloatArray, BoolArray]:
+    """Normalised residuals, (n, k), cut at `LIMIT` where no more than `rows` of the last rows reach it.
+
+    before: (AMONG - 1,) whether the rows before reached it, and in return those of the next call.
+
+    >>> z = np.array([[9.0], [0.0], [9.0], [9.0], [9.0]])
+    >>> cut, _ = without_glitches(z, np.zeros(AMONG - 1, dtype=bool), 2)
+    >>> cut[:, 0].tolist()
+    [6.0, 0.0, 6.0, 9.0, 9.0]
+    """
+    large = (np.abs(z) > LIMIT).any(axis=1)
+    flags = np.concatenate((before, large))
+    if np.count_nonzero(large):
+        reached = np.add.accumulate(np.concatenate(([0], flags)))
+        most = np.where(reached[AMONG:] - reached[: len(z)] > rows, MOST, LIMIT)[:, None]
+        z = np.minimum(np.maximum(z, -most), most)
+    return z, flags[len(z) :]
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:

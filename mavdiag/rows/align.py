@@ -6,11 +6,12 @@ stays uniform without ever slipping against the vehicle's clock. On a *resampled
 signals are interpolated to a fixed period. Which one a link needs is measured by `measure_grid` and kept in the
 baseline.
 
-What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap longer than `max_gap_s`, and `settle_gap_s` after it, is
-marked invalid; a gap longer than `break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to
-35 ms may be interpolated at 100 Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The
-set-point has the same limits and a mark of its own. Every other signal is nan where it is unknown: where no two samples
-within its limit surround the row, or where the last value is older than its limit.
+What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap
+longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it, is marked invalid; a gap longer than
+`break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to 35 ms may be interpolated at 100
+Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The set-point has the same limits and a
+mark of its own. Every other signal is nan where it is unknown: where no two samples within its limit surround the row,
+or where the last value is older than its limit.
 
 Samples may arrive out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for
 its samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the
@@ -34,7 +35,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid, measure_grid
 from mavdiag.rows.order import ORDER_NS, calm_from_ns
 from mavdiag.rows.places import pieces, uneven_places
-from mavdiag.rows.quality import LinkQuality, Memories, believed
+from mavdiag.rows.quality import GLITCH_S, MOST_LOST, LinkQuality, Memories, believed
 from mavdiag.rows.stream import NEVER_NS, Stream
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -109,6 +110,11 @@ class AlignSpec:
         if not 0 < self.dt_s < self.break_s:
             raise InputError(f"sample time {self.dt_s} s must lie between 0 and {self.break_s} s")
 
+    @property
+    def usable_gap_s(self) -> float:
+        """Longest gap of gyro and set-point that is interpolated and used: a glitch leaves none that is longer."""
+        return max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)
+
     def start(self) -> AlignState:
         """A fresh state: no sample yet."""
         return AlignState()
@@ -166,7 +172,7 @@ def _ns(span_s: float) -> int:
 
 def _limit_ns(spec: AlignSpec, signal: Signal) -> int:
     """Two samples farther apart than this are not interpolated."""
-    return _ns(spec.break_s if signal in MAIN else max(LINEAR[signal], spec.max_gap_s))
+    return _ns(spec.break_s if signal in MAIN else max(LINEAR[signal], spec.usable_gap_s))
 
 
 def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
@@ -260,7 +266,7 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
     gyro, gap = streams[Signal.BODY_RATE].interpolated(rows, _ns(spec.break_s))
     rate, doubt = gyro[:, :3], np.ceil(gyro[:, 3])
     if np.count_nonzero(doubt):  # what must settle after a doubt is as after a gap
-        gap = np.where(doubt > 0, np.maximum(gap, _ns(spec.max_gap_s) + 1), gap)
+        gap = np.where(doubt > 0, np.maximum(gap, _ns(spec.usable_gap_s) + 1), gap)
     valid, blank_ns = _usable(spec, rows, gap, state.blank_until_ns)
     setpoint, gap = _setpoint(spec, streams, rows)
     setpoint_valid, setpoint_blank_ns = _usable(spec, rows, gap, state.setpoint_blank_ns)
@@ -292,10 +298,11 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:
     """(n,) rows outside of gaps and of what must settle after them, and until when the last one blanks."""
-    if np.maximum.reduce(gap) <= spec.max_gap_s * NS_PER_S:
+    most_ns = _ns(spec.usable_gap_s)
+    if np.maximum.reduce(gap) <= most_ns:
         return rows > until_ns, until_ns
     settle = np.where(gap > _ns(spec.break_s), _ns(spec.settle_start_s), _ns(spec.settle_gap_s))
-    reach = np.where(gap > spec.max_gap_s * NS_PER_S, rows + settle, until_ns)
+    reach = np.where(gap > most_ns, rows + settle, until_ns)
     reach = np.maximum.accumulate(np.maximum(reach, until_ns))
     return rows > reach, int(reach[-1])
 

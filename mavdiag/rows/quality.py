@@ -2,16 +2,17 @@
 
 A sample is *lost* if it is no number, is beyond what any sensor measures, or leaps:
 
-    leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > 2 leap_healthy          in some column
+    leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > most          in some column
 
-x_last is the last sample that was believed, T the usual period, angles are taken the short way round. If 3 of the 20
-samples before leapt too, it is no glitch but how the signal moves now, and it is believed: so a glitch of one to three
-samples never reaches a monitor, and a fault that shakes or throws the vehicle does after three samples. A stamp that is
-far ahead is lost, too, until the next one follows it.
+x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
+the healthy leap of gyro and accelerometer, whose noise sums up, and four times that of the others, or what does no
+harm. If 3 of the 20 samples before leapt too (2 at 50 Hz, 1 below 20 Hz), it is no glitch but how the signal moves now,
+and it is believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle does after
+them. A stamp that is far ahead is lost, too, until the next one follows it.
 
 A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
-quietest healthy noise) for more than twice as many samples as ever in health and 2; likewise one axis of gyro or
-accelerometer alone; and at once if the accelerometer or all outputs read zero. A dead sample is unknown.
+quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; likewise
+one axis of gyro or accelerometer alone; and at once if the accelerometer or all outputs read zero. Then it is unknown.
 
 The gyro is *doubted* (`Doubt`) where it is dead, where its time stamps scatter more about their grid than they did in
 health, and where its resolution is coarser. Rows keep it, and say why they must not be judged.
@@ -30,17 +31,19 @@ from mavdiag.rows.windows import EmaState, ema, forgetting, start_ema
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again (our choice)
-MOST_LOST, AMONG = 3, 20  # an I2C glitch spoils up to three samples (our choice)
+FAR = 4.0  # healthy leaps; a longer one is a glitch until it is seen again (our choice)
+FAR_SENSOR = 2.0  # of the sensors: three such samples add 0.4 to the mean square of 500 (our choice)
+GLITCH_S, MOST_LOST, AMONG = 0.03, 3, 20  # an I2C glitch spoils up to three samples (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
-STILL_FACTOR, STILL_MORE = 2.0, 2  # of the longest healthy repetition, and samples more (our choice)
+STILL_FACTOR, STILL_MORE = 4.0, 2  # of the longest healthy repetition, and samples more (our choice)
+STILL_S, STILL_LEAST = 1.0, 1.5  # no longer than this, but by so much longer than in health (our choice)
 QUIET_SHARE = 0.05  # of the healthy noise: 26 dB below it (our choice)
 CALM_SHARE = 0.1  # the quantile of the noise of the seconds of healthy flight that is its quietest (our choice)
 JITTER_S = 5.0  # memory of the jitter: one wrong stamp in it is none (our choice)
 JITTER_FACTOR, LEAST_JITTER = 2.0, 0.05  # of the healthy one, and of a period, which no monitor notices (our choice)
 RESOLUTION_FACTOR = 1.5  # of the healthy one: 2 mrad/s in place of 1 is another sensor or link (our choice)
 RESOLUTION_NOISE = 0.25  # of the rms step: a finer resolution than this is hidden by the noise (our choice)
-RESOLUTION_SAMPLES = 200  # before it is judged: the finest of so many steps of noise is far below a quarter of their rms
+RESOLUTION_SAMPLES = 200  # before it is judged: the finest of so many steps of noise is far below that
 SAME = 1e-6  # rad/s: rounding of a conversion, no step
 REORDER_S = 0.05  # a stamp that leaps ahead by more must be followed by others (our choice, as rows wait for samples)
 
@@ -53,6 +56,17 @@ GREATEST = {
     Signal.RATE_SETPOINT: 1e3,
     Signal.VIBRATION: 4000.0,
     Signal.HEIGHT: 1e5,
+}
+# A leap up to this does no harm at any rate: a tenth of what a monitor calls a fault (our choice).
+HARMLESS = {
+    Signal.ATTITUDE: 0.1,
+    Signal.ATTITUDE_SETPOINT: 0.1,
+    Signal.RATE_SETPOINT: 0.5,
+    Signal.TORQUE_COMMAND: 0.2,
+    Signal.THRUST_SETPOINT: 0.2,
+    Signal.ACTUATOR: 0.2,
+    Signal.VIBRATION: 1.0,
+    Signal.HEIGHT: 0.5,
 }
 GREATEST_SHARE = 10.0  # of commands and outputs, which end at 1
 ANGLES = (Signal.ATTITUDE, Signal.ATTITUDE_SETPOINT)
@@ -95,6 +109,27 @@ class Habit(BaseModel):
     quiet: tuple[float, ...]
     still: tuple[int, ...]
     lowest: float
+
+    @property
+    def most_leap(self) -> FloatArray:
+        """Of each column the longest step that is believed at once; a column that never moved may do so."""
+        leap = np.array(self.leap)
+        if self.signal in SENSORS:
+            return np.where(leap > 0, FAR_SENSOR * leap, np.inf)
+        return np.maximum(FAR * leap, HARMLESS[self.signal])
+
+    @property
+    def patience(self) -> int:
+        """How many samples that leap may be lost."""
+        return min(max(round(GLITCH_S / self.period_s), 1), MOST_LOST)
+
+    @property
+    def most_still(self) -> FloatArray:
+        """For how many samples all columns together, and each of a sensor, may repeat."""
+        longest = np.array(self.still, dtype=np.float64)
+        most = STILL_FACTOR * longest + STILL_MORE
+        most[0] = max(min(most[0], STILL_S / self.period_s), STILL_LEAST * longest[0] + STILL_MORE)
+        return np.floor(most)
 
 
 class LinkQuality(BaseModel):
@@ -154,9 +189,7 @@ class Looked:
     resolution: FloatArray
 
 
-def believed(
-    quality: LinkQuality, memories: Memories, telemetry: Telemetry
-) -> tuple[dict[Signal, Memory], Telemetry]:
+def believed(quality: LinkQuality, memories: Memories, telemetry: Telemetry) -> tuple[dict[Signal, Memory], Telemetry]:
     """The telemetry without its lost samples, nan where it is dead; the gyro with a fourth column, `Doubt` as a number.
 
     The number is the place in `DOUBTS`.
@@ -185,8 +218,9 @@ def differences(quality: LinkQuality, jitter: FloatArray, resolution: FloatArray
         most = max(JITTER_FACTOR * quality.jitter, LEAST_JITTER)
         yield Doubt.STAMPS, np.asarray(jitter > most, dtype=np.bool_)
         noise = RESOLUTION_NOISE / QUIET_SHARE * min(gyro.quiet)
-        yield Doubt.RESOLUTION, np.asarray(
-            resolution > max(RESOLUTION_FACTOR * quality.resolution_rad_s, noise), dtype=np.bool_
+        yield (
+            Doubt.RESOLUTION,
+            np.asarray(resolution > max(RESOLUTION_FACTOR * quality.resolution_rad_s, noise), dtype=np.bool_),
         )
 
 
@@ -209,7 +243,8 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
 def _begin(series: Series) -> Memory:
     columns, first_ns = series.values.shape[1], int(series.t_ns[0])
     never, runs = np.full(columns, np.nan), np.zeros(1 + columns, dtype=np.int64)
-    return Memory(0, never, first_ns, never, first_ns, False, (), runs, start_ema(np.zeros(1)), np.full(columns, np.inf))
+    finest = np.full(columns, np.inf)
+    return Memory(0, never, first_ns, never, first_ns, False, (), runs, start_ema(np.zeros(1)), finest)
 
 
 def _with(series: Series, values: FloatArray) -> Series:
@@ -227,7 +262,7 @@ def _in_range(series: Series) -> Series:
     if len(series) == 0 or np.maximum.reduce(size, axis=None) <= greatest:
         return series
     lost = ~(size <= greatest) if series.signal in FINITE else size > greatest
-    return _cut(series, ~lost.any(axis=1))
+    return _cut(series, np.asarray(~lost.any(axis=1), dtype=np.bool_))
 
 
 def _alive(series: Series) -> Series:
@@ -243,7 +278,7 @@ def _alive(series: Series) -> Series:
 def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
     """The samples as rows may use them."""
     series, values = looked.series, looked.series.values
-    most = np.floor(STILL_FACTOR * np.array(habit.still)) + STILL_MORE
+    most = habit.most_still
     dead = looked.runs[:, : len(most)] > most
     if habit.signal is Signal.THRUST_SETPOINT:  # below it the vehicle stands, and nothing moves
         dead &= values[:, :1] >= habit.lowest
@@ -261,14 +296,12 @@ def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
     return _with(series, np.where(spoilt, np.nan, values))
 
 
-def _near(
-    habit: Habit, memory: Memory, series: Series
-) -> tuple[BoolArray, FloatArray, int, tuple[int, ...], bool]:
+def _near(habit: Habit, memory: Memory, series: Series) -> tuple[BoolArray, FloatArray, int, tuple[int, ...], bool]:
     """(n,) which samples are believed; the last of them, its time, the numbers of the latest that leapt; and whether
     the very last one was ahead of its time."""
     t, x, n = series.t_ns, series.values, len(series)
     keep, last, last_ns, far, alone = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far, False
-    most = np.array([FAR * one if one > 0 else np.inf for one in habit.leap])
+    most, patience = habit.most_leap, habit.patience
     ahead_ns, period_ns = _most_ns(habit), habit.period_s * NS_PER_S
     spans_ns = np.diff(t, prepend=last_ns)
     step = x - np.concatenate((last[None], x[:-1]))
@@ -291,8 +324,8 @@ def _near(
         if not lost and _leaps(habit, last, x[at], most, max(abs(now_ns - last_ns) / period_ns, 1.0)):
             number = memory.count + at
             far = tuple(one for one in far if one > number - AMONG)
-            lost = len(far) < MOST_LOST
-            far = (*far, number)[-MOST_LOST:]
+            lost = len(far) < patience
+            far = (*far, number)[-patience:]
         keep[at] = not lost
         at += 1
         if not lost:  # until the next step that may be a leap all are believed
@@ -306,7 +339,7 @@ def _near(
 
 def _most_ns(habit: Habit) -> int:
     """A stamp that is further ahead is an outlier until another follows it [ns]."""
-    return round(max(REORDER_S, 3 * habit.period_s, FAR * habit.pause_s) * NS_PER_S)
+    return round(max(REORDER_S, 3 * habit.period_s, FAR_SENSOR * habit.pause_s) * NS_PER_S)
 
 
 def _leaps(habit: Habit, before: FloatArray, now: FloatArray, most: FloatArray, periods: float) -> bool:
@@ -352,8 +385,8 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
     for telemetry, spans_ns in flights:
         for series in telemetry.series:
             if series.signal in LEARNT:
-                found = [_between(_in_range(series), *span) for span in spans_ns]
-                pieces.setdefault(series.signal, []).extend(one for one in found if len(one) > 1)
+                inside = [_between(_in_range(series), *span) for span in spans_ns]
+                pieces.setdefault(series.signal, []).extend(one for one in inside if len(one) > 1)
     habits, jitter, resolution = [], 0.0, 0.0
     for signal, parts in pieces.items():
         columns = {one.values.shape[1] for one in parts}
@@ -372,8 +405,7 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
 
 def _between(series: Series, first_ns: int, last_ns: int) -> Series:
     """Its samples within a span of flight, in order of time, each time once."""
-    _, order = np.unique(series.t_ns, return_index=True)
-    t_ns = series.t_ns[order]
+    t_ns, order = np.unique(series.t_ns, return_index=True)
     order = order[(t_ns >= first_ns) & (t_ns <= last_ns)]
     return Series(series.signal, series.t_ns[order], series.host_ns[order], series.values[order])
 
