@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.telemetry import BoolArray, FloatArray, Three
+from mavdiag.telemetry import FloatArray, Three
 
 __all__ = [
     "MEMORY_S",
@@ -14,19 +14,19 @@ __all__ = [
     "cut_to_share",
     "joined_moments",
     "moments",
+    "parted",
     "smoothed",
     "three",
     "variance_law",
     "variance_law_of",
-    "without_glitches",
+    "whole",
 ]
 
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
-# Healthy rms; a normalised residual is cut here, so that no glitch that is left makes an alarm: a Gaussian one reaches
-# it in years (our choice). Where more rows of the last `AMONG` reach it than a glitch spoils, they count in full up to
-# `MOST`: it is how the vehicle flies now.
-LIMIT, MOST, AMONG = 6.0, 1e6, 100
+# Healthy rms; what is larger counts only where more rows have it than a glitch spoils. A Gaussian residual reaches it
+# in years (our choice).
+LIMIT, MOST = 6.0, 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,23 +77,21 @@ def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> Fl
     return np.asarray(out, dtype=np.float64)
 
 
-def without_glitches(z: FloatArray, before: BoolArray, rows: int) -> tuple[FloatArray, BoolArray]:
-    """Normalised residuals, (n, k), cut at `LIMIT` where no more than `rows` of the last rows reach it.
+def parted(z: FloatArray) -> FloatArray:
+    """Of normalised residuals, (n, k): sum of squares up to `LIMIT`, that beyond it, and whether one is, (n, 3).
 
-    before: (AMONG - 1,) whether the rows before reached it, and in return those of the next call.
-
-    >>> z = np.array([[9.0], [0.0], [9.0], [9.0], [9.0]])
-    >>> cut, _ = without_glitches(z, np.zeros(AMONG - 1, dtype=bool), 2)
-    >>> cut[:, 0].tolist()
-    [6.0, 0.0, 6.0, 9.0, 9.0]
+    >>> parted(np.array([[1.0, 2.0], [8.0, 0.0]])).tolist()
+    [[5.0, 0.0, 0.0], [36.0, 28.0, 1.0]]
     """
-    large = (np.abs(z) > LIMIT).any(axis=1)
-    flags = np.concatenate((before, large))
-    if np.count_nonzero(large):
-        reached = np.add.accumulate(np.concatenate(([0], flags)))
-        most = np.where(reached[AMONG:] - reached[: len(z)] > rows, MOST, LIMIT)[:, None]
-        z = np.minimum(np.maximum(z, -most), most)
-    return z, flags[len(z) :]
+    squares = np.square(np.minimum(np.abs(z), MOST))
+    below = np.minimum(squares, LIMIT**2)
+    usual, most = np.einsum("nk->n", below), np.einsum("nk->n", squares)
+    return np.stack((usual, most - usual, most > usual), axis=1)
+
+
+def whole(mean: FloatArray, rows: int, glitch: int) -> FloatArray:
+    """Mean square, (n,), of means of `parted`, (n, 3), over so many rows: all where more than `glitch` are large."""
+    return np.asarray(mean[:, 0] + np.where(mean[:, 2] * rows > glitch + 0.5, mean[:, 1], 0.0), dtype=np.float64)
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:

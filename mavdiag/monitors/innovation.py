@@ -16,7 +16,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.healthy import AMONG, MEMORY_S, Three, cut_to_share, three, variance_law, without_glitches
+from mavdiag.monitors.healthy import MEMORY_S, Three, cut_to_share, parted, three, variance_law, whole
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -88,7 +88,6 @@ class InnovationState:
     past, past_valid: (4, 6) commanded and measured rates of the last rows, and (4,) whether they may be used.
     busy: (3,) exponential mean of the squared command.
     mean: of the squared normalised innovation of the three axes together.
-    large: (99,) whether it was large in the last rows.
     """
 
     waiting_ns: IntArray
@@ -97,7 +96,6 @@ class InnovationState:
     past_valid: BoolArray
     busy: EmaState
     mean: MeanState
-    large: BoolArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +120,9 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
     least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
-    healthy flights had does not count. |z| is cut at 6 where at most 7 of 100 rows reach it, what a glitch of three
-    samples spoils, and a row whose gyro is that of the three before is left out. About 1 in healthy flight. `level` equals the statistic, `signal` is the
+    healthy flights had does not count. What z^2 is beyond 36 counts where more than 7 rows of the second have it, as a
+    glitch of three samples has not; and a row whose gyro is that of the three before is left out. About 1 in healthy
+    flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
@@ -214,29 +213,25 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         spec, rates = self.spec, rows.rates
         state, pairs = _pair(state, rows, spec.memory_s)
         e = _errors(pairs.u, pairs.y - self._mean, self._a, self._b)
-        z, large = without_glitches(e / np.sqrt(self._k0 + self._k1 * pairs.busy), state.large, GLITCH_ROWS)
+        z = e / np.sqrt(self._k0 + self._k1 * pairs.busy)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        squares = np.einsum("nk,nk->n", z, z)
+        squares, window = parted(z), window_rows(spec.window_s, rates.dt_s)
         kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
-        mean_state, mean, full = sliding_mean(
-            state.mean, kept[:, None], all_of_them, window_rows(spec.window_s, rates.dt_s)
-        )
-        level = np.sqrt(np.maximum(mean[:, 0] / 3, 0.0))
+        mean_state, mean, full = sliding_mean(state.mean, kept, all_of_them, window)
+        level = np.sqrt(np.maximum(whole(mean, window, GLITCH_ROWS) / 3, 0.0))
         if count < len(z):
-            some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
-            level[used], full[used] = some, whole
+            some, known, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+            level[used], full[used] = some, known
         worst = row_max(np.abs(z))
-        waiting = (state.waiting_ns, state.waiting, state.past, state.past_valid)
-        state = InnovationState(*waiting, state.busy, mean_state, large)
+        state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
 
 
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    past, small = np.zeros((LAG, 6)), np.zeros(AMONG - 1, dtype=np.bool_)
-    return InnovationState(nothing, np.empty((0, 3)), past, never, start_ema(np.zeros(3)), start_mean(1), small)
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(3))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
@@ -260,11 +255,10 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
     both = np.concatenate((state.past, fresh))
     valid = np.concatenate((state.past_valid, good & ~_still(both[:, 3:])))
-    whole = window_all(valid, LAG + 1)
+    unbroken = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
-    past = (waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:])
-    state = InnovationState(*past, busy, state.mean, state.large)
-    return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
+    state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
+    return state, _Pairs(both[:, :3], both[:, 3:], unbroken, trace)
 
 
 def _still(y: FloatArray) -> BoolArray:

@@ -113,8 +113,8 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
     Warm-up: 4 s without a gap, 8 s for V. Latency: where the estimator's time constant is 8 s, a gyro bias of
     0.05 rad/s takes 6 s and a drift of 0.002 rad/s^2 15 s; a vertical bias of 0.5 m/s^2 takes 6 s.
     False alarms: see `thresholds`; the threshold is never less than 2.5, which is 0.18 rad in 15 s or 0.2 m/s^2. A
-    mount that slips or cameras that jump raise it too. Blind spots: a gyro's scale, unless the vehicle turns; a horizontal
-    accelerometer bias below 1 m/s^2 (to a filter it is tilt, and a flight against wind looks the same);
+    mount that slips or cameras that jump raise it too. Blind spots: a gyro's scale, unless the vehicle turns; a
+    horizontal accelerometer bias below 1 m/s^2 (to a filter it is tilt, and a flight against wind looks the same);
     an accelerometer's horizontal scale; what was there when the flight began; attitudes beyond 40 degrees.
 
     >>> from mavdiag.testing import example_context, example_rows

@@ -6,9 +6,10 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
 
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
 the healthy leap of gyro and accelerometer, whose noise sums up, and four times that of the others, or what does no
-harm. If 3 of the 20 samples before leapt too (2 at 50 Hz, 1 below 20 Hz), it is no glitch but how the signal moves now,
-and it is believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle does after
-them. A stamp that is far ahead is lost, too, until the next one follows it.
+harm. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below 20 Hz) the signal leaps back,
+they were a glitch. If it is not, or as many of the 20 samples before leapt too, it is how the signal moves now, and all are
+believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses nothing. What
+holds its last value does not wait, and is lost. A stamp that is far ahead is lost until the next one follows it.
 
 A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
 quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; likewise
@@ -21,7 +22,7 @@ Samples are looked at in the order in which they came, so that a log and a live 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -72,6 +73,8 @@ GREATEST_SHARE = 10.0  # of commands and outputs, which end at 1
 ANGLES = (Signal.ATTITUDE, Signal.ATTITUDE_SETPOINT)
 SENSORS = (Signal.BODY_RATE, Signal.SPECIFIC_FORCE)  # never silent, and each axis is a sensor of its own
 NEVER_ZERO = (Signal.SPECIFIC_FORCE, Signal.ACTUATOR)  # of a vehicle that flies
+# Their last value holds, so that rows do not wait for the next one: what leaps is lost at once.
+HELD = (Signal.THRUST_SETPOINT, Signal.HEIGHT, Signal.VIBRATION, Signal.ACTUATOR)
 MAY_REST = (Signal.HEIGHT,)  # may stay as it is for as long as it likes
 FINITE = (Signal.BODY_RATE, *ANGLES)  # rows read them without nan: a sample that is no number is lost
 LEARNT = (*GREATEST, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT, Signal.ACTUATOR)
@@ -124,6 +127,11 @@ class Habit(BaseModel):
         return min(max(round(GLITCH_S / self.period_s), 1), MOST_LOST)
 
     @property
+    def ahead_ns(self) -> int:
+        """A stamp that is further ahead is an outlier until another follows it [ns]."""
+        return round(max(REORDER_S, 3 * self.period_s, FAR_SENSOR * self.pause_s) * NS_PER_S)
+
+    @property
     def most_still(self) -> FloatArray:
         """For how many samples all columns together, and each of a sensor, may repeat."""
         longest = np.array(self.still, dtype=np.float64)
@@ -171,6 +179,7 @@ class Memory:
     runs: IntArray
     jitter: EmaState
     finest: FloatArray
+    waiting: Series | None = None
 
 
 Memories = Mapping[Signal, Memory]
@@ -187,6 +196,17 @@ class Looked:
     runs: IntArray
     jitter: FloatArray
     resolution: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """keep: (n,) which samples are believed, as far as that is decided; the others as in `Memory`."""
+
+    keep: BoolArray
+    last: FloatArray
+    last_ns: int
+    far: tuple[int, ...]
+    alone: bool
 
 
 def believed(quality: LinkQuality, memories: Memories, telemetry: Telemetry) -> tuple[dict[Signal, Memory], Telemetry]:
@@ -227,17 +247,30 @@ def differences(quality: LinkQuality, jitter: FloatArray, resolution: FloatArray
 def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, Looked]:
     """Leave out what is lost of the next samples of a signal, and measure the others. Its columns are the habit's."""
     memory = memory or _begin(series)
-    keep, last, last_ns, far, alone = _near(habit, memory, series)
+    if memory.waiting is not None:
+        series = _joined(memory.waiting, series)
+    near = _near(habit, memory, series)
+    count = len(near.keep)
+    waiting = _cut(series, slice(count, None)) if count < len(series) else None
+    series, nothing = _cut(series, slice(0, count)), np.zeros(count)
+    if count == 0:
+        runs = np.empty((0, len(memory.runs)), dtype=np.int64)
+        return replace(memory, waiting=waiting), Looked(series, runs, nothing, nothing)
     runs = _repeated(habit, memory, series.values)
     gyro = habit.signal is Signal.BODY_RATE
-    nothing = np.zeros(len(series))
     state, jitter = _jitter(habit, memory, series.t_ns) if gyro else (memory.jitter, nothing)
     finest, resolution = _finest(memory, series.values) if gyro else (memory.finest, nothing)
-    count, before, before_ns = memory.count + len(series), series.values[-1], int(series.t_ns[-1])
-    after = Memory(count, last, last_ns, before, before_ns, alone, far, runs[-1], state, finest)
-    if np.count_nonzero(keep) == len(keep):
+    before, before_ns = series.values[-1], int(series.t_ns[-1])
+    believed_last = (memory.count + count, near.last, near.last_ns, before, before_ns, near.alone, near.far)
+    after = Memory(*believed_last, runs[-1], state, finest, waiting)
+    if np.count_nonzero(near.keep) == count:
         return after, Looked(series, runs, jitter, resolution)
-    return after, Looked(_cut(series, keep), runs[keep], jitter[keep], resolution[keep])
+    return after, Looked(_cut(series, near.keep), runs[near.keep], jitter[near.keep], resolution[near.keep])
+
+
+def _joined(one: Series, other: Series) -> Series:
+    arrays = [np.concatenate([getattr(part, name) for part in (one, other)]) for name in ("t_ns", "host_ns", "values")]
+    return Series(one.signal, *arrays)
 
 
 def _begin(series: Series) -> Memory:
@@ -296,57 +329,67 @@ def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
     return _with(series, np.where(spoilt, np.nan, values))
 
 
-def _near(habit: Habit, memory: Memory, series: Series) -> tuple[BoolArray, FloatArray, int, tuple[int, ...], bool]:
-    """(n,) which samples are believed; the last of them, its time, the numbers of the latest that leapt; and whether
-    the very last one was ahead of its time."""
-    t, x, n = series.t_ns, series.values, len(series)
-    keep, last, last_ns, far, alone = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far, False
-    most, patience = habit.most_leap, habit.patience
-    ahead_ns, period_ns = _most_ns(habit), habit.period_s * NS_PER_S
-    spans_ns = np.diff(t, prepend=last_ns)
-    step = x - np.concatenate((last[None], x[:-1]))
-    if habit.signal in ANGLES:
-        step -= TURN * np.round(step / TURN)
-    periods = np.maximum(np.abs(spans_ns) / period_ns, 1.0)
-    leapt = (np.abs(step) > most * periods[:, None]).any(axis=1) | (spans_ns > ahead_ns)
-    leapt[0] |= memory.alone
-    candidates, at = np.flatnonzero(leapt), 0
-    at = int(candidates[0]) if len(candidates) else n
-    came_ns, alone = memory.before_ns, memory.alone
+def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
+    """Which of the next samples are believed."""
+    t, n, decided = series.t_ns, len(series), len(series)
+    keep, last, last_ns, far = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far
+    ahead_ns, patience = habit.ahead_ns, habit.patience
+    candidates = np.flatnonzero(_leaps(habit, last, last_ns, series) | (np.diff(t, prepend=last_ns) > ahead_ns))
+    at, came_ns, alone = n, memory.before_ns, memory.alone
+    if alone or len(candidates):
+        at = 0 if alone else int(candidates[0])
     while at < n:
         if at:
             came_ns = int(t[at - 1])
             if keep[at - 1]:
-                last, last_ns, alone = x[at - 1], came_ns, False
-        now_ns = int(t[at])
-        lost = now_ns - last_ns > ahead_ns and not (alone and abs(now_ns - came_ns) <= ahead_ns)
+                last, last_ns, alone = series.values[at - 1], came_ns, False
+        lost, stop = int(t[at]) - last_ns > ahead_ns and not (alone and abs(int(t[at]) - came_ns) <= ahead_ns), at + 1
         alone = lost
-        if not lost and _leaps(habit, last, x[at], most, max(abs(now_ns - last_ns) / period_ns, 1.0)):
-            number = memory.count + at
-            far = tuple(one for one in far if one > number - AMONG)
-            lost = len(far) < patience
-            far = (*far, number)[-patience:]
-        keep[at] = not lost
-        at += 1
+        if not lost:
+            far = tuple(one for one in far if one > memory.count + at - AMONG)
+            leaps = _apart(habit, last, last_ns, _cut(series, slice(at, at + patience + 1)))
+            run = len(leaps) if leaps.all() else int(leaps.argmin())
+            if run and len(far) < patience and habit.signal not in HELD:
+                if run == len(leaps) <= patience:  # the next sample decides
+                    decided = at
+                    break
+                lost, stop = run <= patience and _returns(habit, series, at + run), at + run
+            elif run:
+                lost = len(far) < patience
+            if run:
+                far = (*far, *range(memory.count + at, memory.count + stop))[-patience:]
+        keep[at:stop] = not lost
+        at = stop
         if not lost:  # until the next step that may be a leap all are believed
             place = int(candidates.searchsorted(at))
             at = int(candidates[place]) if place < len(candidates) else n
-    good = np.flatnonzero(keep)
+    good = np.flatnonzero(keep[:decided])
     if len(good):
-        last, last_ns = x[good[-1]], int(t[good[-1]])
-    return keep, last, last_ns, far, alone and not keep[-1]
+        last, last_ns = series.values[good[-1]], int(t[good[-1]])
+    return _Near(keep[:decided], last, last_ns, far, alone and not keep[decided - 1] if decided else memory.alone)
 
 
-def _most_ns(habit: Habit) -> int:
-    """A stamp that is further ahead is an outlier until another follows it [ns]."""
-    return round(max(REORDER_S, 3 * habit.period_s, FAR_SENSOR * habit.pause_s) * NS_PER_S)
+def _leaps(habit: Habit, last: FloatArray, last_ns: int, series: Series) -> BoolArray:
+    """(n,) whether each sample is far from the one before it."""
+    before = np.concatenate((last[None], series.values[:-1]))
+    return _far(habit, series.values - before, np.diff(series.t_ns, prepend=last_ns))
 
 
-def _leaps(habit: Habit, before: FloatArray, now: FloatArray, most: FloatArray, periods: float) -> bool:
-    step = now - before
+def _returns(habit: Habit, series: Series, at: int) -> bool:
+    """Whether a sample leaps away from the one before it."""
+    return bool(_apart(habit, series.values[at - 1], int(series.t_ns[at - 1]), _cut(series, slice(at, at + 1)))[0])
+
+
+def _apart(habit: Habit, last: FloatArray, last_ns: int, series: Series) -> BoolArray:
+    """(n,) whether each sample is far from the last one that was believed."""
+    return _far(habit, series.values - last, series.t_ns - last_ns)
+
+
+def _far(habit: Habit, step: FloatArray, span_ns: IntArray) -> BoolArray:
     if habit.signal in ANGLES:
         step = step - TURN * np.round(step / TURN)
-    return bool((np.abs(step) > most * periods).any())
+    periods = np.maximum(np.abs(span_ns) / (habit.period_s * NS_PER_S), 1.0)
+    return np.asarray((np.abs(step) > habit.most_leap * periods[:, None]).any(axis=1), dtype=np.bool_)
 
 
 def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
