@@ -32,6 +32,7 @@ from mavdiag.baseline_parts import (
 from mavdiag.errors import BaselineError, InputError, MavdiagError
 from mavdiag.monitors import NEED_LAYOUT, by_name, monitor_of
 from mavdiag.printable import printable
+from mavdiag.rows.quality import LinkQuality
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
@@ -64,6 +65,7 @@ class Baseline(Part):
 
     airframe: whose it is.
     link, window: how rows are made.
+    link_quality: which samples of the link are believed.
     monitors: what judges by it.
     not_judgeable: monitors that cannot work on such flights, and why.
     envelope: the conditions that the healthy flights covered.
@@ -81,6 +83,7 @@ class Baseline(Part):
     airframe: Airframe
     link: Link
     window: Window
+    link_quality: LinkQuality = LinkQuality()
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
     envelope: tuple[Covered, ...] = ()

@@ -349,7 +349,7 @@ class Chain:
         flight_s: float,
     ) -> tuple[Account, ...]:
         counts: dict[int, tuple[BoolArray, int]] = {}  # valid rows without a signal, of each array of flags
-        out, none = [], dict[Signal, float]()
+        out, none = [], block.doubted_s()
         for slot, account, one, denied in zip(self.slots, accounts, found, outside, strict=True):
             missing = none
             for signal in slot.monitor.signals:
@@ -381,7 +381,8 @@ def front_of(baseline: Baseline) -> Front:
     """The front that a baseline was made with."""
     link = baseline.link
     rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
-    return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates, baseline.airframe.outputs)
+    align = AlignSpec(link.dt_s, link.grid, link.max_gap_s, quality=baseline.link_quality)
+    return Front(align, link.gate, rates, baseline.airframe.outputs)
 
 
 def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:

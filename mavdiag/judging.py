@@ -12,7 +12,7 @@ from mavdiag.airframe.fingerprint import FIRST_S, Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.baseline import Baseline
 from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
-from mavdiag.decision.account import Coverage, Stretch
+from mavdiag.decision.account import Coverage, Stretch, reason_of
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError
 from mavdiag.monitors import by_name
@@ -468,7 +468,7 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
 def why_not(chain: Chain, account: Account) -> str | None:
     """Why a slot did not judge: the reason that cost most time. One that judged and only warmed up has none."""
     waiting = account.not_judged if account.judged_s == 0 else {}
-    reasons = {**waiting, **{f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}}
+    reasons = {**waiting, **{reason_of(s): t for s, t in account.missing.items()}}
     outside = {chain.envelope.sentence(c, one.value): one.span_s for c, one in account.outside.items()}
     reasons = {**reasons, **outside}
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:

@@ -13,10 +13,15 @@ from mavdiag.telemetry import BoolArray, IntArray, Signal
 from mavdiag.thresholds.envelope import Outside
 from mavdiag.units import NS_PER_S
 
-__all__ = ["WAITING", "Account", "Coverage", "Stretch"]
+__all__ = ["WAITING", "Account", "Coverage", "Stretch", "reason_of"]
 
 LATE_S = 1.0  # by so much a value may come after the rows of its time: half a filter's window at most (our choice)
 WAITING = "waiting for enough unbroken flight"  # why a monitor does not judge although its signals are known
+
+
+def reason_of(missing: str) -> str:
+    """What is said of a signal that is unknown; a doubt of the gyro is said as it is."""
+    return f"no {missing.replace('_', ' ')}" if missing in tuple(Signal) else missing
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +31,15 @@ class Account:
     flight_s: flight time so far.
     judged_s: time that its valid values stand for.
     peak: highest valid statistic; None if there was none.
-    missing: flight time with a valid gyro in which what it takes of a signal was unknown, by signal [s].
+    missing: flight time with a valid gyro in which what it takes of a signal was unknown, by signal; and flight time
+        in which the gyro is there but must not be judged, by the reason (`rows.quality.Doubt`) [s].
     outside: time that it did not judge because a condition was outside of the envelope, and how far that was.
     """
 
     flight_s: float = 0.0
     judged_s: float = 0.0
     peak: float | None = None
-    missing: Mapping[Signal, float] = field(default_factory=dict)
+    missing: Mapping[str, float] = field(default_factory=dict)
     outside: Mapping[Condition, Outside] = field(default_factory=dict)
 
     @property
@@ -47,12 +53,12 @@ class Account:
         found: dict[str, float] = {}
         idle_s = max(0.0, self.flight_s - self.judged_s - self.outside_s)
         for signal, span_s in self.missing.items():
-            found[f"no {signal.replace('_', ' ')}"] = min(span_s, max(0.0, idle_s))
+            found[reason_of(signal)] = min(span_s, max(0.0, idle_s))
             idle_s -= span_s
         return {**found, WAITING: idle_s} if idle_s > 0 else found
 
     def add(
-        self, found: Statistic, flight_s: float, missing: Mapping[Signal, float], outside: Mapping[Condition, Outside]
+        self, found: Statistic, flight_s: float, missing: Mapping[str, float], outside: Mapping[Condition, Outside]
     ) -> "Account":
         """The account after the next rows."""
         beside, lacking = self.outside, self.missing

@@ -53,6 +53,17 @@ class LearntFlight:
         """The log with its signals."""
         return self.held.open()
 
+    @property
+    def spans_ns(self) -> list[tuple[int, int]]:
+        """First and last time of each span of flight that may be judged [ns]."""
+        spans: dict[int, tuple[int, int]] = {}
+        for block in (one.block for one in self.rows):
+            t_ns = block.t_ns[block.valid]
+            if len(t_ns):
+                first_ns, _ = spans.get(block.segment, (int(t_ns[0]), 0))
+                spans[block.segment] = first_ns, int(t_ns[-1])
+        return list(spans.values())
+
 
 def front_for(flights: Iterable[Log], window_s: float, gate: GateSpec | None = None) -> Front:
     """The front that suits all the flights. gate: what counts as flying, None for what their profile has.

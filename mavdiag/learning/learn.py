@@ -18,7 +18,7 @@ from mavdiag.learning.flights import LearntFlight, sessions_of
 from mavdiag.learning.guards import courses, suspicions
 from mavdiag.learning.held import HeldLog, held
 from mavdiag.learning.rotors import of_log_kind, with_rotors
-from mavdiag.learning.teaching import Taught, one_vehicle, taught_of
+from mavdiag.learning.teaching import Taught, believing, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext
@@ -112,7 +112,7 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
         raise InputError("no healthy flight to learn from")
     first = logs[0].label
     airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
-    found = taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust)
+    found = believing(taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
@@ -136,6 +136,7 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
             gate=front.gate,
         ),
         window=Window(samples=front.rates.window, order=2),
+        link_quality=front.align.quality,
         monitors=tuple(entries),
         not_judgeable=tuple(refusals),
         envelope=covered_by(rows),

@@ -16,7 +16,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
+from mavdiag.monitors.healthy import MEMORY_S, MOST, Three, cut_to_share, parted, three, variance_law, whole
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -41,6 +41,8 @@ WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 RANK_TOLERANCE = 1e-10
+GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
+STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
 
 
@@ -118,7 +120,9 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
     least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
-    healthy flights had does not count. About 1 in healthy flight. `level` equals the statistic, `signal` is the
+    healthy flights had does not count. What z^2 is beyond 36 counts where more than 7 rows of the second have it, as a
+    glitch of three samples has not; and a row whose gyro is that of the three before is left out. About 1 in healthy
+    flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
@@ -204,7 +208,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     @property
     def reach(self) -> float:
         """Where a normalised error is cut."""
-        return LIMIT
+        return MOST
 
     def start(self) -> InnovationState:
         """No row yet."""
@@ -215,18 +219,16 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         spec, rates = self.spec, rows.rates
         state, pairs = _pair(state, rows, spec.memory_s)
         e = _errors(pairs.u, pairs.y - self._mean, self._a, self._b)
-        z = np.minimum(np.maximum(e / np.sqrt(self._k0 + self._k1 * pairs.busy), -LIMIT), LIMIT)
+        z = e / np.sqrt(self._k0 + self._k1 * pairs.busy)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        squares = np.einsum("nk,nk->n", z, z)
+        squares, window = parted(z), window_rows(spec.window_s, rates.dt_s)
         kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
-        mean_state, mean, full = sliding_mean(
-            state.mean, kept[:, None], all_of_them, window_rows(spec.window_s, rates.dt_s)
-        )
-        level = np.sqrt(np.maximum(mean[:, 0] / 3, 0.0))
+        mean_state, mean, full = sliding_mean(state.mean, kept, all_of_them, window)
+        level = np.sqrt(np.maximum(whole(mean, window, GLITCH_ROWS) / 3, 0.0))
         if count < len(z):
-            some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
-            level[used], full[used] = some, whole
+            some, known, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+            level[used], full[used] = some, known
         worst = row_max(np.abs(z))
         state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
@@ -235,7 +237,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(1))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(3))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
@@ -258,11 +260,20 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         finite = np.isfinite(fresh)
         good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
     both = np.concatenate((state.past, fresh))
-    valid = np.concatenate((state.past_valid, good))
-    whole = window_all(valid, LAG + 1)
+    valid = np.concatenate((state.past_valid, good & ~_still(both[:, 3:])))
+    unbroken = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
-    return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
+    return state, _Pairs(both[:, :3], both[:, 3:], unbroken, trace)
+
+
+def _still(y: FloatArray) -> BoolArray:
+    """(n,) whether a row is the same as the three before it, (LAG + n, 3)."""
+    changed = (y[1:] != y[:-1]).any(axis=1)[LAG - STILL_ROWS :]
+    stirred: BoolArray = np.logical_or.reduce(
+        [changed[i : len(changed) - STILL_ROWS + 1 + i] for i in range(STILL_ROWS)]
+    )
+    return ~stirred
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

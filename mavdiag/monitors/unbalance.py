@@ -240,8 +240,8 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     @property
     def memory_s(self) -> float:
-        """Its window and its filter [s]."""
-        return self.spec.window_s + 2 * FILTER_S
+        """Its window, its filter, and the rows that wait for a value [s]."""
+        return self.spec.window_s + (len(self.spec.taps) + self.spec.tick) * self.spec.dt_s
 
     def start(self) -> UnbalanceState:
         """No row yet."""

@@ -42,6 +42,7 @@ def block(
         actuator=np.empty((n, 0)),
         valid=np.ones(n, dtype=np.bool_),
         setpoint_valid=np.ones(n, dtype=np.bool_),
+        doubt=np.zeros(n),
     )
 
 
