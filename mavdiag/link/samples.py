@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.link.batch import Batch, Column, FrameBatch, Record
-from mavdiag.link.clock import ClockReading, Counter, Run, changed_clock, unwrap
+from mavdiag.link.clock import EPOCH_NS, ClockReading, Counter, Run, changed_clock, unwrap
 from mavdiag.link.codec import Frame
 from mavdiag.link.conversion import SOURCES, Part, Source, sources
+from mavdiag.link.offsets import lead_ns as lead_of
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
@@ -35,12 +36,14 @@ class SampleState:
     readings: where each message's counter stands.
     held: last known row of the signals whose messages carry only some of the columns.
     dropped: rows with NaN, infinity or a zero quaternion so far.
+    leaps: samples left out because their stamps leap, so far.
     """
 
     timeline: Timeline = field(default_factory=Timeline)
     readings: Mapping[int, ClockReading] = field(default_factory=dict)
     held: Mapping[Signal, FloatArray] = field(default_factory=dict, compare=False)
     dropped: int = 0
+    leaps: int = 0
 
 
 def by_vehicle(frames: Sequence[Frame]) -> dict[int, list[Frame]]:
@@ -198,7 +201,11 @@ class SampleDecoder:
         total, run = len(host_ns), None
         if source.counter:
             raw = record[source.time].astype(np.int64)
-            run = unwrap(source.counter, state.readings.get(msgid), raw, host_ns, since_boot_ns)
+            last, lead_ns = state.readings.get(msgid), None
+            if last is None:
+                on_epoch = int(raw[0]) * source.counter.tick_ns >= EPOCH_NS
+                lead_ns = lead_of(state.timeline.clocks, source.counter.clock(on_epoch))
+            run = unwrap(source.counter, last, raw, host_ns, since_boot_ns, lead_ns)
             if run.kept is not None:
                 record, host_ns = record[: run.used][run.kept], run.host_ns
         return _Group(source, record, host_ns, run, first, total)
@@ -212,7 +219,7 @@ class SampleDecoder:
             return replace(state, readings={m: reading for m, reading in state.readings.items() if m != msgid}), False
         timeline, what = out_of_line(state.timeline, counter, raw, host_ns)
         if what is OutOfLine.REBOOT:
-            return SampleState(timeline, dropped=state.dropped), False
+            return SampleState(timeline, dropped=state.dropped, leaps=state.leaps), False
         readings = dict(state.readings)
         if what is OutOfLine.STRAY:  # the next decision is due after another second
             readings[msgid] = last._replace(host_ns=host_ns)
@@ -250,7 +257,8 @@ class SampleDecoder:
             series.append(one)
         readings = dict(state.readings)
         readings.update((msgid, group.run.reading) for msgid, group in groups.items() if group.run is not None)
-        return SampleState(timeline, readings, held, dropped), Telemetry(tuple(series))
+        leaps = state.leaps + sum(group.run.leaps for group in groups.values() if group.run is not None)
+        return SampleState(timeline, readings, held, dropped, leaps), Telemetry(tuple(series))
 
 
 def _first_placed(
