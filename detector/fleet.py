@@ -14,6 +14,7 @@ from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Frame
+from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
@@ -172,7 +173,10 @@ class Fleet:
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
-        self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
+        ours = [sysid << 8 | Component.ONBOARD_COMPUTER for sysid in (range(1, 256) if only is None else (only,))]
+        self.link = LinkDecoder(
+            profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
+        )
         self._spec_of, self._adapt, self._measured, self._pacing = spec_of, adapt, measured, pacing
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
@@ -198,6 +202,7 @@ class Fleet:
             spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
             if spec is None:
                 self._left.add(sysid)
+                self.link.give_up(sysid)
             else:
                 awaiting = Awaiting() if self._measured else None
                 self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
