@@ -182,7 +182,7 @@ class Daemon:
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
-        self._carry_out(self.fleet.finish())
+        self._carry_out(self.fleet.finish(self._now()))
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
