@@ -48,18 +48,23 @@ class Guard:
         self._known: dict[int, _Known] = {}
         self._told_at: Instant | None = None
         self._told = 0
+        self._away_at: Instant | None = None
+        self._turned_away = 0
 
     def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
         """Where the vehicles are heard from that were heard lately."""
         heard = self._link.heard_since(now.ns - round(within_s * NS_PER_S))
         return [source for source in dict.fromkeys(map(self._link.source, heard)) if isinstance(source, tuple)]
 
-    def look(self, now: Instant) -> tuple[list[Turn], list[str]]:
-        """What is new: what to tell about vehicles, and about the link."""
+    def look(self, now: Instant, turned_away: int = 0) -> tuple[list[Turn], list[str]]:
+        """What is new: what to tell about vehicles, and about the link. turned_away: clients of its server so far."""
         turns, texts = list[Turn](), list[str]()
         for sysid in self._link.vehicles:
             effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
             turns += [Turn(sysid, effects)] if effects else []
+        if turned_away > self._turned_away and (self._away_at is None or now - self._away_at >= AGAIN_S):
+            self._turned_away, self._away_at = turned_away, now
+            texts.append(f"{turned_away} connections were turned away or ended: too many, idle, or nothing but garbage")
         refused = 0 if self._signing is None else sum(self._signing.refused.values())
         if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
             self._told, self._told_at = refused, now
