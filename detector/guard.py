@@ -12,7 +12,7 @@ from detector.values import Effect, Note, SendText
 from mavdiag.link.messages import Component, Severity
 from mavdiag.link.ports import SocketAddress
 from mavdiag.link.sequence import PINNED_S, LinkCount, Source
-from mavdiag.link.signing import Signing
+from mavdiag.link.signing import Refusal, Signing
 from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
@@ -23,6 +23,7 @@ AGAIN_S = 60.0  # how often refused signatures are told again while they go on (
 RESTARTS = 3  # new beginnings of the running numbers in a second, and
 SECONDS = 3  # seconds in a row, that two senders with one name show (our choice)
 OURS = int(Component.ONBOARD_COMPUTER)
+STALE_ADVICE = "stale: check both clocks; if this one was ahead before, start once with --reset-stamp"
 LEAPS = 3  # stamps that leap before they are told: one is a damaged frame (our choice)
 
 
@@ -67,8 +68,9 @@ class Guard:
             texts.append(f"{turned_away} connections were turned away or ended: too many, idle, or nothing but garbage")
         refused = 0 if self._signing is None else sum(self._signing.refused.values())
         if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
+            stale = self._signing is not None and self._signing.refused.get(Refusal.STALE)
             self._told, self._told_at = refused, now
-            texts.append(self.summary())
+            texts.append(self.summary() + (f"; {STALE_ADVICE}" if stale else ""))
         return turns, texts
 
     @property
