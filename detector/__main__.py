@@ -33,7 +33,7 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
-from mavdiag.link.keys import open_signing
+from mavdiag.link.keys import KeptSigning, open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
 from mavdiag.telemetry import Instant
@@ -109,6 +109,10 @@ def detect(
     signing_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
     ] = None,
+    reset_stamp: Annotated[
+        bool,
+        typer.Option("--reset-stamp", help="Forget the signing stamp that is kept: once, after the clock was ahead."),
+    ] = False,
     profile: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]"),
@@ -136,7 +140,7 @@ def detect(
 
     Exit code 0 when stopped, 1 if --working finds it does not work, 2 for a wrong option, baseline or address.
     """
-    own = ("config", "version", "check", "print_config", "working")
+    own = ("config", "version", "check", "print_config", "working", "reset_stamp")
     given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
     given = {name: value for name, value in given.items() if name not in own}
     if print_config:
@@ -146,7 +150,7 @@ def detect(
     elif check:
         _check(load_settings(config, given, os.environ))
     else:
-        _serve(load_settings(config, given, os.environ))
+        _serve(load_settings(config, given, os.environ), reset_stamp=reset_stamp)
 
 
 def _working(config: Path | None, given: dict[str, object]) -> None:
@@ -165,14 +169,13 @@ def _check(settings: Settings) -> None:
     commandline.say(plan(settings, *_baselines(settings), _airframe(settings)))
 
 
-def _serve(settings: Settings) -> None:
+def _serve(settings: Settings, *, reset_stamp: bool) -> None:
     with ExitStack() as stack:
         stop = stack.enter_context(commandline.stop_signals())
         notifier = stack.enter_context(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
-        key = settings.signing_key
-        signing = None if key is None else stack.enter_context(closing(open_signing(key, "detector", time.time_ns())))
+        signing = _signing(settings, stack, reset=reset_stamp)
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
         journal = (
@@ -200,6 +203,16 @@ def _serve(settings: Settings) -> None:
             signing=signing,
         )
         daemon.run(stop)
+
+
+def _signing(settings: Settings, stack: ExitStack, *, reset: bool) -> KeptSigning | None:
+    key = settings.signing_key
+    if key is None:
+        return None
+    signing = stack.enter_context(closing(open_signing(key, "detector", time.time_ns(), reset=reset)))
+    if signing.doubt:
+        _say(signing.doubt)
+    return signing
 
 
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:

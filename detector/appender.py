@@ -1,9 +1,12 @@
 """Files that grow while the daemon runs, up to a size (edge): appended to, rotated, written through to the disk.
 
 Nothing here stops the daemon: what cannot be written is counted and reported once, and the next entry is tried again.
+A pipe whose reader is slow loses entries; it is never waited for. A file has one writer: it is locked.
 """
 
 import contextlib
+import errno
+import fcntl
 import os
 import stat
 from collections.abc import Callable
@@ -16,6 +19,7 @@ from mavdiag.errors import UsageError
 __all__ = ["Appender", "Rotation", "check_appendable", "older"]
 
 MB = 1_000_000
+_REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +75,8 @@ class Appender:
         try:
             self._file = self._open()
         except OSError as error:
-            raise UsageError(_refused(path, option, error.strerror or str(error))) from error
+            reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
+            raise UsageError(_refused(path, option, reason)) from error
         self._torn = False  # the last entry was written only in part
         self._failing = 0  # entries in a row that could not be written
         self.lost = 0  # entries that could not be written, so far
@@ -83,7 +88,7 @@ class Appender:
         try:
             if limit is not None and self._regular and self._size > 0 and self._size + len(data) > limit:
                 self._rotate()
-            written = self._file.write(data)
+            written = self._file.write(data) or 0  # None from a pipe that is full
         except OSError as error:
             self._failed(error.strerror or str(error), entries)
             return
@@ -111,11 +116,18 @@ class Appender:
             self._file.close()
 
     def _open(self) -> BinaryIO:
-        file = self._path.open("ab", buffering=0)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
+        file = os.fdopen(os.open(self._path, flags, 0o666), "ab", buffering=0)
         status = os.fstat(file.fileno())
-        self._regular, self._size = stat.S_ISREG(status.st_mode), status.st_size
-        if self._regular:
+        regular = stat.S_ISREG(status.st_mode)
+        if regular:
+            try:
+                _lock(file)
+            except OSError:
+                file.close()
+                raise
             _sync_folder(self._path.parent)
+        self._regular, self._size = regular, status.st_size
         return file
 
     def _rotate(self) -> None:
@@ -137,6 +149,16 @@ class Appender:
             self._warn(f"{self._name}: cannot be written ({reason}); watching goes on without it")
         self._failing += entries
         self.lost += entries
+
+
+def _lock(file: BinaryIO) -> None:
+    """Keep other writers away, where the file system can do that. Raises BlockingIOError if there is one."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:  # the file system has no locks
+        return
 
 
 def _sync_folder(folder: Path) -> None:

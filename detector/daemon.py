@@ -182,7 +182,7 @@ class Daemon:
 
     def end(self) -> None:
         """Record the open events, write the last line and the summary."""
-        self._carry_out(self.fleet.finish())
+        self._carry_out(self.fleet.finish(self._now()))
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
@@ -232,7 +232,7 @@ class Daemon:
     def _watch(self, now: Instant) -> None:
         """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
-        turns, texts = self._guard.look(now)
+        turns, texts = self._guard.look(now, self._link.traffic.turned_away)
         failure = None if self._kept is None else self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
         self._carry_out(turns)
         for text in (*texts, *((failure,) if failure else ())):

@@ -1,7 +1,10 @@
 """The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
 
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -11,10 +14,11 @@ from detector.pacing import Delay, Pacing, by_waiting
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
-from detector.values import Effect, EventOpened, Inbox, LearningFailed, SessionSpec
+from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
 from mavdiag.link.codec import Frame
+from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
@@ -175,7 +179,10 @@ class Fleet:
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
-        self.link = LinkDecoder(profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed)
+        ours = [sysid << 8 | Component.ONBOARD_COMPUTER for sysid in (range(1, 256) if only is None else (only,))]
+        self.link = LinkDecoder(
+            profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
+        )
         self._spec_of, self._adapt, self._measured, self._pacing = spec_of, adapt, measured, pacing
         self._left: set[int] = set()
         self.vehicles: dict[int, Vehicle] = {}
@@ -201,6 +208,7 @@ class Fleet:
             spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
             if spec is None:
                 self._left.add(sysid)
+                self.link.give_up(sysid)
             else:
                 awaiting = Awaiting() if self._measured else None
                 self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
@@ -210,16 +218,33 @@ class Fleet:
         turns: list[Turn] = []
         for sysid, waited_s in by_waiting(self._judged, now):
             if self._pacing.judges(waited_s, spent_s(), not turns):
-                vehicle, one = self.vehicles[sysid], self.link.received(sysid)
-                effects = vehicle.step(one, streams[sysid], now)
-                turns.append(Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now)))
+                turns.append(self._parted(sysid, now, partial(self._turn, sysid, now)))
                 self._judged[sysid] = now
                 self.delay = self.delay.waited(waited_s)
         return turns
 
-    def finish(self) -> list[Turn]:
+    def finish(self, now: Instant) -> list[Turn]:
         """What is left to say when the daemon stops."""
-        return [Turn(sysid, vehicle.session.finish()) for sysid, vehicle in self.vehicles.items()]
+        return [self._parted(sysid, now, partial(self._last_turn, sysid)) for sysid in self.vehicles]
+
+    def _last_turn(self, sysid: int) -> Turn:
+        return Turn(sysid, self.vehicles[sysid].session.finish())
+
+    def _turn(self, sysid: int, now: Instant) -> Turn:
+        vehicle, one = self.vehicles[sysid], self.link.received(sysid)
+        effects = vehicle.step(one, self.link.vehicles[sysid], now)
+        return Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now))
+
+    def _parted(self, sysid: int, now: Instant, work: Callable[[], Turn]) -> Turn:
+        """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""
+        try:
+            return work()
+        except Exception as error:  # noqa: BLE001  # whatever is wrong with one vehicle, the others are watched on
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            effects = self.vehicles[sysid].session.broken(f"{type(error).__name__}: internal error", now)
+            where = f"{Path(place.filename).name}:{place.lineno}"
+            note = Note(f"watching vehicle {sysid} ended by an error of the program: {error!r} at {where}")
+            return Turn(sysid, (note, *effects) if effects else ())
 
     def figures(self) -> tuple[VehicleFigures, ...]:
         """Where every vehicle stands."""

@@ -59,6 +59,12 @@ class LatencyCounts:
         self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
         self.sum_s = 0.0
 
+    def copy(self) -> "LatencyCounts":
+        """The same, which later samples do not change."""
+        same = LatencyCounts()
+        same.counts, same.sum_s = self.counts.copy(), self.sum_s
+        return same
+
     def add(self, arrived_ns: IntArray, now_ns: int) -> None:
         """Count samples that came at these times and are judged now (host clock)."""
         if len(arrived_ns):

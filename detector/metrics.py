@@ -1,16 +1,23 @@
 """Figures for Prometheus (edge). Imported only if they are asked for.
 
 Label sets are bounded: vehicles by the setting `max_vehicles`, monitors by the registry, links and files by the
-settings. docs/detector.md lists the figures.
+settings. docs/detector.md lists the figures. The server's own thread sees only what the loop has handed over, whole; it
+holds few connections, each for a short time, so that who begins requests and ends none costs nothing.
 """
 
+import contextlib
 import itertools
+import selectors
+import socket
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
 from detector.figures import DaemonFigures
@@ -24,17 +31,33 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Metrics"]
 
 
+CONNECTIONS = 16  # at a time: for a further one the oldest is closed (our choice)
+REQUEST_S = 2.0  # for a whole request, and for its answer (our choice)
+REQUEST_BYTES = 8192
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """All figures at a moment, which nothing changes any more. at_ns: that moment, monotonic clock."""
+
+    figures: DaemonFigures
+    at_ns: int
+    events: Mapping[tuple[str, str], int]
+    look: LatencyCounts
+    verdict: LatencyCounts
+
+
 class Metrics(Collector):
     """Serves http://HOST:PORT/metrics. Raises LinkError if the port cannot be had."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._shown: tuple[DaemonFigures, int] | None = None
+        self._shown: _Shown | None = None
         self._events: Counter[tuple[str, str]] = Counter()
         self._look, self._verdict = LatencyCounts(), LatencyCounts()
         registry = CollectorRegistry()
         registry.register(self)
         try:
-            self._server, self._thread = start_http_server(port, host, registry=registry)
+            self._server = _Server(host, port, lambda: generate_latest(registry))
         except OSError as error:
             raise LinkError(
                 f"metrics on {host}:{port}: {error.strerror or error}; name another --metrics HOST:PORT"
@@ -43,11 +66,11 @@ class Metrics(Collector):
     @property
     def port(self) -> int:
         """The port that was really bound."""
-        return int(self._server.server_port)
+        return self._server.port
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
-        """Set all figures. now_ns: monotonic clock."""
-        self._shown = figures, now_ns
+        """Hand all figures over. now_ns: monotonic clock."""
+        self._shown = _Shown(figures, now_ns, dict(self._events), self._look.copy(), self._verdict.copy())
 
     def count_event(self, vehicle: int, monitor: str) -> None:
         """One more alarm."""
@@ -61,16 +84,15 @@ class Metrics(Collector):
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join(timeout=1.0)
+        self._server.close()
 
     def collect(self) -> Iterator[Metric]:
         """All figures, as Prometheus asks for them (from its own thread)."""
-        if self._shown is None:
+        shown = self._shown
+        if shown is None:
             return
-        figures, shown_ns = self._shown
-        age_s = (time.monotonic_ns() - shown_ns) / NS_PER_S
+        figures = shown.figures
+        age_s = (time.monotonic_ns() - shown.at_ns) / NS_PER_S
         yield _gauge(
             "session_working", "1 unless all sessions are off; no word about the vehicles.", float(figures.working)
         )
@@ -92,11 +114,84 @@ class Metrics(Collector):
         yield from _links(figures)
         yield from _vehicles(figures)
         events = CounterMetricFamily("mavdiag_events", "Alarms of the monitors.", labels=["vehicle", "monitor"])
-        for (vehicle, monitor), count in list(self._events.items()):
+        for (vehicle, monitor), count in shown.events.items():
             events.add_metric([vehicle, monitor], count)
         yield events
-        yield _histogram("look_latency", "From the arrival of a gyro sample to the end of its look.", self._look)
-        yield _histogram("verdict_latency", "From the arrival of a gyro sample to its verdict.", self._verdict)
+        yield _histogram("look_latency", "From the arrival of a gyro sample to the end of its look.", shown.look)
+        yield _histogram("verdict_latency", "From the arrival of a gyro sample to its verdict.", shown.verdict)
+
+
+class _Server:
+    """A port that answers every GET with one page, on a thread of its own. Raises OSError if the port cannot be had."""
+
+    def __init__(self, host: str, port: int, page: Callable[[], bytes]) -> None:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        self._listener, self._page = socket.create_server((host, port), family=family, backlog=64), page
+        self._listener.setblocking(False)
+        self.port = int(self._listener.getsockname()[1])
+        self._begun: dict[socket.socket, tuple[float, bytes]] = {}  # the oldest first: its deadline, what came so far
+        self._selector = selectors.DefaultSelector()
+        self._wake, self._woken = socket.socketpair()
+        for one in (self._listener, self._woken):
+            self._selector.register(one, selectors.EVENT_READ)
+        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._wake.send(b"x")
+        self._thread.join(timeout=REQUEST_S + 1.0)
+        for one in (*self._begun, self._listener, self._wake, self._woken):
+            one.close()
+        self._selector.close()
+
+    def _run(self) -> None:
+        while True:
+            ready = [key.fileobj for key, _ in self._selector.select(REQUEST_S)]
+            if self._woken in ready:
+                return
+            for one in ready:
+                if one is self._listener:
+                    self._accept()
+                elif isinstance(one, socket.socket) and one in self._begun:
+                    self._read(one)
+            for one in [one for one, (until, _) in self._begun.items() if until < time.monotonic()]:
+                self._drop(one)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            link, _ = self._listener.accept()
+            link.setblocking(False)
+            while len(self._begun) >= CONNECTIONS:
+                self._drop(next(iter(self._begun)))
+            self._begun[link] = time.monotonic() + REQUEST_S, b""
+            self._selector.register(link, selectors.EVENT_READ)
+
+    def _read(self, link: socket.socket) -> None:
+        until, before = self._begun[link]
+        try:
+            more = link.recv(REQUEST_BYTES)
+        except OSError:
+            more = b""
+        request = before + more
+        if b"\r\n\r\n" in request:
+            self._answer(link, request)
+        if not more or b"\r\n\r\n" in request or len(request) > REQUEST_BYTES:
+            self._drop(link)
+        else:
+            self._begun[link] = until, request
+
+    def _answer(self, link: socket.socket, request: bytes) -> None:
+        status, body = ("200 OK", self._page()) if request.startswith(b"GET ") else ("405 Method Not Allowed", b"")
+        head = f"HTTP/1.1 {status}\r\nContent-Type: {CONTENT_TYPE_LATEST}\r\nContent-Length: {len(body)}\r\n"
+        with contextlib.suppress(OSError):  # the reader is gone, or slow
+            link.settimeout(REQUEST_S)
+            link.sendall(head.encode() + b"Connection: close\r\n\r\n" + body)
+
+    def _drop(self, link: socket.socket) -> None:
+        self._selector.unregister(link)
+        del self._begun[link]
+        link.close()
 
 
 def _histogram(name: str, text: str, counts: LatencyCounts) -> Metric:

@@ -132,6 +132,16 @@ class Session:
         self._keep(presenter=presenter)
         return (*self._effects, *said)
 
+    def broken(self, reason: str, now: Instant) -> tuple[Effect, ...]:
+        """An error of the program ends this session's work until the vehicle starts anew."""
+        self._effects, self._notices = [], []
+        if self.state.state is not State.FAULTED:
+            self._keep(judge=None, alert=None)
+            self._off(Trigger.BROKEN, reason)
+        presenter, said = present(self.state.presenter, tuple(self._notices), now)
+        self._keep(presenter=presenter)
+        return (*self._effects, *said)
+
     def finish(self) -> tuple[Effect, ...]:
         """The daemon stops, or the vehicle started anew: the rows that waited are judged, and events that are still
         open are recorded with the end not seen. What was declared stays, as an open inspection."""

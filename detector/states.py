@@ -35,6 +35,7 @@ class Trigger(StrEnum):
     LINK_LOST = "nothing comes"
     LINK_BACK = "something comes"
     REBOOT = "the vehicle started anew"
+    BROKEN = "an error of the program"
 
 
 TABLE: Mapping[State, Mapping[Trigger, State]] = {
@@ -44,26 +45,31 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
         Trigger.REFUSED: State.FAULTED,
         Trigger.LINK_LOST: State.LOST,
         Trigger.REBOOT: State.WAITING,
+        Trigger.BROKEN: State.FAULTED,
     },
     State.LEARNING: {
         Trigger.COLLECTED: State.FITTING,
         Trigger.STREAMS_LOST: State.WAITING,
         Trigger.LINK_LOST: State.LOST,
         Trigger.REBOOT: State.WAITING,
+        Trigger.BROKEN: State.FAULTED,
     },
     # The fit ends within its time limit, one way or the other; what the link does meanwhile is seen to afterwards.
     State.FITTING: {
         Trigger.FITTED: State.WAITING,
         Trigger.NOT_FITTED: State.LEARNING,
         Trigger.GIVEN_UP: State.FAULTED,
+        Trigger.BROKEN: State.FAULTED,
     },
     State.MONITORING: {
         Trigger.STREAMS_LOST: State.WAITING,
         Trigger.LINK_LOST: State.LOST,
         Trigger.REBOOT: State.WAITING,
+        Trigger.BROKEN: State.FAULTED,
     },
     State.LOST: {
         Trigger.LINK_BACK: State.WAITING,
+        Trigger.BROKEN: State.FAULTED,
     },
     # Another flight may do what this one could not; a vehicle that was swapped starts anew as well.
     State.FAULTED: {

@@ -14,6 +14,7 @@ from enum import IntEnum
 
 __all__ = ["HEADERS", "Access", "Answer", "is_loopback"]
 
+PORT_DIGITS = 5
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 
 #: Of every answer. Nothing is loaded from elsewhere, no script or style stands in the page itself, texts cannot become
@@ -125,8 +126,9 @@ def _split(host: str) -> tuple[str, int]:
     name, colon, port = host.lower().rpartition(":")
     if not colon or host.endswith("]"):
         return host.lower().strip("[]"), 80
-    return name.strip("[]"), int(port) if port.isdecimal() and port.isascii() else -1
+    return name.strip("[]"), int(port) if port.isdecimal() and port.isascii() and len(port) <= PORT_DIGITS else -1
 
 
 def _same(one: str, other: str) -> bool:
-    return hmac.compare_digest(one.encode(), other.encode())
+    """Whether they are equal, in constant time. A header's bytes that are no UTF-8 are lone surrogates in its text."""
+    return hmac.compare_digest(one.encode(errors="surrogatepass"), other.encode(errors="surrogatepass"))

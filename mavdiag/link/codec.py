@@ -11,7 +11,7 @@ import re
 import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
@@ -142,6 +142,10 @@ def next_marker(buffer: bytes, start: int) -> int:
     return found.start() if found else len(buffer)
 
 
+_Noted: TypeAlias = tuple[int, int, int, int, Source, int]
+"""What is noted of a frame: key of its sender, running number, message, time of arrival, source, checksum."""
+
+
 class Decoder:
     """Bytes in, frames out, for one link. At most 281 bytes are kept between calls.
 
@@ -240,16 +244,16 @@ class Decoder:
             return at if whole else UNFINISHED
         entry = self._table.get(msgid)
         if entry is None:
-            return self._take_unknown(buffer, at, after, (sysid << 8 | compid, seq, host_ns), whole)
+            sender = (sysid << 8 | compid, seq, UNKNOWN, host_ns, self.source, -1)
+            return self._take_unknown(buffer, at, after, sender, whole)
         size, extra, wanted = entry
         stop = start + length
-        if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) != buffer[stop] | buffer[stop + 1] << 8:
+        checksum = buffer[stop] | buffer[stop + 1] << 8
+        if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) != checksum:
             self._bad_crc += 1
             return at
-        if self._guarded:
-            if not self._passes(buffer[at:after], sysid << 8 | compid, seq, msgid, host_ns):
-                return after
-        elif not self._note(sysid << 8 | compid, seq, msgid, host_ns, self.source):
+        sender = (sysid << 8 | compid, seq, msgid, host_ns, self.source, checksum)
+        if not (self._passes(buffer[at:after], sender) if self._guarded else self._note(*sender)):
             return after
         if wanted:
             payload = buffer[start:stop]
@@ -258,7 +262,7 @@ class Decoder:
             frames.append(tuple.__new__(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
         return after
 
-    def _take_unknown(self, buffer: bytes, at: int, after: int, sender: tuple[int, int, int], whole: bool) -> int:
+    def _take_unknown(self, buffer: bytes, at: int, after: int, sender: _Noted, whole: bool) -> int:
         """A frame outside the dialect has no seed to check it by: it counts if another one follows, or the end."""
         following = after + self._gap
         if following >= len(buffer) and not whole:
@@ -266,15 +270,20 @@ class Decoder:
         if after != len(buffer) and (following >= len(buffer) or buffer[following] not in MARKERS):
             return at
         self._unknown += 1
-        key, seq, host_ns = sender
-        self._passes(buffer[at:after], key, seq, UNKNOWN, host_ns)
+        self._passes(buffer[at:after], sender)
         return after
 
-    def _passes(self, frame: bytes, key: int, seq: int, msgid: int, host_ns: int) -> bool:
-        """Whether a whole frame is genuine, and its sender is heard from where it came."""
-        if self._signing is not None and not self._signing.admit(frame):
+    def _passes(self, frame: bytes, sender: _Noted) -> bool:
+        """Whether a whole frame is genuine, and its sender is heard from where it came.
+
+        Its stamp is kept only then: who sends a genuine frame again from elsewhere does not make the genuine one old.
+        """
+        key, _, _, host_ns, source, _ = sender
+        if self._signing is not None and not (
+            self._signing.genuine(frame) and self.heard.admits(key, host_ns, source) and self._signing.fresh(frame)
+        ):
             return False
-        if not self._note(key, seq, msgid, host_ns, self.source):
+        if not self._note(*sender):
             return False
         if self._passed is not None:
             self._passed.append((frame, host_ns))

@@ -10,13 +10,15 @@ import re
 from pathlib import Path
 
 from mavdiag.errors import InputError, UsageError
-from mavdiag.link.signing import Signing, stamp_at
+from mavdiag.link.signing import STALE, Signing, stamp_at
 from mavdiag.storage import open_regular, read_text, write_atomically
 
 __all__ = ["KeptSigning", "open_signing", "read_key", "read_secret"]
 
 AHEAD = 9_000_000  # what is kept is so far ahead of the stamps in use [10 us]: 90 s, so that few writes do (our choice)
 AGAIN = 3_000_000  # when less than this is left, it is written again [10 us]
+TICKS_S = 100_000  # stamps in a second
+REMEDY = "genuine streams are stale until then; if the clock is right now, start once with --reset-stamp"
 RETRY_S = 10.0  # after a write that failed
 
 FILE_BYTES = 4096  # of a key file, at most
@@ -56,12 +58,19 @@ class KeptSigning:
     """A `Signing` whose time stamp outlives the process. Call `step` regularly, and `close` at the end.
 
     What is kept is ahead of every stamp in use, so that a restart never uses one again, whatever ended the process.
-    path: where the stamp is kept. Raises UsageError if it cannot be read or written.
+    path: where the stamp is kept. reset: forget what is kept, and begin with the wall clock.
+    doubt: what is wrong with the stamp that was kept, and the remedy, one sentence; empty if nothing is.
+    Raises UsageError if it cannot be read or written.
     """
 
-    def __init__(self, key: bytes, path: Path, unix_ns: int) -> None:
+    def __init__(self, key: bytes, path: Path, unix_ns: int, *, reset: bool = False) -> None:
         self._path, self._retry_ns = path, 0
-        self.signing = Signing(key, stamp=max(_kept(path), stamp_at(unix_ns)))
+        kept, now = 0 if reset else _kept(path), stamp_at(unix_ns)
+        ahead_s = (kept - now) // TICKS_S
+        self.doubt = (
+            "" if kept - now <= AHEAD + STALE else f"{path}: the stamp is {ahead_s} s ahead of the clock: {REMEDY}"
+        )
+        self.signing = Signing(key, stamp=max(kept, now))
         self._reserved = 0
         self._reserve()
 
@@ -87,13 +96,14 @@ class KeptSigning:
         self._reserved = reserved
 
 
-def open_signing(path: Path, user: str, unix_ns: int) -> KeptSigning:
+def open_signing(path: Path, user: str, unix_ns: int, *, reset: bool = False) -> KeptSigning:
     """The key of a file with the stamp kept beside it, in `<file>.<user>.stamp`.
 
     user: which program: two that share a key send as different components, and each keeps a stamp of its own.
-    unix_ns: the wall clock [ns]. Raises UsageError for a key or stamp that cannot be used.
+    unix_ns: the wall clock [ns]. reset: forget the stamp that is kept.
+    Raises UsageError for a key or stamp that cannot be used.
     """
-    return KeptSigning(read_key(path), path.with_name(f"{path.name}.{user}.stamp"), unix_ns)
+    return KeptSigning(read_key(path), path.with_name(f"{path.name}.{user}.stamp"), unix_ns, reset=reset)
 
 
 def _kept(path: Path) -> int:

@@ -14,16 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mavdiag.link.batch import Batch, Column, FrameBatch, Record
-from mavdiag.link.clock import ClockReading, Counter, Run, changed_clock, unwrap
+from mavdiag.link.clock import EPOCH_NS, ClockReading, Counter, Run, changed_clock, unwrap
 from mavdiag.link.codec import Frame
 from mavdiag.link.conversion import SOURCES, Part, Source, sources
+from mavdiag.link.offsets import lead_ns as lead_of
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
 __all__ = ["Runs", "SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
+DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
 SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
 
 
@@ -35,12 +38,18 @@ class SampleState:
     readings: where each message's counter stands.
     held: last known row of the signals whose messages carry only some of the columns.
     dropped: rows with NaN, infinity or a zero quaternion so far.
+    leaps: samples left out because their stamps leap, so far.
+    armed_ns: when the latest armed heartbeat was received [ns].
+    contrary: disarmed heartbeats amid armed ones, left out so far.
     """
 
     timeline: Timeline = field(default_factory=Timeline)
     readings: Mapping[int, ClockReading] = field(default_factory=dict)
     held: Mapping[Signal, FloatArray] = field(default_factory=dict, compare=False)
     dropped: int = 0
+    leaps: int = 0
+    armed_ns: int = UNSTAMPED
+    contrary: int = 0
 
 
 def by_vehicle(frames: Sequence[Frame]) -> dict[int, list[Frame]]:
@@ -198,7 +207,11 @@ class SampleDecoder:
         total, run = len(host_ns), None
         if source.counter:
             raw = record[source.time].astype(np.int64)
-            run = unwrap(source.counter, state.readings.get(msgid), raw, host_ns, since_boot_ns)
+            last, lead_ns = state.readings.get(msgid), None
+            if last is None:
+                on_epoch = int(raw[0]) * source.counter.tick_ns >= EPOCH_NS
+                lead_ns = lead_of(state.timeline.clocks, source.counter.clock(on_epoch))
+            run = unwrap(source.counter, last, raw, host_ns, since_boot_ns, lead_ns)
             if run.kept is not None:
                 record, host_ns = record[: run.used][run.kept], run.host_ns
         return _Group(source, record, host_ns, run, first, total)
@@ -212,7 +225,8 @@ class SampleDecoder:
             return replace(state, readings={m: reading for m, reading in state.readings.items() if m != msgid}), False
         timeline, what = out_of_line(state.timeline, counter, raw, host_ns)
         if what is OutOfLine.REBOOT:
-            return SampleState(timeline, dropped=state.dropped), False
+            anew = SampleState(timeline, dropped=state.dropped, leaps=state.leaps, contrary=state.contrary)
+            return anew, False
         readings = dict(state.readings)
         if what is OutOfLine.STRAY:  # the next decision is due after another second
             readings[msgid] = last._replace(host_ns=host_ns)
@@ -237,7 +251,7 @@ class SampleDecoder:
                     dropped += unsound
                     if len(one):
                         found.setdefault(part.signal, []).append((msgid, part, one, rows))
-        series, held = [], dict(state.held)
+        series, held, armed_ns, contrary = [], dict(state.held), state.armed_ns, state.contrary
         for signal, parts in found.items():
             one = (
                 parts[0][2]
@@ -247,10 +261,15 @@ class SampleDecoder:
             if parts[0][1].held:
                 one = replace(one, values=filled(one.values, held.get(signal)))
                 held[signal] = one.values[-1]
-            series.append(one)
+            if signal is Signal.ARMED:
+                beats = len(one)
+                one, armed_ns = _steady(one, armed_ns)
+                contrary += beats - len(one)
+            series += [one] if len(one) else []
         readings = dict(state.readings)
         readings.update((msgid, group.run.reading) for msgid, group in groups.items() if group.run is not None)
-        return SampleState(timeline, readings, held, dropped), Telemetry(tuple(series))
+        leaps = state.leaps + sum(group.run.leaps for group in groups.values() if group.run is not None)
+        return SampleState(timeline, readings, held, dropped, leaps, armed_ns, contrary), Telemetry(tuple(series))
 
 
 def _first_placed(
@@ -300,6 +319,20 @@ def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntA
     if keep is None and not untimed:
         return Series(part.signal, t_ns, host_ns, values), rows, unsound
     return Series(part.signal, t_ns[rows - untimed], host_ns[rows], values[rows]), rows, unsound
+
+
+def _steady(armed: Series, armed_ns: int) -> tuple[Series, int]:
+    """Without the disarmed heartbeats amid armed ones, which are another sender's; and the time of the last armed one.
+
+    armed_ns: when an armed one was received before [ns].
+    """
+    flying = armed.values[:, 0] > 0.0
+    latest = np.maximum.accumulate(np.where(flying, armed.host_ns, armed_ns))
+    believed = flying | (armed.host_ns - latest >= DISARMED_NS)
+    if believed.all():
+        return armed, int(latest[-1])
+    steady = Series(armed.signal, armed.t_ns[believed], armed.host_ns[believed], armed.values[believed])
+    return steady, int(latest[-1])
 
 
 def merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:

@@ -4,7 +4,9 @@ A swapped pair is one reordered frame and no loss; a repeated frame is one dupli
 again is a restart, not a loss of two hundred. In eight bits a gap of 256 n frames looks like none.
 
 A sender is heard from one source (a network address) as long as it is heard there: frames in its name from another are
-refused. Made-up senders cost a bounded amount: those that sent least make room.
+refused, and so is everything in a name that is ours. Where somebody forges the source too, two different frames of one
+running number, one right after the other, show it: neither is believed. Made-up senders cost a bounded amount: those
+that sent least make room.
 """
 
 from collections import defaultdict
@@ -27,6 +29,7 @@ Source: TypeAlias = Hashable | None
 WINDOW = 64  # frames: how late one may come and still be known as late (a choice: 25 ms of 2,500 messages a second)
 NEAR = 32  # places: a line that swaps frames moves them by less; of random numbers three in four are farther off
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
+CLASH = 8  # places: so near behind a frame another one with its number is another sender's, not a late one (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
 
 
@@ -39,6 +42,7 @@ class LinkCount:
     reordered: frames that came late.
     duplicated: frames that came twice.
     restarts: how often it began its count again.
+    clashes: frames whose number another, different frame had just had.
     by_message: frames of each message id.
     """
 
@@ -48,6 +52,7 @@ class LinkCount:
     duplicated: int
     restarts: int
     by_message: Mapping[int, int]
+    clashes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +89,8 @@ class SequenceTracker:
     source: where the sender is heard from.
     heard_ns: when its last frame was received [ns].
     intruder: who else uses its name, if anybody does.
+    clashes: frames whose number another, different frame had just had.
+    contested: numbers of clashes that nobody has looked at yet.
     """
 
     __slots__ = (
@@ -96,6 +103,9 @@ class SequenceTracker:
         "_reordered",
         "_restarts",
         "_seen",
+        "_sums",
+        "clashes",
+        "contested",
         "heard_ns",
         "intruder",
         "source",
@@ -104,18 +114,28 @@ class SequenceTracker:
     def __init__(self, first: int, source: Source = None, heard_ns: int = 0) -> None:
         self.source, self.heard_ns = source, heard_ns
         self.intruder: Intruder | None = None
+        self.contested = set[int]()
+        self._sums = [-1] * 256  # checksum of the latest frame of each number
         self._next = first
         self._seen: defaultdict[int, int] = defaultdict(int)
         self._missing: dict[int, int] = {}  # number -> frames received when it was missed
-        self._lost = self._reordered = self._duplicated = self._restarts = self._jumps = self._far = 0
+        self._lost = self._reordered = self._duplicated = self._restarts = self._jumps = self._far = self.clashes = 0
 
-    def step(self, seq: int, msgid: int) -> None:
-        """Count a frame with this sequence number and message id."""
+    def step(self, seq: int, msgid: int, checksum: int = -1) -> None:
+        """Count a frame with this sequence number, message id and checksum."""
         if seq == self._next:
             self._next = (seq + 1) & 0xFF
         else:
+            if (self._next - seq) & 0xFF <= CLASH and self._sums[seq] not in (-1, checksum):
+                self._clash(seq)
             self._jump(seq, self.received)
+        self._sums[seq] = checksum
         self._seen[msgid] += 1
+
+    def _clash(self, seq: int) -> None:
+        if seq not in self._missing:
+            self.clashes += 1
+            self.contested.add(seq)
 
     def run(self, seqs: NDArray[np.uint8], msgids: IntArray) -> None:
         """As `step` for each of these frames in turn, (n,) each; a stretch that goes on regularly is one step."""
@@ -179,40 +199,58 @@ class SequenceTracker:
     def count(self) -> LinkCount:
         """The figures so far, as a value that later frames do not change."""
         seen = dict(self._seen)
-        return LinkCount(self.received, self._lost, self._reordered, self._duplicated, self._restarts, seen)
+        return LinkCount(
+            self.received, self._lost, self._reordered, self._duplicated, self._restarts, seen, self.clashes
+        )
 
 
 class Senders:
     """All senders of one link, at most `SENDERS_MAX`, by system and component id.
 
     kept: keys (system id << 8 | component id) that never make room.
+    ours: keys in whose name nobody else is heard.
+    impostors: who used them all the same, by key.
     """
 
-    def __init__(self, kept: Container[int] = ()) -> None:
-        self.kept = kept
+    def __init__(self, kept: Container[int] = (), ours: Container[int] = ()) -> None:
+        self.kept, self.ours = kept, ours
+        self.impostors: dict[int, Intruder] = {}
         self._trackers: dict[int, SequenceTracker] = {}
 
-    def note(self, key: int, seq: int, msgid: int, host_ns: int, source: Source) -> bool:
+    def note(self, key: int, seq: int, msgid: int, host_ns: int, source: Source, checksum: int = -1) -> bool:
         """Count a frame of a sender. False if it is not heard, because the sender is alive at another source."""
         tracker = self._trackers.get(key)
-        if tracker is None:
-            tracker = self._added(key, SequenceTracker(seq, source, host_ns))
-        elif tracker.source != source:
-            if host_ns - tracker.heard_ns < PINNED_S * NS_PER_S:
-                before = tracker.intruder
-                tracker.intruder = Intruder(source, 1 if before is None else before.frames + 1)
+        if tracker is None or tracker.source != source:
+            if not self.admits(key, host_ns, source):
                 return False
+            if tracker is None:
+                tracker = self._added(key, SequenceTracker(seq, source, host_ns))
             tracker.source = source
         tracker.heard_ns = host_ns
-        tracker.step(seq, msgid)
+        tracker.step(seq, msgid, checksum)
         return True
+
+    def admits(self, key: int, host_ns: int, source: Source) -> bool:
+        """Whether a frame of a sender may come from there; if not, it is counted as an intruder's."""
+        tracker = self._trackers.get(key)
+        if tracker is None:
+            if key not in self.ours:
+                return True
+            before = self.impostors.get(key)
+            self.impostors[key] = Intruder(source, 1 if before is None else before.frames + 1)
+            return False
+        if tracker.source == source or host_ns - tracker.heard_ns >= PINNED_S * NS_PER_S:
+            return True
+        before = tracker.intruder
+        tracker.intruder = Intruder(source, 1 if before is None else before.frames + 1)
+        return False
 
     def note_all(self, keys: NDArray[np.uint16], seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
         """As `note` for each of these frames in turn, (n,) each, on a link that has one end only."""
         found = np.flatnonzero(np.bincount(keys)).tolist()
         if len(self._trackers.keys() | set(found)) > SENDERS_MAX:  # some must make room: the order matters
             for each in zip(keys.tolist(), seqs.tolist(), msgids.tolist(), host_ns.tolist(), strict=True):
-                self.note(*each, None)
+                self.note(*each, source=None)
             return
         if len(found) == 1:
             self._note_run(found[0], seqs, msgids, host_ns)

@@ -96,16 +96,21 @@ class Signing:
         return tail + self._digest(frame + tail)
 
     def admit(self, frame: bytes) -> bool:
-        """Whether a received frame, whole and with its checksum right, is genuine and new; else it is counted.
+        """Whether a received frame, whole and with its checksum right, is genuine and new; else it is counted."""
+        return self.genuine(frame) and self.fresh(frame)
 
-        Nothing of a frame is kept before its signature has been verified.
-        """
+    def genuine(self, frame: bytes) -> bool:
+        """Whether a frame is signed with the key; else it is counted. Nothing of it is kept."""
         if frame[0] == _MARKER_V1:
             return self._refuse(Refusal.MAVLINK_1)
         if not frame[2] & SIGNED_FLAG:
             return self._refuse(Refusal.UNSIGNED)
         if not compare_digest(self._digest(frame[:-_DIGEST_BYTES]), frame[-_DIGEST_BYTES:]):
             return self._refuse(Refusal.FORGED)
+        return True
+
+    def fresh(self, frame: bytes) -> bool:
+        """Whether a genuine frame is new, and then its stamp is kept; else it is counted."""
         stream, stamp = frame[5:7] + frame[-SEAL_BYTES:][:1], int.from_bytes(frame[-12:-6], "little")
         last = self._streams.get(stream)
         if last is not None and stamp <= last:

@@ -60,6 +60,16 @@ class VehicleStream:
         """Samples left out for NaN, infinity or a zero quaternion so far."""
         return self._state.dropped
 
+    @property
+    def leaps(self) -> int:
+        """Samples left out because their stamps leap, so far."""
+        return self._state.leaps
+
+    @property
+    def contrary(self) -> int:
+        """Disarmed heartbeats amid armed ones, left out so far."""
+        return self._state.contrary
+
     def step(self, frames: Sequence[Frame]) -> Telemetry:
         """Take the vehicle's next frames, in order of arrival."""
         if not self._settled:

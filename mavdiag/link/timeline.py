@@ -3,7 +3,8 @@
 The timeline is the clock of the first stamped message; the others are laid over it by the least transport delay of each
 and followed as they drift (`offsets`). The receiver's clock never adds its jitter to a stamp.
 
-A stamp that is out of line (over a second old, or hours ahead) is no reboot while others go on: a second path may be
+A stamp that leaps ahead is left out before it comes here, until others follow it (`clock`). A stamp that is out of line
+(over a second old, or hours ahead) is no reboot while others go on: a second path may be
 slower, and somebody may send old frames again. Such frames are left out. The vehicle starts anew when its old clock
 has been silent, for a second if the new clock is no further than a reboot in that silence can have brought it, else for
 ten, and three frames in a row agree on a new clock that goes on. So reboots cannot be counted more often than once a
@@ -15,34 +16,19 @@ Everything is a value: state in, state out; cutting the samples into other piece
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, auto
-from typing import NamedTuple
 
-from mavdiag.link.clock import EPOCH_NS, LATE_NS, SILENT_NS, Clock, Counter, Run
+from mavdiag.link.clock import AGREEING, EPOCH_NS, LATE_NS, SILENT_NS, Clock, Counter, Rival, Run
 from mavdiag.link.offsets import NO_CLOCKS, Clocks, followed, lead_ns, placed
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = ["OutOfLine", "Rival", "Timeline", "out_of_line", "place", "rebooted"]
+__all__ = ["OutOfLine", "Timeline", "out_of_line", "place", "rebooted"]
 
 # Choices, not measurements; SILENT_NS is one, too.
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
 UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
-AGREEING = 3  # frames in a row that must agree on the new clock to within LATE_NS, each later than the one before
 STEP_NS = 2 * NS_PER_MS  # by at least so much: messages of one instant are rounded differently
 REBOOT_GAP_NS = NS_PER_S  # least time that a reboot takes on the timeline, so that nothing is joined across it
-
-
-class Rival(NamedTuple):
-    """Another clock than the vehicle's, that frames show while that one is silent.
-
-    clock_ns: what the latest frame shows [ns].
-    host_ns: when it was received [ns].
-    frames: how many in a row agree on it.
-    """
-
-    clock_ns: int
-    host_ns: int
-    frames: int
 
 
 class OutOfLine(Enum):
@@ -102,7 +88,7 @@ def out_of_line(timeline: Timeline, counter: Counter, raw: int, host_ns: int) ->
         return timeline, OutOfLine.STRAY
     before = timeline.rival
     if before is None:
-        return replace(timeline, rival=Rival(clock_ns, host_ns, 1)), OutOfLine.RIVAL
+        return replace(timeline, rival=Rival(clock_ns, host_ns)), OutOfLine.RIVAL
     advance_ns = clock_ns - before.clock_ns
     if abs(advance_ns - (host_ns - before.host_ns)) > LATE_NS:
         return replace(timeline, rival=None), OutOfLine.STRAY

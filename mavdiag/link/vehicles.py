@@ -85,6 +85,7 @@ class LinkDecoder:
     careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
+    ours: keys (system id << 8 | component id) that are ours, in whose name nobody else is heard.
     most: how many vehicles may enter.
     vehicles: the stream of each vehicle that has entered, by system id.
     """
@@ -100,6 +101,7 @@ class LinkDecoder:
         most: int = VEHICLES_MAX,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
+        ours: Collection[int] = (),
     ) -> None:
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
@@ -107,6 +109,7 @@ class LinkDecoder:
         wanted |= IMU_MESSAGES.keys() | others | COMMANDS | PARAMETER_REQUESTS
         self._decoder = Decoder(wanted, signing=signing, passed=passed)
         self._decoder.heard.kept = self._kept = set[int]()
+        self._decoder.heard.ours = self._ours = set(ours)
         self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
         self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
         self._most = most
@@ -114,6 +117,7 @@ class LinkDecoder:
         self._frames: dict[int, list[Frame]] = {}
         self._commanded: dict[int, list[Command]] = {}
         self._asked: dict[int, list[Frame]] = {}
+        self._latest: dict[int, list[Frame]] = {}
         self.vehicles: dict[int, VehicleStream] = {}
 
     @property
@@ -146,6 +150,14 @@ class LinkDecoder:
         sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
         return None if sender is None else sender.intruder
 
+    def impostor(self, sysid: int) -> Intruder | None:
+        """Who sends in our name as a vehicle's on-board computer; None if nobody does."""
+        return self._decoder.heard.impostors.get(sysid << 8 | Component.ONBOARD_COMPUTER)
+
+    def give_up(self, sysid: int) -> None:
+        """Let others be a vehicle's on-board computer."""
+        self._ours.discard(sysid << 8 | Component.ONBOARD_COMPUTER)
+
     def feed(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
@@ -167,6 +179,8 @@ class LinkDecoder:
             decoder.source = source
             frames += decode(data, host_ns)
         own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
+        for sysid, some in own.items():
+            own[sysid] = self._uncontested(sysid, some)
         for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
             own[sysid] = self._enter(sysid, own[sysid], now_ns)
         self._wait(self._frames, own)
@@ -197,6 +211,20 @@ class LinkDecoder:
 
     def _waiting(self) -> set[int]:
         return self._frames.keys() | self._commanded.keys() | self._asked.keys()
+
+    def _uncontested(self, sysid: int, frames: list[Frame]) -> list[Frame]:
+        """Without the autopilot's frames that two senders claim by one running number.
+
+        Once that has happened, the latest frame waits for the one that may contest it.
+        """
+        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        if sender is None or not sender.clashes:
+            return frames
+        contested, sender.contested = sender.contested, set()
+        frames = [*self._latest.pop(sysid, ()), *frames]
+        sound = [frame for frame in frames if frame.compid != Component.AUTOPILOT1 or frame.seq not in contested]
+        self._latest[sysid] = sound[-1:]
+        return sound[:-1]
 
     def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""

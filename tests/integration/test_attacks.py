@@ -8,6 +8,7 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,133 @@ def test_two_senders_on_one_wire_are_told_once() -> None:
     bench.close()
 
 
+class Beset(MadeVehicle):
+    """A vehicle beside which somebody sends in its name and from its address.
+
+    forge: what is sent after the frame of this number; None for nothing. ahead: of the running number before it.
+    """
+
+    def __init__(self, forge: Callable[[int, int], tuple[int, list[object]] | None], ahead: int) -> None:
+        super().__init__(1)
+        self._forge, self._ahead, self._frames = forge, ahead, 0
+
+    def samples(self, count: int) -> list[bytes]:
+        found = []
+        for genuine in super().samples(count):
+            found.append(genuine)
+            forged = self._forge(self._frames, self.sent)
+            self._frames += 1
+            if forged is not None and self.sent > 300:
+                msgid, fields = forged
+                other = Encoder(1, 1)
+                other._seq = (genuine[4] + self._ahead) & 0xFF
+                found.append(other.encode(msgid, *fields))
+        return found
+
+
+def leaping(every: int, ahead_s: float, once: bool = False) -> Callable[[int, int], tuple[int, list[object]] | None]:
+    def forge(number: int, sent: int) -> tuple[int, list[object]] | None:
+        if number != 1000 if once else number % every:
+            return None
+        return MessageId.RAW_IMU, [5_000_000 + 10_000 * sent + round(1e6 * ahead_s), 0, 0, -1000, 1, 2, 3]
+
+    return forge
+
+
+def disarming(number: int, sent: int) -> tuple[int, list[object]] | None:
+    return None if number % 67 else (MessageId.HEARTBEAT, [2, 0, 0, 0, 4, 3])
+
+
+def without_thrust(number: int, sent: int) -> tuple[int, list[object]] | None:
+    if number % 5:
+        return None
+    return MessageId.ATTITUDE_TARGET, [5000 + 10 * sent, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.0]
+
+
+CLASH, LEAP = "two senders seem to use the name of vehicle 1", "stamps that leap"
+FORGED: Mapping[str, tuple[Callable[[int, int], tuple[int, list[object]] | None], int, str]] = {
+    "gyro 1/s stamped 1 h ahead": (leaping(201, 3600.0), 1, CLASH),
+    "the same with other running numbers": (leaping(201, 3600.0), 20, LEAP),
+    "gyro 10/s stamped 0.3 s ahead": (leaping(20, 0.3), 20, LEAP),
+    "one frame stamped 10 s ahead": (leaping(0, 10.0, once=True), 20, "whose stamps leap"),
+    "one frame stamped 25 s ahead": (leaping(0, 25.0, once=True), 20, "whose stamps leap"),
+    "one frame stamped 120 s ahead": (leaping(0, 120.0, once=True), 20, "whose stamps leap"),
+    "disarmed 3/s": (disarming, 1, CLASH),
+    "disarmed 3/s with other running numbers": (disarming, 200, "disarmed amid armed heartbeats"),
+    "thrust 0 at 40 Hz": (without_thrust, 1, CLASH),
+}
+
+
+@pytest.fixture(scope="module")
+def judged_alone_s() -> float:
+    bench = Attacked(
+        Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
+    )
+    bench.fly(20.0)
+    judged_s = bench.judged_s
+    bench.close()
+    assert judged_s > 15.0
+    return judged_s
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_forged_frames_from_the_vehicles_own_address_do_not_blind(name: str, judged_alone_s: float) -> None:
+    forge, ahead, told = FORGED[name]
+    vehicle = Beset(forge, ahead)
+    bench = Attacked(Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[vehicle])
+    bench.fly(20.0)
+    assert bench.judged_s >= 0.9 * judged_alone_s
+    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert told in "\n".join([*bench.host.lines, *(cause for cause, _ in bench.daemon.figures().refused)])
+    vehicle.turning = 0.5
+    bench.fly(3.0)
+    assert "PROP FAULT" in "\n".join(bench.host.lines)
+    bench.close()
+
+
+def test_frames_in_our_own_name_are_refused_and_not_passed_on() -> None:
+    text = (Severity.CRITICAL, "PROP FAULT motor 3")
+    vehicle = MadeVehicle(1)
+    bench = Attacked(
+        Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[vehicle], links_behind=1
+    )
+    fake = Encoder(1, Component.ONBOARD_COMPUTER)
+    bench.fly(6.0, iter([[fake.statustext(*text)] for _ in range(150)]))
+    assert not any(b"motor 3" in data for data, _ in bench.behind[0].receive(0.0))
+    assert any("10.0.0.66:4444 sends as 1/191, which is this detector" in line for line in bench.host.lines)
+    assert dict(bench.daemon.figures().refused)["in our own name 1/191"] == 150
+    bench.close()
+
+
+@pytest.mark.parametrize("from_own_address", [False, True])
+def test_a_copy_of_a_signed_frame_that_comes_first_changes_nothing(tmp_path: Path, from_own_address: bool) -> None:
+    key, host = b"k" * 32, VirtualHost()
+    unix_ns = round(host.utc().timestamp() * 1e9)
+    genuine = MadeVehicle(1)
+    genuine.encoder = Encoder(1, Component.AUTOPILOT1, Signing(key, stamp=stamp_at(unix_ns)))
+    bench = Attacked(Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[], host=host)
+    bench.daemon = bench.another(bench.open[:1], KeptSigning(key, tmp_path / "stamp", unix_ns))
+    late: list[bytes] = []
+    bench.fly(0.04)
+    near = bench.open[0]
+    assert isinstance(near, Listening)
+    for tick in range(500):
+        for frame in late:
+            bench.far.send(frame)
+        late = genuine.samples(4)  # overheard now, delivered in the next look
+        near.strange = [(frame, HERE if from_own_address else THERE) for frame in late] if tick > 100 else []
+        bench.run(TICK_S)
+    assert bench.judged_s > 15.0
+    assert bench.daemon.fleet.link.source(1) == HERE
+    assert bench.daemon.fleet.figures_of(1).state is State.MONITORING
+    if not from_own_address:
+        signing = bench.daemon._signing
+        assert signing is not None
+        assert signing.refused == {}
+        assert any("sends in the name of vehicle 1" in line for line in host.lines)
+    bench.close()
+
+
 def test_with_a_key_only_the_genuine_vehicle_is_heard_and_what_is_sent_is_signed(tmp_path: Path) -> None:
     key = b"k" * 32
     host = VirtualHost()
@@ -275,6 +403,33 @@ def test_a_flood_hides_no_trusted_peer_and_moves_no_answer() -> None:
             thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             with pytest.raises(OSError, match="in use"):
                 thief.bind(place)
+
+
+@pytest.mark.realtime
+def test_every_vehicle_has_a_socket_of_its_own_in_a_flood() -> None:
+    with ExitStack() as stack:
+        near = stack.enter_context(open_endpoint(UDP_IN))
+        out = near.address.replace("udpin", "udpout")
+        peers = [stack.enter_context(open_endpoint(out)) for _ in range(6)]
+        stranger = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sources: list[SocketAddress] = []
+        for peer in peers:
+            peer.send(b"0")
+            near.receive(5.0)
+            sources += near.sources
+            near.trust(sources, alone=False)  # one after the other, as vehicles come
+        place = ("127.0.0.1", int(near.address.rpartition(":")[2]))
+        for _ in range(60_000):
+            stranger.sendto(b"x" * 40, place)
+        for k in range(200):
+            for peer in peers:
+                peer.send(b"%d" % k)
+        found: Counter[SocketAddress] = Counter()
+        for _ in range(20):
+            near.receive(0.0)
+            found.update(near.sources)
+        assert [found[source] for source in sources] == [200] * 6
+        assert len(near.filenos()) == 7
 
 
 @pytest.mark.realtime

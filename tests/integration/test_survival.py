@@ -1,6 +1,7 @@
 """Faults that the daemon survives: nothing is corrupted, and what it did before it does again."""
 
 import errno
+import json
 import os
 import random
 import signal
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from made_session import baseline_for
@@ -97,6 +99,29 @@ def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s:
     assert bench.daemon.fleet.link.vehicles[1].reboots == 0
     assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
     assert finds_a_fault(bench)
+
+
+def test_an_error_of_the_program_takes_one_vehicle_off_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = tmp_path / "j.jsonl"
+    bench = Bench(WATCH, vehicles=[MadeVehicle(1), MadeVehicle(2)], baseline=baseline_for(), journal=journal)
+    bench.run(6.0)
+
+    def fails(frames: object) -> NoReturn:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(bench.daemon.fleet.link.vehicles[2], "step", fails)
+    bench.run(3.0)
+    states = {one.vehicle: one.state for one in bench.daemon.fleet.figures()}
+    assert states == {1: State.MONITORING, 2: State.FAULTED}
+    texts = [decode_statustext(frame).text for frame in received(bench.far) if frame.msgid == MessageId.STATUSTEXT]
+    assert [text for text in texts if "OFF" in text] == ["PROP OFF: KeyError: internal error"]
+    assert finds_a_fault(bench)
+    bench.close()
+    lines = [json.loads(one) for one in journal.read_text().splitlines()]
+    assert [one for one in lines if one["vehicle"] == 2 and "KeyError('a bug')" in one.get("text", "")]
+    assert lines[-1]["kind"] == "stop"
 
 
 class SteppedHost(VirtualHost):

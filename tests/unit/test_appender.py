@@ -53,7 +53,7 @@ def test_a_rotation_that_fails_half_way_is_told_once_and_tried_again(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "open", full)
+        patch.setattr(os, "open", full)
         file.append(b"lost")
         file.append(b"lost")
     file.append(b"new.")
@@ -112,3 +112,35 @@ def test_a_place_that_cannot_be_appended_to_is_refused_before(tmp_path: Path) ->
         with pytest.raises(UsageError, match=rf"{words}.*choose another --journal file"):
             check_appendable(path, "--journal")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match="nobody reads this pipe"):
+        appender(tmp_path / "pipe", limit=10, keep=0)
+
+
+def test_a_pipe_whose_reader_stops_loses_entries_and_never_waits(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    file, said = appender(tmp_path / "pipe", limit=10, keep=0)
+    for _ in range(300):
+        file.append(b"x" * 1000)
+    assert len(os.read(reader, 1 << 20)) + 1000 * file.lost >= 300_000
+    assert file.lost > 200
+    file.append(b"again")
+    os.close(reader)
+    file.append(b"nobody is there")
+    file.close()
+    assert [("cannot" in one, "again" in one) for one in said] == [(True, False), (False, True), (True, False)]
+
+
+def test_a_file_has_one_writer_through_all_rotations(tmp_path: Path) -> None:
+    first, _ = appender(tmp_path / "j.jsonl", limit=10, keep=2)
+    for number in range(4):
+        with pytest.raises(UsageError, match="another program writes it"):
+            appender(tmp_path / "j.jsonl", limit=10, keep=2)
+        first.append(f"line{number}\n".encode())
+    first.close()
+    second, _ = appender(tmp_path / "j.jsonl", limit=10, keep=2)
+    second.close()

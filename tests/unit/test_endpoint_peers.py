@@ -1,19 +1,22 @@
 """Peers that come, go, flood and vanish: who is answered, what is counted, and how a link comes back."""
 
 import os
+import socket
 import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
-from mavdiag.link.ports.stream import CLIENTS_MAX, whole_frames
+from mavdiag.link.ports.stream import CLIENTS_MAX, GARBAGE_BYTES, IDLE_S, whole_frames
 from mavdiag.link.ports.udp import PEERS_MAX
 
-V1 = bytes([0xFE, 2, 0, 1, 1, 0, 7, 7, 0xAA, 0xBB])
-V2 = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB])
-SIGNED = bytes([0xFD, 1, 1, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB]) + bytes(13)
+V1 = bytes.fromhex("fe09000101000000000002035104037ddd")
+V2 = Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
 
 
 def receive_all(endpoint: Endpoint, n_bytes: int, patience_s: float = 5.0) -> bytes:
@@ -148,6 +151,9 @@ def test_a_tcp_server_turns_the_seventeenth_client_away() -> None:
         assert server.traffic.sent == CLIENTS_MAX
 
 
+SIGNED = bytes([0xFD, 1, 1, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB]) + bytes(13)
+
+
 @pytest.mark.parametrize(
     ("data", "whole"),
     [
@@ -163,6 +169,67 @@ def test_a_tcp_server_turns_the_seventeenth_client_away() -> None:
 )
 def test_whole_frames_ends_between_frames(data: bytes, whole: int) -> None:
     assert whole_frames(data) == whole
+
+
+GARBAGE = {
+    "random": np.random.default_rng(3).bytes(200_000),
+    "markers": b"\xfd" * 200_000,
+    "short markers": b"\xfe\x00" * 100_000,
+    "no marker": b"GET / HTTP/1.1\r\n\r\n" * 10_000,
+}
+
+
+@pytest.mark.parametrize("name", GARBAGE)
+def test_a_client_that_sends_only_garbage_is_hung_up_on_and_hides_nobody(name: str) -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace("tcpin", "tcp")
+        vehicle = stack.enter_context(open_endpoint(far))
+        vehicle.send(V2)
+        assert receive_all(server, len(V2)) == V2
+        (vehicle_name,) = server.sources
+        place = ("127.0.0.1", int(far.rpartition(":")[2]))
+        strangers = [stack.enter_context(socket.create_connection(place)) for _ in range(CLIENTS_MAX - 1)]
+        for stranger in strangers:
+            stranger.setblocking(False)
+            stranger.send(GARBAGE[name])
+        found, calls = b"", 0
+        for _ in range(100):
+            vehicle.send(V2)
+        while len(found) < 100 * len(V2) and calls < 200:
+            chunks = zip(server.receive(0.01), server.sources, strict=True)
+            found += b"".join(data for (data, _), source in chunks if source == vehicle_name)
+            calls += 1
+        assert found == 100 * V2
+        until = time.monotonic() + 5.0
+        while server.traffic.turned_away < len(strangers) and time.monotonic() < until:
+            server.receive(0.01)
+        assert server.traffic.turned_away == len(strangers)
+        assert vehicle.connected
+
+
+def test_garbage_before_a_frame_costs_only_itself() -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server:
+        with open_endpoint(server.address.replace("tcpin", "tcp")) as client:
+            while not client.connected:
+                client.receive(0.001)
+            for _ in range(2 * GARBAGE_BYTES // 4096):  # a noisy line, which brings frames now and then
+                noise = b"\x55" * 4000 + V2
+                client.send(noise)
+                assert receive_all(server, len(noise)) == noise
+        assert server.traffic.turned_away == 0
+
+
+def test_idle_strangers_make_room_for_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_endpoint("tcpin:127.0.0.1:0") as server, ExitStack() as stack:
+        place = ("127.0.0.1", int(server.address.rpartition(":")[2]))
+        for _ in range(CLIENTS_MAX):
+            stack.enter_context(socket.create_connection(place))
+        server.receive(0.0)
+        monkeypatch.setattr(time, "monotonic", lambda at=time.monotonic: at() + IDLE_S)
+        with socket.create_connection(place) as vehicle:
+            vehicle.send(V2)
+            assert receive_all(server, len(V2)) == V2
+        assert server.traffic.turned_away == 1
 
 
 def test_a_serial_device_that_is_unplugged_is_found_again(tmp_path: Path) -> None:
@@ -194,8 +261,7 @@ def test_a_serial_device_that_is_unplugged_is_found_again(tmp_path: Path) -> Non
 
 
 def test_a_message_that_fits_only_in_part_is_never_torn() -> None:
-    frame = V2[:10] + bytes(range(1, 200)) + V2[-2:]
-    frame = bytes([0xFD, len(frame) - 12]) + frame[2:]
+    frame = Encoder(1, 1).encode(110, 0, 1, 1, list(range(1, 252)))
     with (
         open_endpoint("tcpin:127.0.0.1:0") as server,
         open_endpoint(server.address.replace("tcpin", "tcp")) as client,

@@ -1,8 +1,11 @@
 """The page of figures: what it has, that its label sets are bounded, and what the health command reads from it."""
 
 import re
+import socket
+import threading
 import urllib.request
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,4 +155,32 @@ def test_refused_frames_and_the_wait_for_a_turn_are_shown(metrics: Metrics) -> N
     text = page(metrics)
     assert 'mavdiag_frames_refused_total{cause="signature wrong"} 3.0' in text
     assert "mavdiag_turn_delay_seconds 0.7" in text
+    bench.close()
+
+
+def test_requests_that_are_never_ended_cost_no_thread_and_hide_no_page(metrics: Metrics) -> None:
+    bench = flown(metrics)
+    threads = threading.active_count()
+    with ExitStack() as stack:
+        for _ in range(300):
+            begun = stack.enter_context(socket.create_connection(("127.0.0.1", metrics.port)))
+            begun.send(b"GET /metrics HTTP/1.1\r\nX: ")
+        assert threading.active_count() == threads
+        assert "mavdiag_state" in page(metrics)
+    bench.close()
+
+
+def test_a_page_is_of_one_moment(metrics: Metrics) -> None:
+    """What is counted after the figures were handed over is on the next page."""
+    bench = flown(metrics)
+    before = page(metrics)
+    metrics.count_event(1, "fsd")
+    metrics.observe([Turn(1, (), arrived_ns=np.array([0]), judged_ns=np.array([0]))], 10**9)
+
+    def counted(text: str) -> list[str]:
+        return [line for line in text.splitlines() if line.startswith(("mavdiag_events", "mavdiag_look_latency"))]
+
+    assert counted(page(metrics)) == counted(before)
+    bench.run(2.0)
+    assert counted(page(metrics)) != counted(before)
     bench.close()

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from mavdiag.errors import UsageError
+from mavdiag.link.codec import Encoder
 from mavdiag.link.keys import AHEAD, RETRY_S, KeptSigning, open_signing, read_key
-from mavdiag.link.signing import stamp_at
+from mavdiag.link.messages import MessageId
+from mavdiag.link.signing import Signing, stamp_at
 
 NOW_NS = 1_800_000_000 * 1_000_000_000
 S = 1_000_000_000
@@ -120,3 +122,21 @@ def test_a_stamp_that_cannot_be_kept_is_refused_at_the_start(tmp_path: Path) -> 
     (tmp_path / "key.detector.stamp").mkdir()
     with pytest.raises(UsageError, match="folder"):
         open_signing(key_file(tmp_path), "detector", NOW_NS)
+
+
+def test_a_clock_that_was_two_hours_ahead_is_told_and_can_be_remedied(tmp_path: Path) -> None:
+    wrong = open_signing(key_file(tmp_path), "detector", NOW_NS + 7200 * S)
+    assert wrong.doubt == ""
+    wrong.close()
+    genuine = Signing(read_key(tmp_path / "key"), stamp=stamp_at(NOW_NS))
+    frame = Encoder(1, 1, genuine).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
+    again = open_signing(tmp_path / "key", "detector", NOW_NS)
+    assert not again.signing.admit(frame)
+    assert "7199 s ahead" in again.doubt or "7200 s ahead" in again.doubt
+    assert "--reset-stamp" in again.doubt
+    again.close()
+    reset = open_signing(tmp_path / "key", "detector", NOW_NS, reset=True)
+    assert reset.doubt == ""
+    assert reset.signing.admit(frame)
+    reset.close()
+    assert open_signing(tmp_path / "key", "detector", NOW_NS).doubt == ""

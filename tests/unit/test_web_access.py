@@ -131,3 +131,12 @@ def test_a_token_is_read(tmp_path: Path) -> None:
     path.write_text("0123456789abcdef\n")
     path.chmod(0o600)
     assert read_token(path) == "0123456789abcdef"
+
+
+@given(st.text(st.characters(codec=None), max_size=20), st.sampled_from(["authorization", "cookie", "host", "token"]))
+def test_no_header_leaves_the_rules_by_an_exception(text: str, where: str) -> None:
+    for value in (text, f"Bearer {text}", "\udcff", f"127.0.0.1:{'8' * 5000}"):
+        headers = {"host": "127.0.0.1:8080", where: value}
+        given = value if where == "token" else None
+        cookie = headers.pop("cookie", None)
+        assert OPEN.judge("GET", "/", headers, cookie, given) in (Answer.NO_TOKEN, Answer.REFUSED)

@@ -53,12 +53,14 @@ class Traffic:
     sent: messages handed to the system, one count per peer.
     dropped: messages that did not get that far, or that the peer's host refused.
     overflowed: datagrams that the system threw away because nobody read them in time.
+    turned_away: clients of a server that were turned away or hung up on: too many, idle, or nothing but garbage.
     """
 
     received: int = 0
     sent: int = 0
     dropped: int = 0
     overflowed: int = 0
+    turned_away: int = 0
 
 
 class Endpoint(ABC):
@@ -74,7 +76,7 @@ class Endpoint(ABC):
     def __init__(self, address: str, clock: Clock) -> None:
         self._address = address
         self._clock = clock
-        self._received = self._sent = self._dropped = self._overflowed = 0
+        self._received = self._sent = self._dropped = self._overflowed = self._turned_away = 0
         self._trust: Sequence[SocketAddress] = ()
         self._alone = False
 
@@ -86,7 +88,7 @@ class Endpoint(ABC):
     @property
     def traffic(self) -> Traffic:
         """The counts so far."""
-        return Traffic(self._received, self._sent, self._dropped, self._overflowed)
+        return Traffic(self._received, self._sent, self._dropped, self._overflowed, self._turned_away)
 
     @property
     @abstractmethod

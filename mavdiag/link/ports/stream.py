@@ -7,14 +7,18 @@ from abc import ABC, abstractmethod
 
 import serial
 
+from mavdiag.link.codec import Decoder, next_marker
 from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
 __all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "frame_length", "whole_frames"]
 
-CLIENTS_MAX = 16  # a TCP server turns further clients away
+CLIENTS_MAX = 16  # of a TCP server: for a further one an idle one makes room, else that one is turned away
+IDLE_S = 5.0  # without a frame, before a client may have to make room (our choice)
+GARBAGE_BYTES = 16_384  # of a client in a row, without a frame, before it is hung up on (our choice)
 
 _READ_BYTES = 65_536
 _DRAIN_READS = 16  # reads per call, so that a flood cannot hold the caller
+_SHARED_BYTES = 131_072  # that a server reads per call, the same share of each client, for the same reason
 _DEAD_MS = 10_000  # a TCP peer that acknowledges nothing for so long is gone
 
 
@@ -34,10 +38,10 @@ class _Stream:
         except OSError:
             return False
 
-    def read(self) -> bytes | None:
+    def read(self, most_bytes: int = _READ_BYTES) -> bytes | None:
         """What is there; b"" if nothing; None if the stream has ended."""
         try:
-            return os.read(self.fileno, _READ_BYTES) or None
+            return os.read(self.fileno, most_bytes) or None
         except BlockingIOError:
             return b""
         except OSError:
@@ -170,6 +174,39 @@ class Serial(_Reconnecting):
             raise OSError(0, f"{self._baud} baud is not a speed of this device: try 57600, 115200 or 921600") from error
 
 
+class _Client(_Stream):
+    """One client of a server. name: its address; heard_s: when its last frame came, or it did (monotonic clock)."""
+
+    def __init__(self, link: socket.socket, name: SocketAddress) -> None:
+        super().__init__(link)
+        self.name, self.heard_s = name, time.monotonic()
+        self._begun = b""  # of a frame that is not yet complete
+        self._sound: list[tuple[bytes, int]] = []
+        self._decoder = Decoder((), passed=self._sound)
+        self._garbage = 0  # bytes since the last sound frame
+
+    def take(self, most_bytes: int) -> bytes | None:
+        """What has come, cut between frames; None if the stream has ended, or brings nothing but garbage."""
+        read = self.read(most_bytes)
+        if not read:
+            return read
+        self._decoder.feed(read, 0)
+        if self._sound:
+            self._garbage, self.heard_s = 0, time.monotonic()
+            self._sound.clear()
+        else:
+            self._garbage += len(read)
+        data = self._begun + read
+        cut = whole_frames(data)
+        self._begun = data[cut:]
+        return None if self.stuffed else data[:cut]
+
+    @property
+    def stuffed(self) -> bool:
+        """Whether it brings nothing but garbage."""
+        return self._garbage >= GARBAGE_BYTES
+
+
 class TcpServer(Endpoint):
     """Accepts up to `CLIENTS_MAX` clients; sends to all, and receives of all, cut between their frames.
 
@@ -179,8 +216,7 @@ class TcpServer(Endpoint):
     def __init__(self, address: str, family: socket.AddressFamily, local: SocketAddress, clock: Clock) -> None:
         super().__init__(address, clock)
         self._listener = _tcp_socket(family)
-        self._clients: dict[_Stream, bytes] = {}  # each with the beginning of a frame that is not yet complete
-        self._names: dict[_Stream, SocketAddress] = {}
+        self._clients: list[_Client] = []
         try:
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.bind(local)
@@ -213,42 +249,41 @@ class TcpServer(Endpoint):
         for client in self._clients:
             client.close()
         self._clients.clear()
-        self._names.clear()
 
     def _drain(self) -> list[Chunk]:
         self._accept()
         chunks: list[Chunk] = []
         sources: list[SocketAddress] = []
-        for client, begun in list(self._clients.items()):
-            for _ in range(_DRAIN_READS):
-                data = client.read()
-                if not data:
-                    break
-                data = begun + data
-                cut = whole_frames(data)
-                begun = data[cut:]
-                if cut:
-                    chunks.append((data[:cut], self._clock()))
-                    sources.append(self._names[client])
-            self._clients[client] = begun
+        for client in list(self._clients):
+            data = client.take(_SHARED_BYTES // len(self._clients))
             if data is None:
-                client.close()
-                del self._clients[client], self._names[client]
+                self._turned_away += client.stuffed
+                self._hang_up(client)
+            elif data:
+                chunks.append((data, self._clock()))
+                sources.append(client.name)
         self.sources = sources
         return chunks
 
     def _accept(self) -> None:
-        while True:
+        for _ in range(CLIENTS_MAX):
             try:
                 link, name = self._listener.accept()
             except OSError:  # nobody there, gone again, or closed
                 return
             if len(self._clients) >= CLIENTS_MAX:
-                link.close()
-                continue
+                idle = min(self._clients, key=lambda one: (one.name in self._trust, one.heard_s))
+                self._turned_away += 1
+                if idle.name in self._trust or time.monotonic() - idle.heard_s < IDLE_S:
+                    link.close()
+                    continue
+                self._hang_up(idle)
             _tune(link)
-            client = _Stream(link)
-            self._clients[client], self._names[client] = b"", name
+            self._clients.append(_Client(link, name))
+
+    def _hang_up(self, client: _Client) -> None:
+        client.close()
+        self._clients.remove(client)
 
 
 def whole_frames(data: bytes) -> int:
@@ -260,12 +295,12 @@ def whole_frames(data: bytes) -> int:
     >>> whole_frames(v1 + v1[:5])
     8
     """
-    start = 0
+    start = next_marker(data, 0)
     while start < len(data):
         length = frame_length(data, start)
         if length is None or start + length > len(data):
-            return start
-        start += length
+            break
+        start = next_marker(data, start + length)
     return start
 
 

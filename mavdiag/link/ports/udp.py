@@ -7,7 +7,7 @@ read, and the rest overflows in the kernel, unread.
 
 import socket
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
 
@@ -146,7 +146,7 @@ class UdpIn(_Udp):
             link.close()
         for peer in sources:
             if peer not in self._trusted and len(self._trusted) < TRUSTED_MAX and self._socket.fileno() >= 0:
-                own = _beside(self._socket, peer)
+                own = _beside((self._socket, *self._trusted.values()), peer)
                 if own is not None:
                     self._trusted[peer], self._newly = own, True
                     self._peers.setdefault(peer, time.monotonic())
@@ -235,22 +235,23 @@ def _udp_socket(family: socket.AddressFamily) -> socket.socket:
     return link
 
 
-def _beside(listening: socket.socket, peer: SocketAddress) -> socket.socket | None:
+def _beside(bound: Sequence[socket.socket], peer: SocketAddress) -> socket.socket | None:
     """A socket on the same port that gets what this peer sends; None if the system has none left.
 
-    Both must allow the port to be shared as the second is bound; afterwards it is theirs alone again.
+    bound: all that have the port, the listening one first. All must allow it to be shared as another one is bound;
+    afterwards it is theirs alone again.
     """
-    link = _udp_socket(listening.family)
+    link = _udp_socket(bound[0].family)
     try:
-        for one in (listening, link):
+        for one in (*bound, link):
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        link.bind(listening.getsockname())
+        link.bind(bound[0].getsockname())
         link.connect(peer)
     except OSError:
         link.close()
         return None
     finally:
-        for one in (listening, link):
+        for one in (*bound, link):
             if one.fileno() >= 0:
                 one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
     return link
