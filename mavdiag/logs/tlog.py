@@ -232,7 +232,7 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         parameters = parameters_in((one for one in named if one.sysid == sysid), known.autopilot)
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         telemetry = _converted(batches, known)
-        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], content.notes, parameters)
+        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], content.notes, parameters, vehicle=sysid)
         yield VehicleLog(sysid, log)
 
 

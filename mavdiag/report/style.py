@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from mavdiag.drawing import Colour
-from mavdiag.errors import UsageError
+from mavdiag.errors import missing_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,7 +128,7 @@ def check_matplotlib() -> None:
     try:
         import matplotlib.backends.backend_svg  # noqa: F401  # whether it can be imported is the question
     except ImportError as error:
-        raise UsageError("a report needs matplotlib, which is not installed: pip install 'mavdiag[report]'") from error
+        raise missing_extra("a report", "matplotlib", "report") from error
 
 
 def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
