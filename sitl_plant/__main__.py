@@ -103,9 +103,9 @@ def record(
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
-        with truth_file(truth) as lines:
-            with working(f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."):
-                messages = record_flight(path, own, duration, _written(lines, own, None).write)
+        words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
+        with truth_file(truth) as lines, working(words):
+            messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 

@@ -130,7 +130,7 @@ def open_history(database: str, *, create: bool = False, write: bool = False) ->
     Raises UsageError if it cannot be used, also out of the block.
     """
     url = address_of(database)
-    shown = url.database if url.get_backend_name() == "sqlite" else url.render_as_string(hide_password=True)
+    shown = url.database or "" if url.get_backend_name() == "sqlite" else url.render_as_string(hide_password=True)
     if url.get_backend_name() == "sqlite":
         _check_file(Path(url.database or ""), create)
     try:
