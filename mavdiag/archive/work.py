@@ -52,7 +52,8 @@ def digest_of_file(path: str) -> str:
 def judge_file(path: str, question: Question) -> Record:
     """Read a log and judge it.
 
-    Raises InputError if it cannot be read, and LinkError if this process has other code, or computes with other packages, than the one that asks.
+    Raises InputError if it cannot be read, and LinkError if this process has other code, or computes with other
+    packages, than the one that asks.
     """
     if judging_version() != question.version:
         raise LinkError("a worker has another version of mavdiag, numpy or scipy; install the same ones everywhere")

@@ -296,7 +296,8 @@ def _judged_s(judged: JudgedFlight, to_s: float) -> float:
     found = [one for piece in judged.pieces for one in piece.found]
     tick_ns = max((round(one.period_s * NS_PER_S) for one in found), default=1)
     ticks = {tick for one in found for tick in np.unique(one.t_ns[one.valid] // tick_ns).tolist()}
-    return sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks) * tick_ns / NS_PER_S
+    count = sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks)
+    return float(count * tick_ns) / NS_PER_S
 
 
 def _declared_s(changes: Sequence[Change]) -> list[float]:

@@ -233,7 +233,7 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
 
 def test_dask_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
-    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
+    with pytest.raises(UsageError, match=r"pip install .mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
         pass
 
 
