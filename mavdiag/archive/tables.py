@@ -11,7 +11,7 @@ from typing import TypeAlias
 from mavdiag.archive.job import Answer
 from mavdiag.archive.windows import Window
 from mavdiag.decision.alarm import Change, Stage
-from mavdiag.errors import UsageError
+from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict, MonitorSummary
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
@@ -47,7 +47,7 @@ def write_csv(path: Path, rows: Sequence[Sequence[Value]]) -> None:
 def check_parquet() -> None:
     """Raise UsageError, saying what to install, if Parquet cannot be written."""
     if find_spec("pyarrow") is None:
-        raise UsageError("--parquet needs pyarrow: install mavdiag[fleet]")
+        raise missing_extra("--parquet", "pyarrow", "fleet")
 
 
 def write_parquet(path: Path, rows: Sequence[Sequence[Value]]) -> None:

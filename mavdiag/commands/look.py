@@ -12,7 +12,7 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.archive.paths import logs_named
 from mavdiag.commandline import ERROR, say
-from mavdiag.commands.options import AsJson, FromS, Layout, ToS, Vehicle, read_part
+from mavdiag.commands.options import AsJson, Columns, FromS, Layout, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
 from mavdiag.logs.csv_columns import is_csv, load_column_map
@@ -24,12 +24,7 @@ __all__ = ["look"]
 
 def look(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG|DIR", help="Logs, folders of logs, or patterns.")],
-    columns: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv", "--columns", metavar="MAP.toml", help="The logs are CSV recordings; it says which column is what."
-        ),
-    ] = None,
+    columns: Columns = None,
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME|FILE.toml", help="The vehicle.  [default: what the log itself shows]")
     ] = None,

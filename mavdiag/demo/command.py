@@ -15,7 +15,7 @@ from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change
 from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_monitors
 from mavdiag.demo.closed_loop import DemoResult, Flight, closed_loop
-from mavdiag.errors import UsageError
+from mavdiag.errors import UsageError, missing_extra
 from mavdiag.judging import judge
 from mavdiag.logs import read_log
 from mavdiag.storage import check_output
@@ -114,7 +114,7 @@ def _print_report(record: Path, baseline: Path, page: Path) -> None:
     """Judge the recorded flight once more, as a log, and draw its report where the extra `report` is installed."""
     flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
     if find_spec("matplotlib") is None:
-        verdict, where = judge(log, flown), "none, for matplotlib is not installed: pip install 'mavdiag[report]'"
+        verdict, where = judge(log, flown), f"none: {missing_extra('a report', 'matplotlib', 'report')}"
     else:
         page.parent.mkdir(parents=True, exist_ok=True)
         verdict, where = write_report(log, flown, baseline, page), str(page)

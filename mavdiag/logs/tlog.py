@@ -246,7 +246,9 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         telemetry = _converted(batches, known)
         notes, kind = (*content.notes, *left_out), types.get(sysid)
-        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], notes, parameters, mav_type=kind)
+        log = Log(
+            name, content.sha256, known.name, telemetry, heard[sysid], notes, parameters, mav_type=kind, vehicle=sysid
+        )
         yield VehicleLog(sysid, log)
 
 

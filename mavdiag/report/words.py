@@ -22,6 +22,7 @@ OBSERVES = {
     "control_loss": "a body rate that nobody commanded",
     "thrust_loss": "thrust that is missing while the vehicle turns",
 }
+MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
 _TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
 
@@ -69,8 +70,10 @@ def evidence_sentence(verdict: LogVerdict) -> str:
 
 
 def unjudged(verdict: LogVerdict) -> tuple[str, ...]:
-    """What was not judged for the longest part of the flight, and why: one phrase each."""
-    return tuple(f"{one.name}: {one.not_judged}" for one in verdict.monitors if one.not_judged)
+    """The monitors that did not judge a good part of the flight, and why: one phrase each."""
+    enough = MOSTLY * verdict.judged_s
+    lacking = [one for one in verdict.monitors if one.not_judged and one.judged_s <= enough]
+    return tuple(f"{one.name}: {one.not_judged}" for one in lacking)
 
 
 def advice(verdict: LogVerdict) -> str:

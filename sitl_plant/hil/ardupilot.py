@@ -4,7 +4,7 @@
 
 ArduPilot sends a frame, waits for the answer, and sends the frame again if none came within about a second. So every
 frame is one span of 1/frame_rate, and the same number a second time is the same span: its answer is sent again. A
-number that falls means that ArduPilot was started anew: so is the plant, on the ground.
+number that falls, or another address, means that ArduPilot was started anew: so is the plant, on the ground.
 """
 
 import json
@@ -107,7 +107,7 @@ class Lockstep:
         if frame.count == self._count and not fresh:
             self.counts.resent += 1
             return self._answer
-        if self._count is not None and frame.count <= self._count:
+        if self._count is not None and (fresh or frame.count <= self._count):
             self.counts.restarts += 1
             self._simulation.restart()
         self._count = frame.count

@@ -106,12 +106,12 @@ def test_a_folder_gives_a_line_each_and_a_bad_file_loses_nothing(tmp_path: Path)
         recording(tmp_path / f"{seed}.csv", seed, 6.0)
     (tmp_path / "bad.csv").write_text("no,columns\n1,2\n")
     (tmp_path / "map.toml").write_text(MAP)
-    done = RUN.invoke(app, ["look", str(tmp_path), "--csv", str(tmp_path / "map.toml")])
+    done = RUN.invoke(app, ["look", str(tmp_path), "--columns", str(tmp_path / "map.toml")])
     assert done.exit_code == 2
     lines = done.stdout.splitlines()
     assert [line.split(":")[0].rpartition("/")[2] for line in lines[:3]] == ["1.csv", "2.csv", "bad.csv"]
     assert "no column" in lines[2]
-    as_json = RUN.invoke(app, ["look", str(tmp_path / "1.csv"), "--csv", str(tmp_path / "map.toml"), "--json"])
+    as_json = RUN.invoke(app, ["look", str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), "--json"])
     content = json.loads(as_json.stdout)
     assert content["profile"] == "csv"
     assert content["loads"] == []

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_telemetry import cut, series
+from made_telemetry import ROUNDING, cut, series
 
 from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
@@ -99,7 +99,7 @@ def test_any_chunking_gives_the_same_rows_and_borders(
     found_story, found = run(front, cut(telemetry, sorted(START_NS + edge * DT_NS for edge in edges)))
     assert found_story == story
     for name, column in table.items():
-        np.testing.assert_array_equal(found[name], column, err_msg=name)
+        np.testing.assert_allclose(found[name], column, rtol=0.0, atol=ROUNDING, err_msg=name)
     assert [len(entry) for entry in story] == [2, 1, 2, 1, 2]  # a break, then a landing
     assert np.isfinite(table["rate u"]).all()
     assert table["rate commanded"].any()
@@ -120,4 +120,4 @@ def test_a_whole_log_in_pieces_gives_the_same(seed: int, most: int, grid: Grid, 
     found_story, found = told(list(front.pieces(telemetry, most)))
     assert found_story == story
     for name, column in table.items():
-        np.testing.assert_array_equal(found[name], column, err_msg=name)
+        np.testing.assert_allclose(found[name], column, rtol=0.0, atol=ROUNDING, err_msg=name)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -138,6 +139,14 @@ def test_the_version_is_that_of_what_judges() -> None:
     every = digest_of_sources(("mavdiag",), ())
     assert judging_version() == judging_version.__wrapped__() != every
     assert digest_of_sources(("mavdiag",), ("mavdiag/monitors/innovation.py",)) != every
+
+
+@pytest.mark.parametrize("package", ["numpy", "scipy"])
+def test_another_version_of_what_computes_is_another_version(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An upgrade must not keep the answers of before."""
+    before, installed = judging_version.__wrapped__(), metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
+    assert judging_version.__wrapped__() != before
 
 
 def test_files_of_equal_content_share_a_mark_and_most_others_do_not(tmp_path: Path) -> None:
