@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.learning.upsets import upsets
+from mavdiag.learning.guards import upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import (
     OutputLoad,
