@@ -33,6 +33,7 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.inspections import Inspections
 from mavdiag.link.keys import KeptSigning, open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
@@ -201,6 +202,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             web=web,
             notifier=notifier,
             signing=signing,
+            inspections=Inspections(settings.journal, _say),
         )
         daemon.run(stop)
 

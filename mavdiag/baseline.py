@@ -100,13 +100,17 @@ class Baseline(Part):
         """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
         return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
 
+    @property
+    def propellers(self) -> int:
+        """Number of the present propeller set, 0 for the first."""
+        return max(one.propellers for one in self.provenance.logs)
+
     def same_session(self, started_ns: int) -> bool:
         """Whether a flight of that time belongs to a session of the healthy flights with the present propellers.
 
         started_ns: wall-clock time, unix epoch [ns]; 0 if it is not known, and then the answer is no.
         """
-        present = max(one.propellers for one in self.provenance.logs)
-        times = [one.started_ns for one in self.provenance.logs if one.propellers == present and one.started_ns]
+        times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property

@@ -17,6 +17,7 @@ from detector.notify import Notifier
 from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
@@ -118,6 +119,7 @@ class Bench:
     notifier: Notifier | None = None
     metrics: Metrics | None = None
     web: Feed | None = None
+    inspections: Inspections | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -149,6 +151,7 @@ class Bench:
             notifier=self.notifier,
             metrics=self.metrics,
             web=self.web,
+            inspections=self.inspections,
         )
 
     def run(self, seconds: float) -> None:

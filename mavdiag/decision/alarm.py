@@ -326,13 +326,13 @@ class DecisionSpec:
             now = replace(now, kind=kind, reason=now.reason if now.kind is None else f"it is a {kind}")
         now = _leading(now, fresh)
         if kind is FaultKind.SENSOR:
-            before = tuple(span for span in now.rotors if span.since_ns < episode.begun_ns)
+            before = _ended(tuple(span for span in now.rotors if span.since_ns < episode.begun_ns), t_ns)
             now = replace(now, rotor=None, confidence=None, fault_type=None, severity=None, rotors=before)
         place = named(kind, readings, now.rotor is not None)
         if place.rotor is not None and (now.rotor is None or place.lead > episode.lead):  # the most certain name holds
             episode = replace(episode, lead=place.lead)
             if place.rotor != now.rotor:
-                spans = _with_rotor(now, place.rotor, t_ns)
+                spans = _with_rotor(now, place.rotor, episode.begun_ns, t_ns)
                 reason = now.reason if t_ns == episode.begun_ns else "the rotor is named"
                 now = _leading(replace(now, rotor=place.rotor, reason=reason, rotors=spans), fresh)
             now = replace(now, confidence=place.confidence)
@@ -385,15 +385,16 @@ def _falls(reading: Reading, slot: SlotSpec, held: Diagnosis) -> bool:
     return -lowest >= max(a) and any(a.index(lowest) + 1 == span.rotor for span in held.rotors)
 
 
-def _with_rotor(now: Diagnosis, rotor: int, t_ns: int) -> tuple[RotorSpan, ...]:
-    """The spans with a rotor that is named now, in place of one that was named wrongly or after one that was not."""
-    spans = now.rotors
-    if now.rotor is not None:
-        wrong = t_ns - spans[-1].since_ns < CORRECTED_NS
-        spans = spans[:-1] if wrong else _ended(spans, t_ns)
+def _with_rotor(now: Diagnosis, rotor: int, begun_ns: int, t_ns: int) -> tuple[RotorSpan, ...]:
+    """The spans with a rotor that is named now: since the episode began, if no other one was named before it in it."""
+    spans, since_ns = now.rotors, begun_ns
+    if now.rotor is not None and t_ns - begun_ns < CORRECTED_NS:
+        spans = spans[:-1]
+    elif now.rotor is not None:
+        spans, since_ns = _ended(spans, t_ns), t_ns
     if spans and spans[-1].rotor == rotor:
         return (*spans[:-1], replace(spans[-1], end_ns=None))
-    return (*spans, RotorSpan(rotor, t_ns))
+    return (*spans, RotorSpan(rotor, since_ns))
 
 
 def _ended(spans: tuple[RotorSpan, ...], t_ns: int) -> tuple[RotorSpan, ...]:

@@ -24,8 +24,9 @@ class Stage(StrEnum):
 class RotorSpan:
     """A rotor that was named, from 1.
 
-    since_ns: vehicle time at which it was named. end_ns: since when it is no longer seen; None while it is. A rotor
-    that comes back before another one is named goes on with its span.
+    since_ns: vehicle time since when its fault was seen, as far as it is known; it may have been named later.
+    end_ns: since when it is no longer seen; None while it is. A rotor that comes back before another one is named goes
+        on with its span.
     """
 
     rotor: int

@@ -361,7 +361,7 @@ def test_nothing_else_is_ever_sent_over_a_long_story(tmp_path: Path) -> None:
     assert sent.keys() == SENT
     assert commands.keys() == COMMANDS
     told = "\n".join(bench.host.lines)
-    assert all(words in told for words in ("PROP FAULT", "PROP clear", "link lost", "link back", "rebooted"))
+    assert all(words in told for words in ("PROP FAULT", "inspect before flight", "link lost", "link back", "rebooted"))
     bench.close()
 
 

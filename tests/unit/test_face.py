@@ -145,7 +145,7 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     assert opened == {one.event.start_ns for one in verdict.events}
     closed = watch.end_flight()
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
-    assert str(watch.diagnosis) == "not judged: not flying"
+    assert str(watch.diagnosis) == "inspect: the flight with the fault has ended, rotor 3"
 
 
 def test_a_log_that_cannot_be_judged_is_a_verdict_and_a_missing_file_an_error(tmp_path: Path) -> None:

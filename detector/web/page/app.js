@@ -247,6 +247,7 @@ function renderNow() {
   const alarm = now && (["fault", "inspect", "suspected"].includes(level));
   byId("alert").hidden = !alarm;
   byId("alert").dataset.level = level;
+  byId("acknowledge").hidden = level !== "inspect";
   text("alert", alarm ? `Vehicle ${now.vehicle}: ${now.sentence}` : "");
   if (!now) return figures("link-figures", []), figures("rates", []);
   renderBars(now);
@@ -403,6 +404,9 @@ byId("pause").addEventListener("click", () => {
   byId("pause").setAttribute("aria-pressed", String(page.paused));
   text("pause", page.paused ? "Go on" : "Pause");
   draw("strips");
+});
+byId("acknowledge").addEventListener("click", () => {
+  if (page.vehicle !== null) fetch(`/acknowledge?vehicle=${page.vehicle}`, {method: "POST"});
 });
 byId("only-alerts").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
