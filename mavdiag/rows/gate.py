@@ -18,21 +18,23 @@ What the gate cannot see as flight, since its own inputs fail, `hidden_flight` f
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mavdiag.rows.block import Block
+from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight"]
+__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "shake"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
 BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
+SHAKE_S = 0.5  # of one figure of the noise (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
 HIDDEN_BIN_NS = NS_PER_S // 2
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
@@ -61,6 +63,7 @@ class GateState:
     settled_ns: int = 0  # until then it takes off
     last_ns: int = 0  # time of the last row that flew
     low: "_Low | None" = None  # since thrust or height is low
+    tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,14 +83,15 @@ class _Low:
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. So a
-    vehicle that is armed on the ground and stops sending its thrust counts as flying.
+    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. A
+    vehicle that sends neither thrust nor height takes off when its gyro begins to shake.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
     need_armed: HEARTBEAT says armed.
     trim_start_s: start of a span that is marked invalid.
     trim_end_s: end of a span that is dropped.
+    least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
     """
 
     min_height_m: float | None = None
@@ -95,6 +99,7 @@ class GateSpec:
     need_armed: bool = True
     trim_start_s: float = 0.0
     trim_end_s: float = 0.0
+    least_shake: float | None = None
 
     def start(self) -> GateState:
         """A fresh state: nothing flies yet."""
@@ -108,9 +113,14 @@ class GateSpec:
                 flew = state.airborne
                 state, rest = _break_off(state)
                 out += [*rest, Border(state.last_ns)] if flew else []
-                state = replace(state, source=block.segment)
+                state = replace(state, source=block.segment, tail=state.tail[:0])
             kinds = self._kinds(block)
+            state, shakes = self._shakes(state, block)
             for first, stop in _runs(kinds):
+                if kinds[first] == UP and not state.airborne and not state.resumes:
+                    first += _first(shakes[first:stop])
+                    if first == stop:
+                        continue
                 if kinds[first] == UP:
                     state = _fly(self, state, block, first, stop)
                 elif not state.airborne:
@@ -136,6 +146,19 @@ class GateSpec:
         """(n,) True for the rows that count as flying, as far as each row tells alone."""
         return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
 
+    def _shakes(self, state: GateState, block: Block) -> tuple[GateState, BoolArray]:
+        """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
+        if self.least_shake is None:
+            return state, np.ones(len(block), dtype=np.bool_)
+        told = np.isfinite(block.thrust)
+        if self.min_height_m is not None:
+            told |= np.isfinite(block.height)
+        rates = np.concatenate((state.tail, block.rate))
+        noise = shake(rates, block.dt_s)
+        known = min(len(noise), len(block))
+        told[len(block) - known :] |= noise[len(noise) - known :] >= self.least_shake
+        return replace(state, tail=rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]), told
+
     def _kinds(self, block: Block) -> IntArray:
         """(n,) DISARMED, LOW or UP."""
         up = np.ones(len(block), dtype=np.bool_)
@@ -147,6 +170,12 @@ class GateSpec:
         if self.need_armed:
             kinds[block.armed < 0.5] = DISARMED
         return kinds
+
+
+def shake(rate: FloatArray, dt_s: float) -> FloatArray:
+    """Noise of the gyro in each half second: rms of its second differences, (n, 3) -> (m,) [rad/s]; 0 if unknown."""
+    squares = np.nan_to_num(np.square(np.diff(rate, n=2, axis=0)).mean(axis=1))
+    return np.sqrt(np.maximum(window_mean(squares[:, None], window_rows(SHAKE_S, dt_s))[:, 0], 0.0))
 
 
 def _runs(kinds: IntArray) -> list[tuple[int, int]]:
