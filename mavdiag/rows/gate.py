@@ -328,8 +328,9 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
         at = bins[where & ~flown]
         for part in np.split(at, np.flatnonzero(np.diff(at) > HELD_BINS) + 1):
             if len(part) and (part[-1] + 1 - part[0]) * HIDDEN_BIN_NS >= HIDDEN_S * NS_PER_S:
-                begin_s, end_s = (np.array([part[0], part[-1] + 1]) * HIDDEN_BIN_NS / NS_PER_S).tolist()
-                found.append(Hidden(begin_s, end_s, reason))
+                begin_ns, end_ns = int(part[0]) * HIDDEN_BIN_NS, int(part[-1] + 1) * HIDDEN_BIN_NS
+                before = [last for _, last in spans if 0 < begin_ns - last < HELD_BINS * HIDDEN_BIN_NS]
+                found.append(Hidden(max(before, default=begin_ns) / NS_PER_S, end_ns / NS_PER_S, reason))
     return tuple(sorted(found, key=lambda one: one.begin_s))
 
 
