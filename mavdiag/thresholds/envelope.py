@@ -7,8 +7,10 @@ what counts as nothing, if that is more), and e = (c - C)/(R C):
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
-R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A condition that no
-healthy flight told of, or that the link does not carry now, restricts nothing.
+R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
+time (FSD) does not grow so: where a condition is near, it does not judge. What was covered ends where fewer than RARE
+bins lie beyond it, so that a wrong sample widens nothing. A condition that no healthy flight told of, or that the link
+does not carry now, restricts nothing.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,6 +29,8 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Covered", "Dependence", "Envelope", "EnvelopeState", "Outside", "covered_by"]
 
 ORDER = tuple(Condition)
+RARE = 5  # bins, half a second in all: a wrong sample of a set-point reaches three (our choice)
+RARE_SHARE = 0.05  # of the bins at most, of short flights (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +55,10 @@ class _Rule:
 RULES: dict[Condition, _Rule] = {
     Condition.TILT: _Rule("upper", 0.2, "rad", "fly in steady wind"),
     Condition.THROTTLE: _Rule("both", 0.25, "", "fly with payload, and with a battery that empties"),
-    Condition.VOLTAGE: _Rule("both", 0.05, "V", "fly a battery from full to empty"),
     Condition.COMMANDED_RATE: _Rule("upper", 0.3, "rad/s", "fly sharper turns and stops", 1.0),
     Condition.COMMANDED_ACCELERATION: _Rule("upper", 5.0, "rad/s^2", "fly sharper turns and stops", 1.0),
     Condition.YAW_RATE: _Rule("upper", 0.15, "rad/s", "turn the nose, steadily and along the path"),
     Condition.HEIGHT: _Rule("lower", 0.5, "m", "fly as low as it is to be judged"),
-    Condition.CLIMB_RATE: _Rule("upper", 0.3, "m/s", "climb and descend"),
 }
 
 
@@ -153,11 +155,14 @@ def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
             found.append(bins.values)
     values = np.concatenate(found)
     known = np.isfinite(values)
-    return tuple(
-        Covered(condition, float(values[known[:, i], i].min()), float(values[known[:, i], i].max()))
-        for i, condition in enumerate(ORDER)
-        if known[:, i].any()
-    )
+    columns = {condition: np.sort(values[known[:, i], i]) for i, condition in enumerate(ORDER) if known[:, i].any()}
+    return tuple(Covered(condition, *_ends(column)) for condition, column in columns.items())
+
+
+def _ends(column: FloatArray) -> tuple[float, float]:
+    """Least and largest of sorted values, but for the rarest on each side."""
+    rare = min(RARE - 1, int(RARE_SHARE * len(column)))
+    return float(column[rare]), float(column[-1 - rare])
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +171,12 @@ class Dependence:
 
     conditions: those that raise it in healthy flight.
     memory_s: how long what was flown stays in it [s].
+    grows: it grows with a condition as an amplitude does; a time does not.
     """
 
     conditions: frozenset[Condition]
     memory_s: float
+    grows: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +255,7 @@ class Envelope:
         far = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
         if not np.count_nonzero(far.excess):
             return found, {}
-        outside: BoolArray = far.excess > 1.0
+        outside: BoolArray = far.excess > (1.0 if slot.grows else 0.0)
         reasons = {}
         for column in columns:
             here = outside & (far.column == column)

@@ -323,7 +323,7 @@ def test_c2_a_link_without_set_points_is_told() -> None:
 def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
     base = learn(plain(3), LearnOptions(airframe=FRAME, monitors=("innovation", "fsd")), created=NOW)
     push = np.zeros(20_000)
-    push[8000:9000] = 0.05 * np.hanning(1000)
+    push[8000:11_000] = 0.2 * np.hanning(3000)
     verdict = judge(logged(flight(20_000, 50, push=push), "qdrone2"), base)
     alarmed = {one.event.monitor for one in verdict.events}
     assert (verdict.verdict, alarmed) == (Verdict.SUSPECTED, {"fsd"})
