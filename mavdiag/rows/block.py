@@ -40,7 +40,7 @@ class Block:
     actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
     valid: (n,) the gyro may be judged: it is there, settled and airborne.
     setpoint_valid: (n,) the set-point may be used: it is there and settled.
-    settled_ns: rows before it are of a take-off, which nobody judges.
+    settled_ns: rows before it are of a take-off, or of the start of the data, which nobody judges.
     answers: what was found in the rows so far (`once`), so that each monitor need not look again.
     """
 

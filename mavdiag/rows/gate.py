@@ -33,6 +33,7 @@ QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
 BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
+START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
 SHAKE_S = 0.5  # of one figure of the noise (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
@@ -57,10 +58,12 @@ class GateState:
 
     held: tuple[Block, ...] = ()  # flight, held back by `trim_end_s`
     source: int = -1  # segment of the rows before the gate
+    source_ns: int = 0  # its first row
     airborne: bool = False
     resumes: bool = False  # the data broke off in the air: what flies next has not taken off
     span: int = -1  # number of the flying span
-    settled_ns: int = 0  # until then it takes off
+    blank_ns: int = 0  # until then rows are invalid
+    settled_ns: int = 0  # until then it takes off, or the data begin
     last_ns: int = 0  # time of the last row that flew
     low: "_Low | None" = None  # since thrust or height is low
     tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
@@ -113,7 +116,7 @@ class GateSpec:
                 flew = state.airborne
                 state, rest = _break_off(state)
                 out += [*rest, Border(state.last_ns)] if flew else []
-                state = replace(state, source=block.segment, tail=state.tail[:0])
+                state = replace(state, source=block.segment, source_ns=int(block.t_ns[0]), tail=state.tail[:0])
             kinds = self._kinds(block)
             state, shakes = self._shakes(state, block)
             for first, stop in _runs(kinds):
@@ -187,9 +190,12 @@ def _runs(kinds: IntArray) -> list[tuple[int, int]]:
 
 def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
     if not state.airborne:
-        since_ns = int(block.t_ns[first])
-        settled_ns = since_ns if state.resumes else since_ns + round(spec.trim_start_s * NS_PER_S)
-        state = replace(state, airborne=True, resumes=False, span=state.span + 1, settled_ns=settled_ns)
+        blank_ns = settled_ns = int(block.t_ns[first])
+        if not state.resumes:
+            blank_ns += round(spec.trim_start_s * NS_PER_S)
+            settled_ns = max(state.source_ns + START_NS, blank_ns)
+        state = replace(state, airborne=True, resumes=False, span=state.span + 1)
+        state = replace(state, blank_ns=blank_ns, settled_ns=settled_ns)
     low = state.low
     if low is None:
         return _keep(state, _cut(state, block, first, stop))
@@ -235,8 +241,8 @@ def _first(flags: BoolArray) -> int:
 def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
     """Rows of the present span, invalid while it takes off."""
     rows = replace(block.rows(first, stop, state.span), settled_ns=state.settled_ns)
-    if rows.t_ns[0] < state.settled_ns:
-        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.settled_ns))
+    if rows.t_ns[0] < state.blank_ns:
+        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.blank_ns))
     return rows
 
 

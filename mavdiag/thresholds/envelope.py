@@ -8,9 +8,9 @@ what counts as nothing, if that is more), and e = (c - C)/(R C):
     e > 1          outside, from (1 + R) C on: not judged
 
 R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
-time (FSD) does not grow so: where a condition is near, it does not judge. What was covered ends where fewer than RARE
-bins lie beyond it, so that a wrong sample widens nothing. A condition that no healthy flight told of, or that the link
-does not carry now, restricts nothing.
+time (FSD) does not grow so: where a condition is near, it does not judge. A value that was reached once and lies far
+beyond all others was no manoeuvre: a wrong sample widens nothing. A condition that no healthy flight told of, or that
+the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,8 +29,8 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Covered", "Dependence", "Envelope", "EnvelopeState", "Outside", "covered_by"]
 
 ORDER = tuple(Condition)
-RARE = 5  # bins, half a second in all: a wrong sample of a set-point reaches three (our choice)
-RARE_SHARE = 0.05  # of the bins at most, of short flights (our choice)
+OUTLIER = 2.0  # times as far from the median as the next largest: a wrong sample, and no manoeuvre (our choice)
+EVENT_BINS = 50  # on each side of the largest; the longest memory of a condition is 5 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,14 +155,18 @@ def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
             found.append(bins.values)
     values = np.concatenate(found)
     known = np.isfinite(values)
-    columns = {condition: np.sort(values[known[:, i], i]) for i, condition in enumerate(ORDER) if known[:, i].any()}
-    return tuple(Covered(condition, *_ends(column)) for condition, column in columns.items())
+    columns = {condition: values[known[:, i], i] for i, condition in enumerate(ORDER) if known[:, i].any()}
+    return tuple(Covered(condition, -_end(-column), _end(column)) for condition, column in columns.items())
 
 
-def _ends(column: FloatArray) -> tuple[float, float]:
-    """Least and largest of sorted values, but for the rarest on each side."""
-    rare = min(RARE - 1, int(RARE_SHARE * len(column)))
-    return float(column[rare]), float(column[-1 - rare])
+def _end(values: FloatArray) -> float:
+    """The largest value, in order of time; the largest of any other five seconds where that is an outlier."""
+    if len(values) < 4 * EVENT_BINS:
+        return float(values.max())
+    top, middle = int(values.argmax()), float(np.median(values))
+    others = np.delete(values, slice(max(0, top - EVENT_BINS), top + EVENT_BINS + 1))
+    largest, following = float(values[top]), float(others.max())
+    return following if largest - middle > OUTLIER * (following - middle) else largest
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,8 +42,8 @@ def test_every_condition_has_a_rule_with_room_and_a_remedy(condition: Condition)
         (Covered(Condition.COMMANDED_RATE, 0.0, 1.0), [1.0, 1.5, 2.0, 3.0], [0.0, 0.5, 1.0, 2.0]),
         (Covered(Condition.HEIGHT, 0.4, 9.0), [20.0, 0.4, 0.3, 0.2, 0.0], [0.0, 0.0, 0.5, 1.0, 2.0]),
         (
-            Covered(Condition.THROTTLE, 10.0, 12.0),
-            [10.0, 12.0, 12.5, 13.0, 9.5, 9.0, 8.0],
+            Covered(Condition.THROTTLE, 0.2, 0.6),
+            [0.2, 0.6, 0.7, 0.8, 0.1, 0.0, -0.2],
             [0, 0, 0.5, 1.0, 0.5, 1.0, 2],
         ),
     ],
@@ -107,8 +107,7 @@ def test_the_span_is_that_of_all_flights_and_of_what_they_carry() -> None:
     assert set(covered) == set(Condition)
     for condition, one in covered.items():
         values = np.concatenate([column(measured(flight), condition) for flight in flights])
-        known = np.sort(values[np.isfinite(values)])
-        assert (one.low, one.high) == (known[4], known[-5])
+        assert (one.low, one.high) == (np.nanmin(values), np.nanmax(values))
     bare = {one.condition for one in covered_by([rows_of(example_rows(900, 0.01).block)])}
     assert bare == set(Condition) - {Condition.THROTTLE, Condition.HEIGHT}
     assert covered_by([]) == ()
@@ -281,7 +280,9 @@ def flight(seed: int, turn: float, weak_rotor: int = 0) -> LogVerdict:
 @pytest.mark.parametrize("seed", range(60, 64))
 def test_a_turn_that_was_not_learnt_is_not_judged_and_never_an_alarm(seed: int) -> None:
     found = flight(seed, 1.8)
-    assert found.verdict is Verdict.HEALTHY, found.reason
+    assert found.verdict is Verdict.NOT_JUDGEABLE, found.reason  # the turn is most of the flight
+    assert not found.events
+    assert " (4" in found.reason
     assert found.events == ()
     for name, told in verdict_json(found)["monitors"].items():
         assert told["not_judged"].startswith("yaw rate "), name
@@ -305,7 +306,7 @@ def test_a_damaged_rotor_inside_the_envelope_is_found_and_named(rotor: int) -> N
     found = flight(70 + rotor, 0.0, weak_rotor=rotor)
     assert found.verdict is Verdict.FAULT
     assert f"rotor {rotor}" in found.reason
-    assert {one.outside_s for one in found.monitors} == {0.0}
+    assert {one.outside_s for one in found.monitors if one.name != "fsd"} == {0.0}  # a time is not judged near its end
 
 
 def test_a_damaged_rotor_is_found_before_the_turn_though_nothing_is_judged_in_it() -> None:
@@ -320,7 +321,7 @@ def test_a_link_that_carries_no_heading_and_no_height_is_judged_all_the_same() -
     high = (*straight().envelope, Covered(Condition.HEIGHT, 0.4, 3.0))
     found = judge(logged(flying(3000, 80)), straight().model_copy(update={"envelope": high}))
     assert found.verdict is Verdict.HEALTHY
-    assert {one.outside_s for one in found.monitors} == {0.0}
+    assert {one.outside_s for one in found.monitors if one.name != "fsd"} == {0.0}  # a time is not judged near its end
 
 
 def test_the_envelope_is_part_of_the_file() -> None:

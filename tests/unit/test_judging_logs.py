@@ -44,7 +44,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     [
         (without(flight(8000, 1), ALL, signals=(Signal.BODY_RATE,)), "qdrone2", "no body rate"),
         (flight(8000, 1), "px4", "another link: link.profile"),
-        (flight(900, 1), "qdrone2", "judged 0.0 s of 0.9 s (0 %): not judged by fsd"),
+        (flight(900, 1), "qdrone2", "only 0.9 s of take-off or start"),
     ],
 )
 def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reason: str) -> None:
@@ -71,22 +71,23 @@ def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
     assert short.verdict is Verdict.NOT_JUDGEABLE
     assert short.judged_s == 0
     assert short.reason == (
-        "judged 0.0 s of 4.5 s (0 %): not judged by rotor_trim (waiting for enough unbroken flight)"
+        "judged 0.0 s of 3.5 s (0 %), without 1.0 s of take-off or start: "
+        "not judged by rotor_trim (waiting for enough unbroken flight)"
     )
     silent = judge(logged(without(flying(2000, 1), ALL, signals=(Signal.ACTUATOR,))), trim())
     assert silent.verdict is Verdict.NOT_JUDGEABLE
-    assert silent.reason.endswith("judged 0.0 s of 20.0 s (0 %): not judged by rotor_trim (no actuator)")
+    assert silent.reason.endswith("of take-off or start: not judged by rotor_trim (no actuator)")
 
 
 def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() -> None:
     """B1: the innovation monitor alone sufficed for "healthy", without a word of the others."""
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
     assert verdict.verdict is Verdict.HEALTHY
-    assert verdict.reason.startswith("no alarm; judged 24.0 s of 25.0 s (96 %) by innovation, rotor_signature, ")
+    assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator)" in verdict.reason
-    assert (verdict.judged_s, verdict.flown_s) == pytest.approx((24, 25), abs=0.1)
+    assert (verdict.judged_s, verdict.flown_s) == pytest.approx((24, 24), abs=0.1)
     assert verdict_json(verdict)["judged_s"] == pytest.approx(24, abs=0.1)
-    assert verdict_json(verdict)["flown_s"] == pytest.approx(25, abs=0.1)
+    assert verdict_json(verdict)["flown_s"] == pytest.approx(24, abs=0.1)
 
 
 def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
@@ -341,7 +342,7 @@ def test_u12_the_verdict_has_rotor_kind_and_times() -> None:
     assert [one["rotor"] for one in told["rotors"]] == [2]
     assert told["rotors"][0]["since_s"] >= told["since_s"]
     assert told["rotors"][0]["end_s"] is None
-    assert told["flown_s"] == pytest.approx(40.0, abs=0.1)
+    assert told["flown_s"] == pytest.approx(39.0, abs=0.1)
 
 
 def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
