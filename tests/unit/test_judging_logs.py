@@ -1,6 +1,7 @@
 """Verdicts on logs: a fault, healthy by whom, and not judgeable why."""
 
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -259,7 +260,7 @@ def one_stamp(telemetry: Telemetry) -> Telemetry:
     return Telemetry(tuple(parts))
 
 
-C1 = {
+C1: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
     "the gyro ends": (lambda flight: without(flight, (18.0, 99.0), signals=(Signal.BODY_RATE,)), "no gyro from 19.0 s"),
     "it keeps one stamp": (one_stamp, "no gyro from 19.0 s"),
     "thrust reads 0": (
