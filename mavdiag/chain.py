@@ -421,7 +421,9 @@ def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None
     features = {spec.feature for spec in specs}
     link, classifier = baseline.link, baseline.airframe.classifier
     known = known_fault_types(classifier, link.profile, 1.0 / link.dt_s) if "motion" in features else ()
-    depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
+    depends = tuple(
+        Dependence(slot.monitor.depends, slot.monitor.memory_s, grows=slot.monitor.unit != "s") for slot in slots
+    )
     envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
     decision, whose = DecisionSpec(specs, known), baseline.airframe
     return Chain(front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout, baseline, profile)

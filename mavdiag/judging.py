@@ -326,7 +326,10 @@ class _Evidence:
         if upset:
             return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
         if self.flown_s == 0:
-            return Verdict.NOT_JUDGEABLE, f"only a take-off of {self.takeoff_s:.1f} s" if self.takeoff_s else NEVER_FLEW
+            return (
+                Verdict.NOT_JUDGEABLE,
+                f"only {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s else NEVER_FLEW,
+            )
         if suspicion := self._suspicion():
             return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
         judged_s = self.coverage.judged_s
@@ -357,7 +360,7 @@ class _Evidence:
         spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
         text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
         text += f" by {spoken}" if spoken else ""
-        text += f", without {self.takeoff_s:.1f} s of take-off" if self.takeoff_s >= 0.1 else ""
+        text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
         why = [f"{one.reason} {_between(one.begin_s, one.end_s, self.log)}" for one in self.hidden]
         if 0 < share < self.judged_share:
             longest = [one for one in self.coverage.unjudged if one[1] - one[0] >= MIN_JUDGED_S * NS_PER_S]

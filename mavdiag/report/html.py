@@ -25,7 +25,8 @@ a { color: var(--link); }
 .verdict { border-left: 0.6rem solid var(--text); padding: 0.5rem 1rem; margin: 1rem 0; background: var(--box); }
 .verdict p { margin: 0.3rem 0; }
 .verdict .said { font-size: 1.25rem; font-weight: 600; }
-.verdict.fault { border-color: #D55E00; } .verdict.healthy { border-color: #009E73; }
+.verdict.fault { border-color: #D55E00; } .verdict.suspected { border-color: #E69F00; }
+.verdict.healthy { border-color: #009E73; }
 .verdict.not_judgeable, .verdict.error { border-color: #767676; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; margin: 0.5rem 0 1rem; font-size: 0.9rem; overflow-wrap: normal; }

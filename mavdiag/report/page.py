@@ -13,18 +13,19 @@ from mavdiag.link.wants import LABELS
 from mavdiag.report.flight import FlightReport
 from mavdiag.report.html import escaped, figure, listed, page, paragraph, table
 from mavdiag.report.quality import Quality
-from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline, named_rotor, unjudged
+from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline, unjudged
 from mavdiag.units import NS_PER_S
 
 __all__ = ["Made", "flights_page"]
 
 WORDS = {
     Verdict.FAULT: "fault",
+    Verdict.SUSPECTED: "suspected",
     Verdict.HEALTHY: "healthy",
     Verdict.NOT_JUDGEABLE: "not judgeable",
     Verdict.ERROR: "not readable",
 }
-ORDER = (Verdict.ERROR, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.HEALTHY)
+ORDER = (Verdict.ERROR, Verdict.FAULT, Verdict.SUSPECTED, Verdict.NOT_JUDGEABLE, Verdict.HEALTHY)
 EVENTS = 20  # alarms that a page lists of one flight; the rest is counted (our choice)
 SHORT = 60  # characters of a path that a heading shows
 
@@ -62,16 +63,17 @@ def _index(flights: Sequence[FlightReport]) -> str:
     names = _names([one.verdict.log for one in flights])
     for number, flight in enumerate(flights):
         verdict = flight.verdict
-        rotor = named_rotor(verdict)
+        rotor = verdict.rotor
         words = WORDS[verdict.verdict] if verdict.kind is None else str(verdict.kind)
         sentence = headline(verdict)
-        rows.append((names[number], words, "" if rotor is None else str(rotor), f"{verdict.judged_s:.1f}", sentence))
+        times = f"{verdict.judged_s:.1f}", f"{verdict.flown_s:.1f}"
+        rows.append((names[number], words, "" if rotor is None else str(rotor), *times, sentence))
         links.append(f"log-{number + 1}")
         if verdict.verdict in (Verdict.FAULT, Verdict.ERROR):
             above.append(number)
     counts = ", ".join(f"{n} {WORDS[one]}" for one in ORDER if (n := sum(f.verdict.verdict is one for f in flights)))
-    heads = ("log", "verdict", "rotor", "judged [s]", "in one sentence")
-    return table(f"All logs: {counts}.", heads, rows, numbers=(2, 3), above=above, links=links)
+    heads = ("log", "verdict", "rotor", "judged [s]", "flown [s]", "in one sentence")
+    return table(f"All logs: {counts}.", heads, rows, numbers=(2, 3, 4), above=above, links=links)
 
 
 def _flight(flight: FlightReport, number: int, alone: bool, lacking: Sequence[Refusal]) -> str:

@@ -42,7 +42,7 @@ class Block:
     valid: (n,) the gyro may be judged: it is there, settled and airborne.
     setpoint_valid: (n,) the set-point may be used: it is there and settled.
     doubt: (n,) why the gyro, though it is there, must not be judged: a place in `rows.quality.DOUBTS`, 0 for none.
-    settled_ns: rows before it are of a take-off, which nobody judges.
+    settled_ns: rows before it are of a take-off, or of the start of the data, which nobody judges.
     answers: what was found in the rows so far (`once`), so that each monitor need not look again.
     """
 

@@ -18,21 +18,24 @@ What the gate cannot see as flight, since its own inputs fail, `hidden_flight` f
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mavdiag.rows.block import Block
+from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_rows"]
+__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_rows", "shake"]
 
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
 BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
+START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
+SHAKE_S = 0.5  # of one figure of the noise (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
 HIDDEN_BIN_NS = NS_PER_S // 2
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
@@ -56,12 +59,15 @@ class GateState:
 
     held: tuple[Block, ...] = ()  # flight, held back by `trim_end_s`
     source: int = -1  # segment of the rows before the gate
+    source_ns: int = 0  # its first row
     airborne: bool = False
     resumes: bool = False  # the data broke off in the air: what flies next has not taken off
     span: int = -1  # number of the flying span
-    settled_ns: int = 0  # until then it takes off
+    blank_ns: int = 0  # until then rows are invalid
+    settled_ns: int = 0  # until then it takes off, or the data begin
     last_ns: int = 0  # time of the last row that flew
     low: "_Low | None" = None  # since thrust or height is low
+    tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,13 +88,15 @@ class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
     A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. In
-    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies.
+    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that sends
+    neither thrust nor height takes off when its gyro begins to shake.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
     need_armed: HEARTBEAT says armed.
     trim_start_s: start of a span that is marked invalid.
     trim_end_s: end of a span that is dropped.
+    least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
     """
 
     min_height_m: float | None = None
@@ -96,6 +104,7 @@ class GateSpec:
     need_armed: bool = True
     trim_start_s: float = 0.0
     trim_end_s: float = 0.0
+    least_shake: float | None = None
 
     def start(self) -> GateState:
         """A fresh state: nothing flies yet."""
@@ -109,9 +118,14 @@ class GateSpec:
                 flew = state.airborne
                 state, rest = _break_off(state)
                 out += [*rest, Border(state.last_ns)] if flew else []
-                state = replace(state, source=block.segment)
+                state = replace(state, source=block.segment, source_ns=int(block.t_ns[0]), tail=state.tail[:0])
             kinds = self._kinds(block)
+            state, shakes = self._shakes(state, block)
             for first, stop in _runs(kinds):
+                if kinds[first] == UP and not state.airborne and not state.resumes:
+                    first += _first(shakes[first:stop])
+                    if first == stop:
+                        continue
                 if kinds[first] == UP:
                     state = _fly(self, state, block, first, stop)
                 elif not state.airborne:
@@ -137,6 +151,19 @@ class GateSpec:
         """(n,) True for the rows that count as flying, as far as each row tells alone."""
         return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
 
+    def _shakes(self, state: GateState, block: Block) -> tuple[GateState, BoolArray]:
+        """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
+        if self.least_shake is None:
+            return state, np.ones(len(block), dtype=np.bool_)
+        told = np.isfinite(block.thrust)
+        if self.min_height_m is not None:
+            told |= np.isfinite(block.height)
+        rates = np.concatenate((state.tail, block.rate))
+        noise = shake(rates, block.dt_s)
+        known = min(len(noise), len(block))
+        told[len(block) - known :] |= noise[len(noise) - known :] >= self.least_shake
+        return replace(state, tail=rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]), told
+
     def _kinds(self, block: Block) -> IntArray:
         """(n,) DISARMED, LOW or UP."""
         up = np.ones(len(block), dtype=np.bool_)
@@ -157,6 +184,12 @@ def idle_rows(block: Block) -> BoolArray:
     return np.asarray(np.isnan(block.thrust) & (block.actuator.max(axis=1) <= IDLE_OUTPUT), dtype=np.bool_)
 
 
+def shake(rate: FloatArray, dt_s: float) -> FloatArray:
+    """Noise of the gyro in each half second: rms of its second differences, (n, 3) -> (m,) [rad/s]; 0 if unknown."""
+    squares = np.nan_to_num(np.square(np.diff(rate, n=2, axis=0)).mean(axis=1))
+    return np.sqrt(np.maximum(window_mean(squares[:, None], window_rows(SHAKE_S, dt_s))[:, 0], 0.0))
+
+
 def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
     edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
@@ -166,9 +199,12 @@ def _runs(kinds: IntArray) -> list[tuple[int, int]]:
 
 def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
     if not state.airborne:
-        since_ns = int(block.t_ns[first])
-        settled_ns = since_ns if state.resumes else since_ns + round(spec.trim_start_s * NS_PER_S)
-        state = replace(state, airborne=True, resumes=False, span=state.span + 1, settled_ns=settled_ns)
+        blank_ns = settled_ns = int(block.t_ns[first])
+        if not state.resumes:
+            blank_ns += round(spec.trim_start_s * NS_PER_S)
+            settled_ns = max(state.source_ns + START_NS, blank_ns)
+        state = replace(state, airborne=True, resumes=False, span=state.span + 1)
+        state = replace(state, blank_ns=blank_ns, settled_ns=settled_ns)
     low = state.low
     if low is None:
         return _keep(state, _cut(state, block, first, stop))
@@ -214,8 +250,8 @@ def _first(flags: BoolArray) -> int:
 def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
     """Rows of the present span, invalid while it takes off."""
     rows = replace(block.rows(first, stop, state.span), settled_ns=state.settled_ns)
-    if rows.t_ns[0] < state.settled_ns:
-        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.settled_ns))
+    if rows.t_ns[0] < state.blank_ns:
+        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.blank_ns))
     return rows
 
 
@@ -307,8 +343,9 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
         at = bins[where & ~flown]
         for part in np.split(at, np.flatnonzero(np.diff(at) > HELD_BINS) + 1):
             if len(part) and (part[-1] + 1 - part[0]) * HIDDEN_BIN_NS >= HIDDEN_S * NS_PER_S:
-                begin_s, end_s = (np.array([part[0], part[-1] + 1]) * HIDDEN_BIN_NS / NS_PER_S).tolist()
-                found.append(Hidden(begin_s, end_s, reason))
+                begin_ns, end_ns = int(part[0]) * HIDDEN_BIN_NS, int(part[-1] + 1) * HIDDEN_BIN_NS
+                before = [last for _, last in spans if 0 < begin_ns - last < HELD_BINS * HIDDEN_BIN_NS]
+                found.append(Hidden(max(before, default=begin_ns) / NS_PER_S, end_ns / NS_PER_S, reason))
     return tuple(sorted(found, key=lambda one: one.begin_s))
 
 

@@ -18,7 +18,7 @@ from mavdiag.archive.work import digest_of_file, judge_file, mark_of
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError, LinkError, UsageError
-from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, Verdict, judge
+from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, NamedRotor, Verdict, judge
 from mavdiag.logs import read_log, sha256_of
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
@@ -46,11 +46,12 @@ monitors = st.builds(
     MonitorSummary, texts, axes, spans, floats, texts, counts, floats, st.none() | texts, st.booleans(), floats
 )
 verdicts = st.builds(
-    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, texts, floats, st.tuples(monitors),
-    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds,
+    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, floats, texts, floats, st.tuples(monitors),
+    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds, spans, rotors,
+    st.tuples(st.builds(NamedRotor, st.integers(1, 8), floats, spans)),
 )  # fmt: skip
 windows = st.builds(
-    Window, floats, floats, st.sampled_from(Verdict), floats, spans, st.none() | texts,
+    Window, floats, floats, st.sampled_from(Verdict), floats, floats, spans, st.none() | texts,
     st.tuples(st.builds(WindowMonitor, texts, floats, spans)),
 )  # fmt: skip
 
