@@ -71,7 +71,7 @@ class TickState:
 
     t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
     end_rate: yaw rate at the end of the tick before [rad/s]; nan if there is none.
-    steady: whether its yaw rate stayed about the same.
+    steady: whether that tick was.
     ticks, usable: (k, 6) and (k,) the last ticks, without what a turn takes (`without_turn`).
     """
 
@@ -108,8 +108,9 @@ def next_ticks(
     Values: trim, lean, yaw rate and acceleration, 1 or 0 whether it and the tick before are steady.
 
     Values are medians, so that a few wild samples move nothing. A tick in which no trim changes is not whole: in flight
-    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the step of
-    the yaw rate from the second half of the tick before to that of this one, 0 where there is none before.
+    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the
+    median of the yaw rate's slopes over 0.2 s, for the median of what follows a slope follows the median of the slopes.
+    Steady is a tick whose slopes are small and that ends with about the yaw rate of the tick before.
     """
     tick = tick_rows(block.dt_s)
     trim, flown = trim_of(block, layout, source)
@@ -124,12 +125,22 @@ def next_ticks(
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
     values = rows[:, :used].reshape(6, count, tick)
     whole &= (values[:3] != values[:3, :, :1]).any(axis=(0, 2))
+    slopes = np.median(_slopes(values[5], block.dt_s), axis=1)
     ends = np.where(whole, np.median(values[5, :, tick // 2 :], axis=1), np.nan)
     steps = np.nan_to_num(np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s))
-    steady = np.concatenate(([state.steady], np.abs(steps) <= STEADY))
-    found: FloatArray = np.column_stack((np.median(values, axis=2).T, steps, steady[1:] & steady[:-1]))
+    steady = np.concatenate(([state.steady], np.maximum(np.abs(slopes), np.abs(steps)) <= STEADY))
+    found: FloatArray = np.column_stack((np.median(values, axis=2).T, slopes, steady[1:] & steady[:-1]))
     waiting = replace(waiting, end_rate=float(ends[-1]), steady=bool(steady[-1]))
     return waiting, t_ns[tick - 1 : used : tick], found, whole
+
+
+def _slopes(rates: FloatArray, dt_s: float) -> FloatArray:
+    """Slopes of the yaw rate within each tick, (k, tick) -> (k, m): between means over 0.1 s that lie 0.2 s apart."""
+    mean = max(1, round(0.1 / dt_s))
+    apart = max(1, min(2 * mean, rates.shape[1] - mean))
+    sums = np.cumsum(np.concatenate((np.zeros((len(rates), 1)), rates), axis=1), axis=1)
+    means = (sums[:, mean:] - sums[:, :-mean]) / mean
+    return (means[:, apart:] - means[:, :-apart]) / (apart * dt_s)
 
 
 def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
