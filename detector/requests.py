@@ -18,6 +18,7 @@ from mavdiag.link.addressed import PARAMETER_REQUESTS, Command, commands_in, par
 from mavdiag.link.codec import Decoder, Frame, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
 __all__ = ["Handled", "Requests"]
@@ -91,7 +92,8 @@ class Requests:
         if to is not None:
             return replace(self.parameters(to, (frame,), now), passed=(message,))
         if self._settings.keep_rates:
-            needed = {sysid: self._fleet.link.vehicles[sysid].profile.messages for sysid in self._fleet.vehicles}
+            profiles = {sysid: self._fleet.link.vehicles[sysid].profile for sysid in self._fleet.vehicles}
+            needed = {sysid: frozenset(messages_of(profile).values()) for sysid, profile in profiles.items()}
             verdict = self._guard.verdict(frame, needed)
             if verdict is not None:
                 asked = [

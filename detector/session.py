@@ -316,7 +316,7 @@ class Session:
         percent = int(100 * collection.seconds / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
         self._keep(reason=f"{percent} % of {goal_s:g} s{why}")
-        return self._say(Kind.LEARNING, str(shown), why, key=f"{shown}{why}")
+        return self._say(Kind.LEARNING, str(percent), why, key=f"{shown}{why}")
 
     def _fitting(self, inbox: Inbox, now: Instant) -> None:
         """A fit that failed is tried again with more flight: what was collected stays."""

@@ -27,9 +27,10 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 MOST_RISE = 0.5  # of hover: a rotor that lost a third of its thrust; with less no output can answer (our choice)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
 TICK_S = 0.5  # a value twice a second (our choice)
-# rad/s^2: a tick in which the yaw rate changes faster is left out of its window, for its median hides the peak that
-# turned the vehicle (our choice: PX4 steps its heading with 5; the largest 5 s mean in health 0.014 -> 0.001)
-STEADY = 1.0
+# rad/s^2: a tick in which the yaw rate changes faster is left out of its window, and the one after it: a median hides
+# the peak that turned the vehicle, and rotors lag (our choice: PX4 steps its heading with 5; the largest 5 s mean in
+# health 0.014 -> 0.001). Of a window so large a share must remain (our choice).
+STEADY, LEAST_SHARE = 1.0, 0.4
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
@@ -70,7 +71,8 @@ class TickState:
     """What the next rows need.
 
     t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
-    end_rate: yaw rate at the end of the last whole tick [rad/s]; nan if there is none before the next.
+    end_rate: yaw rate at the end of the tick before [rad/s]; nan if there is none.
+    steady: whether that tick was.
     ticks, usable: (k, 6) and (k,) the last ticks, without what a turn takes (`without_turn`).
     """
 
@@ -78,6 +80,7 @@ class TickState:
     rows: FloatArray
     known: BoolArray
     end_rate: float
+    steady: bool
     ticks: FloatArray
     usable: BoolArray
 
@@ -85,7 +88,7 @@ class TickState:
 def start_ticks() -> TickState:
     """No row yet."""
     never = np.empty(0, dtype=np.bool_)
-    return TickState(np.empty(0, dtype=np.int64), np.empty((6, 0)), never, np.nan, np.empty((0, 6)), never)
+    return TickState(np.empty(0, dtype=np.int64), np.empty((6, 0)), never, np.nan, True, np.empty((0, 6)), never)
 
 
 def tick_rows(dt_s: float) -> int:
@@ -101,11 +104,14 @@ def window_ticks(window_s: float, dt_s: float) -> int:
 def next_ticks(
     layout: RotorLayout, source: Source, state: TickState, block: Block
 ) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
-    """Time, values (k, 7) and wholeness of each tick that is completed: trim, lean, yaw rate and acceleration.
+    """Time, values (k, 8) and wholeness of each tick that is completed.
+
+    Values: trim, lean, yaw rate and acceleration, 1 or 0 whether it and the tick before are steady.
 
     Values are medians, so that a few wild samples move nothing. A tick in which no trim changes is not whole: in flight
-    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the step of
-    the yaw rate from the second half of the tick before to that of this one, 0 where there is none before.
+    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the
+    median of the yaw rate's slopes over 0.2 s, for the median of what follows a slope follows the median of the slopes.
+    Steady is a tick whose slopes are small and that ends with about the yaw rate of the tick before.
     """
     tick = tick_rows(block.dt_s)
     trim, flown = trim_of(block, layout, source)
@@ -116,38 +122,46 @@ def next_ticks(
     used = count * tick
     waiting = replace(state, t_ns=t_ns[used:], rows=rows[:, used:], known=known[used:])
     if count == 0:
-        return waiting, t_ns[:0], np.empty((0, 7)), known[:0]
+        return waiting, t_ns[:0], np.empty((0, 8)), known[:0]
     whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
     values = rows[:, :used].reshape(6, count, tick)
     whole &= (values[:3] != values[:3, :, :1]).any(axis=(0, 2))
+    slopes = np.median(_slopes(values[5], block.dt_s), axis=1)
     ends = np.where(whole, np.median(values[5, :, tick // 2 :], axis=1), np.nan)
-    steps = np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s)
-    found = np.column_stack((np.median(values, axis=2).T, np.nan_to_num(steps)))
-    return replace(waiting, end_rate=float(ends[-1])), t_ns[tick - 1 : used : tick], found, whole
+    steps = np.nan_to_num(np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s))
+    steady = np.concatenate(([state.steady], np.maximum(np.abs(slopes), np.abs(steps)) <= STEADY))
+    found: FloatArray = np.column_stack((np.median(values, axis=2).T, slopes, steady[1:] & steady[:-1]))
+    waiting = replace(waiting, end_rate=float(ends[-1]), steady=bool(steady[-1]))
+    return waiting, t_ns[tick - 1 : used : tick], found, whole
+
+
+def _slopes(rates: FloatArray, dt_s: float) -> FloatArray:
+    """Slopes of the yaw rate within each tick, (k, tick) -> (k, m): between means over 0.1 s that lie 0.2 s apart."""
+    mean = max(1, round(0.1 / dt_s))
+    apart = max(1, min(2 * mean, rates.shape[1] - mean))
+    sums = np.cumsum(np.concatenate((np.zeros((len(rates), 1)), rates), axis=1), axis=1)
+    means = (sums[:, mean:] - sums[:, :-mean]) / mean
+    return (means[:, apart:] - means[:, :-apart]) / (apart * dt_s)
 
 
 def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
-    """Ticks as `next_ticks` gives them less what the turn takes of the yaw trim, and 1 or 0 whether they are steady.
-
-    (k, 7) -> (k, 6)
-    """
-    steady = np.abs(ticks[:, 6]) <= STEADY
+    """Trim less what the turn takes, lean, and whether they are steady, of ticks as `next_ticks` has them: (k, 6)."""
     yaw = ticks[:, 2] - turn[0] * ticks[:, 5] - turn[1] * ticks[:, 6]
-    return np.column_stack((ticks[:, :2], yaw, ticks[:, 3:5], steady))
+    return np.column_stack((ticks[:, :2], yaw, ticks[:, 3:5], ticks[:, 7]))
 
 
 def window_means(ticks: FloatArray, window: int) -> tuple[FloatArray, BoolArray]:
     """Mean of the steady ticks of each full window, (k, c + 1) -> (k - window + 1, c), k at least `window`.
 
-    ticks: the last column 1 or 0. And where at least half of a window's ticks are steady.
+    ticks: the last column 1 or 0. And where enough of a window's ticks are steady.
     """
     sums = window_sums(np.column_stack((ticks[:, :-1] * ticks[:, -1:], ticks[:, -1])), window)
-    return sums[:, :-1] / np.maximum(sums[:, -1:], 1.0), sums[:, -1] >= 0.5 * window
+    return sums[:, :-1] / np.maximum(sums[:, -1:], 1.0), sums[:, -1] >= LEAST_SHARE * window
 
 
 def ticks_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
-    """The ticks of a flight, (t, 9): as `next_ticks` gives them, whether they are whole, number of their segment."""
-    found = [np.empty((0, 9))]
+    """The ticks of a flight, (t, 10): as `next_ticks` gives them, whether they are whole, number of their segment."""
+    found = [np.empty((0, 10))]
     for number, segment in enumerate(segments(flight)):
         state = start_ticks()
         for rows in segment:
@@ -157,11 +171,11 @@ def ticks_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> Flo
 
 
 def unbroken_parts(ticks: FloatArray, least: int) -> list[FloatArray]:
-    """Runs of whole ticks of one segment, at least so many each: (t, 9) -> (n, 7) each."""
-    whole = ticks[:, 7] > 0.5
-    borders = np.flatnonzero((np.diff(ticks[:, 8]) != 0) | (np.diff(whole) != 0)) + 1
+    """Runs of whole ticks of one segment, at least so many each: (t, 10) -> (n, 8) each."""
+    whole = ticks[:, 8] > 0.5
+    borders = np.flatnonzero((np.diff(ticks[:, 9]) != 0) | (np.diff(whole) != 0)) + 1
     parts = np.split(ticks, borders) if len(ticks) else []
-    return [part[:, :7] for part in parts if len(part) >= least and part[0, 7] > 0.5]
+    return [part[:, :8] for part in parts if len(part) >= least and part[0, 8] > 0.5]
 
 
 def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
@@ -172,22 +186,13 @@ def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
     """
     means = [np.empty((0, 3))]
     for ticks in flights:
-        flown = _windows(
-            [
-                np.column_stack((part[:, [2, 5, 6]], np.abs(part[:, 6]) <= STEADY))
-                for part in unbroken_parts(ticks, window)
-            ],
-            window,
-        )
+        flown = _windows([part[:, [2, 5, 6, 7]] for part in unbroken_parts(ticks, window)], window)
         if len(flown):
             means.append(flown - flown.mean(axis=0))
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
-    turn = PRIOR
-    if len(yaw) == 0:
-        return float(turn[0]), float(turn[1])
+    turn, trust = PRIOR, np.diag(PRIOR_SD**-2.0)
     for _ in range(3):  # the noise is what the law before leaves; overlapping windows count once
-        noise = max(float(np.mean(np.square(yaw - turning @ turn))), YAW_FLOOR**2) * window
-        trust = np.diag(PRIOR_SD**-2.0)
+        noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), YAW_FLOOR**2) * window
         turn = np.linalg.solve(turning.T @ turning / noise + trust, turning.T @ yaw / noise + trust @ PRIOR)
     return float(turn[0]), float(turn[1])
 
@@ -225,7 +230,7 @@ class TrimMonitor(Monitor[Spec, State]):
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
         """Which sources show a trim, and by each of them the ticks of the flight."""
         layout, shown = context.layout, sources_of(flight, context.layout)
-        found = [ticks_of(flight, layout, one) if shown[i] else np.empty((0, 9)) for i, one in enumerate(SOURCES)]
+        found = [ticks_of(flight, layout, one) if shown[i] else np.empty((0, 10)) for i, one in enumerate(SOURCES)]
         return shown, found[0], found[1]
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:

@@ -12,7 +12,7 @@ from detector.streams import Streams, observe
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.profiles import PROFILES
-from mavdiag.telemetry import Instant
+from mavdiag.telemetry import FloatArray, Instant, Series, Signal, Telemetry
 
 
 def test_monitors_named_as_suspect_do_not_decide_as_long_as_another_does() -> None:
@@ -33,3 +33,23 @@ def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() 
         judge, _ = Judge(trim(), chain, chain.start(), Instant(0)).step(telemetry, Instant(0))
         streams = observe(Streams(), telemetry, Instant(0), PROFILES["qdrone2"])
         assert not_judged(judge, streams, Instant(30 * 10**9)) == said
+
+
+def came(streams: Streams, t_s: FloatArray, now_s: float) -> Streams:
+    t_ns = np.round(1e9 * t_s).astype(np.int64)
+    gyro = Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((len(t_ns), 3)))
+    return observe(streams, Telemetry((gyro,)), Instant(round(now_s * 1e9)), PROFILES["ardupilot"])
+
+
+def test_h5_a_link_that_stalls_changes_no_rate() -> None:
+    """By arrival 0.2 s without data read 45 Hz, then 100 Hz: 204 requests in 718 s."""
+    streams, seen = Streams(), []
+    for k in range(100):  # 100 Hz by the vehicle's clock; every second look comes late, with all that waited
+        stamps = np.arange(20 * k, 20 * (k + 1)) / 100.0
+        first, rest = stamps[:3], stamps[3:]
+        streams = came(streams, first, 0.2 * k + 0.18)
+        seen.append(streams.rate_hz(Signal.BODY_RATE, Instant(round((0.2 * k + 0.181) * 1e9))))
+        streams = came(streams, rest, 0.2 * k + 0.19)
+    assert [one for one in seen if one is not None] == pytest.approx([100.0] * sum(one is not None for one in seen))
+    slow = came(streams, 20.0 + 0.25 * np.arange(1, 4), 21.0)
+    assert slow.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once

@@ -36,6 +36,16 @@ def test_it_rests_on_the_ground_with_motors_off() -> None:
     np.testing.assert_allclose(rows[-1]["quaternion"], [1.0, 0.0, 0.0, 0.0], atol=1e-3)
 
 
+def test_the_battery_is_that_of_the_plant() -> None:
+    link, simulation = lockstep()
+    rest = answered(link.feed(servo_bytes(0, OFF), "a", 0.0))["battery"]
+    for count in range(1, 1000):
+        flown = answered(link.feed(servo_bytes(count, CLIMB), "a", 0.0))["battery"]
+    assert rest["voltage"] == pytest.approx(simulation.config.vehicle.battery.open_circuit_v, rel=0.05)
+    assert flown["voltage"] < rest["voltage"]
+    assert flown["current"] > rest["current"] + 1.0
+
+
 @pytest.mark.parametrize("rate_hz", [50, 333, 400, 1000, 1200, 2500])
 def test_flight_time_is_frames_over_rate(rate_hz: int) -> None:
     link, simulation = lockstep()

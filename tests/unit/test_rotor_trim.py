@@ -144,3 +144,32 @@ def test_no_frame_hides_a_rotor() -> None:
     for frame in LAYOUTS.values():
         assert isinstance(frame, RotorLayout)
         assert (np.abs(frame.unmixing[2]) > 0.8 / frame.rotors).all()  # every rotor shows on yaw
+
+
+def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 0.6) -> Rows:
+    """A vehicle whose nose turns to and fro, commanded by b1 r + b2 dr/dt of hover."""
+    rng, n = np.random.default_rng(seed), round(seconds / 0.01)
+    t = 0.01 * np.arange(n)
+    rate = np.stack((0 * t, 0 * t, nose * np.sin(1.3 * t)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
+    yaw = law[0] * nose * np.sin(1.3 * t) + law[1] * nose * 1.3 * np.cos(1.3 * t)
+    w = np.outer(yaw, layout_named("x").mixing[:, 2])
+    return example_rows(n, rate=rate, actuator=0.5 * (1 + w) + rng.normal(0.0, 0.002, (n, 4)))
+
+
+@pytest.mark.parametrize("law", [(0.1, 0.05), (0.0, 0.03), (-0.05, 0.08)])
+def test_what_a_turn_takes_is_learnt_and_taken_off(law: tuple[float, float]) -> None:
+    spec = fit([[turning(120, 1, law)]], "x")
+    np.testing.assert_allclose(spec.turn, law, atol=0.01)
+    assert spec.spread[2] < 0.003
+    calm = read(spec, [turning(60, 2, law)])
+    assert calm.value[calm.valid].max() < RotorTrim.guard.least
+    straight = replace(spec, turn=(0.0, 0.0))
+    assert read(straight, [turning(60, 2, law)]).value.max() > 2 * calm.value[calm.valid].max()
+
+
+def test_a_nose_that_hardly_turns_leaves_the_law_at_its_prior() -> None:
+    assert fit([[turning(60, 3, (0.1, 0.05), nose=0.001)]], "x").turn == pytest.approx((0.0, 0.04), abs=0.005)
+
+
+def test_a_threshold_above_its_reach_could_not_be_passed_by_a_vehicle_that_flies() -> None:
+    assert 0.3 < RotorTrim.reach < 0.7

@@ -99,7 +99,9 @@ def test_learning_pauses_on_the_ground_and_says_why(words: dict[str, float], rea
     before = story.state.collection.seconds
     story.fly(10.0, **words)  # type: ignore[arg-type]  # the options have two types
     assert story.state.collection.seconds == before
-    assert f"PROP learning 25%: {reason}" in story.texts
+    percent = int(100 * before / (story.spec.settings.learn or 0))
+    assert percent % 25  # what is said is how far it is, not the last quarter
+    assert f"PROP learning {percent}%: {reason}" in story.texts
     assert story.state.reason.endswith(reason)
     story.fly(13.0)
     assert story.at(State.FITTING)

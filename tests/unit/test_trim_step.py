@@ -14,7 +14,7 @@ from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors.trim import TICK_S, WINDOW_S
 from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
-from mavdiag.rows.front import Rows
+from mavdiag.rows.front import Covered, Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
@@ -173,3 +173,64 @@ def test_healthy_flights_stay_below_the_threshold_that_they_give() -> None:
         judged = np.concatenate([one.value[one.valid] for one in parts])
         assert len(judged) > 10
         assert judged.max() < threshold.value, f"seed {seed}"
+
+
+@pytest.mark.parametrize("wild", [1, 3])
+@pytest.mark.parametrize("value", [-1.0, 1.0])
+def test_a_few_wild_samples_of_an_output_move_nothing(wild: int, value: float) -> None:
+    """One sample of -1 was a fault of 0.042 over 0.010, with a rotor."""
+    outputs = level(40)
+    calm = read(outputs)
+    for first in range(200, 1900, 100):
+        outputs[first : first + wild, 1] = value
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST
+    assert found.valid.sum() == calm.valid.sum()
+
+
+def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
+    outputs = level(60)
+    outputs[1000:, 1] = 0.56  # what they happened to be when the link began to repeat itself
+    outputs[1000:] = outputs[1000]
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST + 0.12 / 10  # one tick of ten, at most
+    assert not found.valid[found.t_ns > 21e9].any()
+    dead = read(np.ones((2000, 4)))
+    assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
+
+
+def covered_from(start_s: float) -> Covered:
+    return lambda conditions, memory_s, t_ns: t_ns >= start_s * 1e9
+
+
+def test_ground_effect_is_no_reference() -> None:
+    """20 s in low hover, outside of the envelope, then away: the shift was a fault for the rest of the flight."""
+    outputs = level(90)
+    outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.0, 0.0, 0.03])
+    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
+    monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
+    assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
+    found = monitor.step(monitor.start(), replace(rows, covered=covered_from(21.0)))[1]
+    assert found.value[found.valid].max() < LEAST
+    assert found.t_ns[found.valid][0] >= 31e9
+
+
+def test_what_stays_becomes_the_reference_and_its_repair_is_no_fault() -> None:
+    outputs = level(260)
+    outputs[1000:9000, 2] += 0.05  # from 20 to 180 s
+    found = read(outputs)
+    at = found.t_ns / 1e9
+    assert found.value[(at > 26) & (at < 120)].min() > 0.09
+    assert found.value[(at > 160) & (at < 180)].max() < LEAST  # there is a way out
+    assert found.value[at > 180].max() < LEAST  # back where it was healthy: no other rotor rises
+    outputs[11000:, 0] += 0.05  # another one, at 220 s
+    again = read(outputs)
+    assert again.value[again.t_ns > 226e9].min() > 0.08
+    assert (again.rotors[again.t_ns > 226e9].argmax(axis=1) == 0).all()
+
+
+def test_a_weak_rotor_from_take_off_that_is_repaired_is_no_fault_of_the_others() -> None:
+    outputs = level(80)
+    outputs[:2000, 3] += 0.06
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST
