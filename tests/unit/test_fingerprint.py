@@ -250,10 +250,11 @@ def grounded(seed: int, ground_s: float) -> Log:
     return Log(f"log{seed}", f"{seed:064x}", "px4", Telemetry(tuple(series)))
 
 
-def test_time_on_the_ground_is_not_compared_with_flight() -> None:
+@pytest.mark.parametrize("learnt_s", [0.0, 25.0])
+def test_time_on_the_ground_is_not_compared_with_flight(learnt_s: float) -> None:
     """Armed on the ground, without a thrust set-point: the flight is alike with and without that time."""
     options = LearnOptions(airframe=dataclasses.replace(FRAME, gate=None))
-    baseline = learn([grounded(100 + k, 25.0 * (k % 2)) for k in range(3)], options, created=NOW)
+    baseline = learn([grounded(100 + k, learnt_s) for k in range(3)], options, created=NOW)
     for seconds in (0.0, 25.0, 60.0):
         verdict = judge(grounded(7, seconds), baseline)
         assert verdict.verdict is Verdict.HEALTHY, verdict.reason

@@ -6,17 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying, without
-from made_baselines import logged, thesis, trim, whole
+from made_baselines import NOW, logged, thesis, trim, whole
 from made_statistics import assert_alike
 from made_telemetry import cut, flight
 
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
 from mavdiag.chain import chain_of
 from mavdiag.commands.options import between
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import Log, Signal, Telemetry
 
 ALL = (0.0, 1e9)
 
@@ -182,3 +185,25 @@ def test_judging_a_longer_log_takes_no_more_memory(monkeypatch: pytest.MonkeyPat
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert most[1] < 1.3 * most[0]
+
+
+@pytest.mark.parametrize(
+    ("layout", "frame", "named"),
+    [("octo-x", (3, 1), True), ("x8", (4, 1), False), ("y6", (5, 0), False), ("deca-x", (14, 1), True)],
+)
+def test_a_frame_by_its_parameters_is_judged_and_two_rotors_on_an_arm_are_not_told_apart(
+    layout: str, frame: tuple[int, int], named: bool
+) -> None:
+    parameters = {"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])}
+    airframe = Airframe(name=layout, gate=GateSpec())
+    flights = [
+        Log(f"f{k}", f"{k:064x}", "ardupilot", flying(3000, 100 + k, layout=layout), parameters=parameters)
+        for k in range(3)
+    ]
+    baseline = learn(flights, LearnOptions(airframe=airframe, monitors=("rotor_trim",)), created=NOW)
+    assert baseline.airframe.layout is not None
+    assert baseline.airframe.layout.name == layout
+    assert judge(replace(flights[0], telemetry=flying(3000, 7, layout=layout)), baseline).verdict is Verdict.HEALTHY
+    weak = judge(replace(flights[0], telemetry=flying(3000, 7, weak_rotor=2, rise=0.4, layout=layout)), baseline)
+    assert weak.verdict is Verdict.FAULT, weak.reason
+    assert {one.rotor for one in weak.changes} - {None} == ({2} if named else set())
