@@ -39,6 +39,7 @@ def hard_flight(seed: int) -> Telemetry:
         Signal.ATTITUDE_SETPOINT: np.column_stack((0.3 * np.sin(s), 0.2 * np.cos(2 * s), yaw)),
         Signal.THRUST_SETPOINT: np.where((s > 11.2) & (s < 12.0), 0.05, 0.5)[:, None],
         Signal.ARMED: np.where((s > 11.6) & (s < 12.0), 0.0, 1.0)[:, None],
+        Signal.ACTUATOR: 0.5 + 0.05 * np.sin(np.outer(s, [5.0, 7.0, 11.0, 13.0])),  # motors that carry: 0..1
     }
     parts = []
     for signal in (*STOPS, Signal.ARMED):

@@ -1,5 +1,6 @@
 """The gate: spans of flight, their trims, and what passes for lack of a signal."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -217,3 +218,14 @@ def test_b3_a_border_follows_a_landing_and_none_the_ground_or_the_end_of_a_log()
 def test_a_signal_that_is_unknown_for_a_while_passes() -> None:
     thrust = np.r_[np.full(50, 0.5), np.full(50, np.nan)]
     assert spans(GateSpec(min_thrust=0.1), [block(thrust)]) == [(0, 0, 99)]
+
+
+def test_without_a_thrust_set_point_outputs_that_all_idle_are_no_flight() -> None:
+    unknown = np.full(6, np.nan)
+    outputs = np.array([[0.0, 0.1], [0.15, 0.1], [0.15, 0.2], [0.4, 0.4], [np.nan, 0.1], [0.0, 0.0]])
+    spec = GateSpec(min_thrust=0.1, need_armed=False)
+    flies = spec.flying(dataclasses.replace(block(unknown), actuator=outputs))
+    assert flies.tolist() == [False, False, True, True, True, False]
+    known = dataclasses.replace(block(np.full(6, 0.5)), actuator=outputs)
+    assert spec.flying(known).all()  # the set-point goes before the outputs
+    assert GateSpec(need_armed=False).flying(dataclasses.replace(block(unknown), actuator=outputs)).all()
