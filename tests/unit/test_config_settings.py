@@ -16,7 +16,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
-    path = written(tmp_path, 'learn = 30.0\nvehicle = 3\nforward = ["udpout:127.0.0.1:14551"]\n')
+    path = written(tmp_path, 'learn = 30.0\nsave = "b.json"\nvehicle = 3\nforward = ["udpout:127.0.0.1:14551"]\n')
     settings = load_settings(path, {"vehicle": 7, "connect": None})
     assert (settings.learn, settings.vehicle) == (30.0, 7)
     assert settings.forward == ("udpout:127.0.0.1:14551",)
@@ -32,6 +32,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ("learn = 10\nnamed_values_axis = 'sideways'", "named_values_axis: "),
         ("learn = 10\ntwins_hz = 5", "unknown key 'twins_hz'"),
         ("learn = 10\ntexts_per_minute = 1000", "texts_per_minute: "),
+        ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
         ("learn = [", "not TOML"),
         ("learn = 10\nbaseline = 'b.json'", "either --baseline FILE or --learn SECONDS, not both"),
         ("", "name a --baseline FILE, or --learn SECONDS"),
@@ -62,7 +63,7 @@ def test_settings_do_not_change() -> None:
 
 
 def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
-    path = written(tmp_path, "learn = 30.0\nvehicle = 3\nclear_s = 8.0\n")
+    path = written(tmp_path, "learn = 30.0\nsave = 'b.json'\nvehicle = 3\nclear_s = 8.0\n")
     environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_CLEAR_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
     settings = load_settings(path, {"vehicle": 5}, environ)
     assert (settings.learn, settings.clear_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
@@ -70,7 +71,7 @@ def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_p
 
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     environ = {
-        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\n")),
+        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\nsave = 'b.json'\n")),
         "MAVDIAG_DETECTOR_FORWARD": "/dev/ttyUSB1,57600 udpout:127.0.0.1:14551",
         "MAVDIAG_DETECTOR_KEEP_RATES": "true",
         "MAVDIAG_DETECTOR_SUSPECT": "fsd",
@@ -98,7 +99,7 @@ def test_what_is_wrong_in_the_environment_is_named(name: str, text: str, words: 
 
 def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
     settings = load_settings(written(tmp_path, example_text()), {})
-    assert settings == Settings(learn=120.0)
+    assert settings == Settings(learn=120.0, save=Path("/var/lib/mavdiag/learned.json"))
     shown = set(re.findall(r"^(?:# )?(\w+) = ", example_text(), re.MULTILINE))
     assert shown == set(Settings.model_fields) - {"vehicles"}
 

@@ -112,11 +112,11 @@ def test_it_lowers_what_is_allowed_for_other_sessions() -> None:
 
 
 def test_the_healthy_trim_becomes_the_mean_over_sessions() -> None:
-    shifted = changed(flying(2500, 12), Signal.ACTUATOR, add=0.5 * 0.02 * YAW)
+    shifted = changed(flying(2500, 12), Signal.ACTUATOR, add=0.5 * 0.01 * YAW)
     before = np.array(entry(monday(), "rotor_trim").spec.mean)
     after = np.array(entry(extend(monday(), [flown(12, MONDAY + DAY, shifted)], created=NOW), "rotor_trim").spec.mean)
     assert abs(before[2]) < 0.001
-    assert after[2] == pytest.approx(0.01, abs=0.001)  # half of 0.02
+    assert after[2] == pytest.approx(0.005, abs=0.001)  # half of 0.01
     np.testing.assert_allclose(after[:2], before[:2], atol=0.001)
 
 
