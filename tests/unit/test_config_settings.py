@@ -4,9 +4,12 @@ import re
 from pathlib import Path
 
 import pytest
+from made_baselines import FRAME, NOW, healthy
 
 from detector.config import Settings, example_text, load_settings
-from mavdiag.errors import UsageError
+from detector.reporting import kept_baselines
+from mavdiag.errors import BaselineError, UsageError
+from mavdiag.learning import LearnOptions, learn
 
 
 def written(folder: Path, text: str) -> Path:
@@ -133,3 +136,17 @@ def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words:
 def test_vehicles_with_baselines_of_their_own_need_no_common_one(tmp_path: Path) -> None:
     settings = load_settings(written(tmp_path, "[vehicles.3]\nbaseline = 'b3.json'"), {})
     assert {sysid: one.baseline for sysid, one in settings.vehicles.items()} == {3: Path("b3.json")}
+
+
+def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
+    made = learn(healthy(1), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
+    path = tmp_path / "learned.json"
+    assert kept_baselines(path) == {}
+    for sysid, name in ((3, "learned.json"), (7, "learned-7.json"), (9, "learned-old.json")):
+        provenance = made.provenance.model_copy(update={"vehicle": sysid})
+        made.model_copy(update={"provenance": provenance}).save(tmp_path / name)
+    kept = kept_baselines(path)
+    assert {sysid: one.name for sysid, (one, _) in kept.items()} == {3: "learned.json", 7: "learned-7.json"}
+    path.write_text("{}")
+    with pytest.raises(BaselineError, match=r"learned\.json"):
+        kept_baselines(path)

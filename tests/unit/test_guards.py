@@ -1,6 +1,7 @@
 """Guards of teaching: each made-up case is refused with its reason, and left out on demand."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
 from mavdiag.learning.teaching import taught
+from mavdiag.monitors import monitor_of
 from mavdiag.rows.align import Grid
 from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
@@ -265,3 +267,22 @@ def test_a_finding_says_where() -> None:
     assert Finding(0, "a", Kind.UPSET, "x", None, 3.0).place == "all before 3.0 s"
     assert Finding(0, "a", Kind.UPSET, "x").place == "the whole log"
     assert Finding(0, "a", Kind.FAR, "x", 1.0, 3.0).remedy.startswith("cut 1.0 to 3.0 s out of the log")
+
+
+def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
+    """Sensor noise is cut at 6 times its healthy rms, ln 36 of power: a threshold above it would never be passed."""
+    noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.2))]
+    found = learn(noisy, replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
+    (trim,) = [one for one in found.not_judgeable if one.monitor == "rotor_trim"]
+    assert "cannot be reached (0.414 at most)" in trim.reason
+    assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
+    assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)
+
+
+def test_each_monitor_says_what_it_can_come_to() -> None:
+    found = learn(healthy(2), replace(OPTIONS, monitors=("sensor_noise", "rotor_trim", "thrust_loss")), created=NOW)
+    reach = {entry.spec.kind: monitor_of(entry.spec).reach for entry in found.monitors}
+    assert reach["rotor_trim"] == pytest.approx(0.414, abs=1e-3)  # a rotor with half of its thrust
+    assert reach.get("sensor_noise", math.log(36.0)) == pytest.approx(math.log(36.0))
+    assert reach.get("thrust_loss", 1.0) == 1.0
+    assert all(entry.threshold.value < reach[entry.spec.kind] for entry in found.monitors)
