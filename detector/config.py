@@ -108,8 +108,8 @@ class Settings(SessionSettings):
             raise ValueError("either --baseline FILE or --learn SECONDS, not both")
         if self.baseline is None and self.learn is None and not self.vehicles:
             raise ValueError("name a --baseline FILE, or --learn SECONDS of healthy flight")
-        for option in ("save", "airframe", "layout", "name", "accept"):
-            if getattr(self, option) and self.learn is None:
+        for option in ("save", "airframe", "layout", "name"):
+            if getattr(self, option) is not None and self.learn is None:
                 raise ValueError(f"--{option} is about what --learn SECONDS learns; add --learn or leave it out")
         if self.web_token_file is not None and self.web is None:
             raise ValueError("--web-token-file is about the live page; add --web HOST:PORT or leave it out")
@@ -159,9 +159,6 @@ def load_settings(
         settings = Settings.model_validate(values)
     except ValidationError as error:
         raise UsageError(_reason(error, where)) from error
-    if settings.learn is not None and settings.save is None:
-        said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
-        raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
     for address in (settings.connect, *settings.forward):
         parse_address(address)
     if settings.profile is not None:
@@ -172,6 +169,9 @@ def load_settings(
         host, _ = split_web_address(settings.web)
         if settings.web_token_file is None and not is_loopback(host):
             raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
+    if settings.learn is not None and settings.save is None:
+        said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
+        raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
     return settings
 
 

@@ -39,7 +39,7 @@ def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe:
     """The least damage that is noticed in 95 % of the time. limits: thresholds of the monitors, by name."""
     rises, vibration = [], [math.inf]
     for name, limit in limits.items():
-        same = [one for one in found if one.spec.kind == name and len(one.t_s)]
+        same = [one for one in found if one.name == name and len(one.t_s)]
         if not same or limit >= monitor_of(same[0].spec).reach:
             continue
         if name in TRIMS:
@@ -68,7 +68,7 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
 
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were
-    fitted and cannot reach their threshold.
+    fitted and cannot reach their threshold; where no monitor of the trim can, the trim scattered too much for any, D.
 
     >>> grade_of(LeastDamage(thrust_loss=(0.05, 0.08, 0.05, 0.05), vibration_m_s2=1.0), weak=False)
     'A'
@@ -76,11 +76,11 @@ def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Gr
     ('D', 'C')
     """
     seen = []
-    if least.thrust_loss or set(blind) & set(TRIMS):
-        seen.append(_place(max(least.thrust_loss, default=math.inf), LOSS_LIMITS))
+    if least.thrust_loss:
+        seen.append(_place(max(least.thrust_loss), LOSS_LIMITS))
     if least.vibration_m_s2 is not None:
         seen.append(_place(least.vibration_m_s2, VIBRATION_LIMITS_M_S2))
-    if weak:
+    if weak or (set(blind) & set(TRIMS) and not least.thrust_loss):
         return "D"
     if not seen:
         return "C"
@@ -99,5 +99,6 @@ def accepted(baseline: Baseline, how: str) -> Baseline:
     """
     if baseline.grade != "D":
         return baseline
-    reason = baseline.weak or "it would hardly notice a damaged propeller"
+    blind = "; ".join(f"{one.monitor}: {one.reason}" for one in baseline.not_judgeable if "be reached" in one.reason)
+    reason = baseline.weak or blind or f"it notices only {baseline.least_damage}"
     raise IdentificationError(f"baseline of grade D: {reason}; teach with other flights, or take it with {how}")

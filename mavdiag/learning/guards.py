@@ -8,8 +8,8 @@ A damaged propeller among the flights is seen once the monitors are fitted (`sus
 The figures are `Course`s: the statistic of a monitor once a second, by the fit to all flights, so that a ratio of two
 of its values does not depend on how large the fit takes health to be. Three things speak against a teaching set:
 
-    a change      one flight's course, cut in two where it differs most: the medians x1, x2 of the parts lie apart by
-                  a ratio of 2 (a rise of a rotor's command of 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
+    a change      one flight's course, cut in two where it differs most: the second part's median lies above the
+                  first's by a ratio of 2 (a rotor's command moves by 0.03 of hover) and by 5 spreads, s^2 = floor^2 +
                   (1.48 MAD)^2 of what is left: a maximum-type two-sample test with a robust scale
     an odd flight its median lies above the median of the other flights' by a ratio of 2 (0.04 of hover) and by 5 of
                   their spreads
@@ -76,6 +76,7 @@ GROUP_FLOOR = 0.001  # of the hover command: no mean over a flight is more certa
 
 STEADY = ("rotor_signature", "unbalance", "vibration_level")  # alike in every healthy flight, whatever is flown
 TRIMS = ("rotor_trim", "trim_step")
+SHAKING = "accelerometer"
 PART_S = 5  # of a course: shorter parts have no median to compare
 SPLITS = 200  # of a course that are tried
 SPREADS = 5.0
@@ -84,20 +85,24 @@ ODD_RATIO, ODD_RISE = 2.0, 0.04
 TINY = 1e-9
 LOG_FLOOR, RISE_FLOOR = 0.05, 0.002  # spreads below which none is believed
 MOST_GRADE = Grade.G40  # two grades above what rotors are balanced to, G6.3 (T 3.2.2)
+LEAST_PASSED = 0.5  # of a line that second differences pass; less of it and noise would be taken for it
 ROTOR_SHARE = 0.02  # of the vehicle's mass is one rotor, propeller and bell: 30 g of 1.5 kg (T Eq 3.6)
-MOST_TRIM = 0.2  # of hover: a rotor that lost 30 % of its thrust
+MOST_TRIM = 0.5  # of hover: a rotor with 45 % of its thrust; a recorded healthy vehicle has 0.35
 MOST_UNREST_RAD_S = 0.06  # that a rate loop leaves in calm flight; recorded healthy vehicles have 0.001 to 0.045
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """The statistic of a monitor in one flight, once a second of what it judged.
+    """A figure of one flight, once a second: the statistic of a monitor, or what the accelerometer shakes.
 
-    spec: the monitor's fit. number, log: of which flight.
-    t_s: (k,) vehicle's clock. value: (k,) its statistic. rises: (k, n) of the n rotors' commands, by a monitor of the
+    name: the monitor's, or "accelerometer". spec: the monitor's fit; the row period [s] of the accelerometer.
+    number, log: of which flight.
+    t_s: (k,) vehicle's clock. value: (k,) the statistic; the rms of the second differences of the specific force along
+    x and y [m/s^2]. rises: (k, n) of the n rotors' commands, by a monitor of the
     trim [fraction of hover]; (k, 0) by another.
     """
 
+    name: str
     spec: Any
     number: int
     log: str
@@ -299,9 +304,30 @@ def _three(trim: FloatArray) -> str:
 
 
 def courses(specs: Sequence[Any], flights: Sequence[LearntFlight]) -> tuple[Course, ...]:
-    """The courses of the steady monitors and of those of the trim, in each flight. specs: fits to all the flights."""
+    """The courses of the steady monitors, of those of the trim, and of the accelerometer, in each flight.
+
+    specs: fits to all the flights.
+    """
     used = [spec for spec in specs if spec.kind in (*STEADY, *TRIMS)]
-    return tuple(_course(spec, number, flight) for number, flight in enumerate(flights) for spec in used)
+    of_monitors = (_course(spec, number, flight) for number, flight in enumerate(flights) for spec in used)
+    return (*of_monitors, *(_shaking(number, flight) for number, flight in enumerate(flights)))
+
+
+def _shaking(number: int, flight: LearntFlight) -> Course:
+    """Of the accelerometer: all links that are not low-passed carry a rotor's line somewhere, folded or not."""
+    t_s, value, dt_s = [np.empty(0)], [np.empty(0)], 0.0
+    for block in joined(flight.rows):
+        dt_s, second = block.dt_s, window_rows(1.0, block.dt_s)
+        squares = np.square(np.diff(block.force[:, :2], n=2, axis=0)).sum(axis=1)
+        known = np.isfinite(squares) & block.valid[2:]
+        count = len(squares) // second
+        parts = np.where(known, squares, 0.0)[: count * second].reshape(count, second)
+        share = known[: count * second].reshape(count, second).mean(axis=1)
+        whole = share > 0.5
+        t_s.append(block.t_ns[: count * second : second][whole] / NS_PER_S)
+        value.append(np.sqrt(parts.mean(axis=1)[whole] / share[whole]))
+    times = np.concatenate(t_s)
+    return Course(SHAKING, dt_s, number, flight.label.name, times, np.concatenate(value), np.empty((len(times), 0)))
 
 
 def _course(spec: Any, number: int, flight: LearntFlight) -> Course:
@@ -316,7 +342,13 @@ def _course(spec: Any, number: int, flight: LearntFlight) -> Course:
     times = np.concatenate(t_ns)
     at = np.unique(times // NS_PER_S, return_index=True)[1]
     return Course(
-        spec, number, flight.label.name, times[at] / NS_PER_S, np.concatenate(value)[at], np.concatenate(risen)[at]
+        spec.kind,
+        spec,
+        number,
+        flight.label.name,
+        times[at] / NS_PER_S,
+        np.concatenate(value)[at],
+        np.concatenate(risen)[at],
     )
 
 
@@ -337,25 +369,25 @@ def _change(course: Course) -> Finding | None:
         left = np.abs(np.concatenate((x[:at] - before, x[at:] - after)))
         shift = after - before
         sure = np.abs(shift) / np.hypot(1.4826 * np.median(left, axis=0), floor)
-        sure[np.abs(shift) < least] = 0.0
+        sure[(np.abs(shift) if trim else shift) < least] = 0.0
         j = int(sure.argmax())
         best = max(best, (float(sure[j]), float(shift[j]), int(at)))
     sure_of, moved, at = best
     if sure_of < SPREADS:
         return None
     place = f"from {course.t_s[at]:.0f} s on"
-    name = course.spec.kind
+    name = course.name
     much = f"a motor is commanded {100 * moved:+.0f} %" if trim else f"{math.exp(moved):.2g} times what it was before"
     return Finding(course.number, course.log, Kind.CHANGE, f"{place}: {name}: {much}: something changed in flight")
 
 
 def _odd(found: Sequence[Course]) -> Iterator[Finding]:
     """The oddest flight by each monitor, if it is odd."""
-    for spec in {one.spec.kind: one.spec for one in found if one.spec.kind != "trim_step"}.values():
-        same = [one for one in found if one.spec is spec and len(one.t_s) >= PART_S]
+    for name in dict.fromkeys(one.name for one in found if one.name != "trim_step"):
+        same = [one for one in found if one.name == name and len(one.t_s) >= PART_S]
         if len(same) < 2:
             continue
-        trim = spec.kind in TRIMS
+        trim = name in TRIMS
         least, floor = (ODD_RISE, RISE_FLOOR) if trim else (math.log(ODD_RATIO), LOG_FLOOR)
         middle = np.array([np.median(one.figures, axis=0) for one in same])
         apart = [_apart(middle, number, least, floor) for number in range(len(same))]
@@ -363,7 +395,7 @@ def _odd(found: Sequence[Course]) -> Iterator[Finding]:
         if abs(apart[number]) < least or (apart[number] < 0 and not trim):
             continue
         off = f"{100 * apart[number]:+.0f} % of hover" if trim else f"{math.exp(apart[number]):.2g} times"
-        text = f"{spec.kind}: {off} against the other flights: is one of them broken?"
+        text = f"{name}: {off} against the other flights: is a propeller broken in one of them?"
         yield Finding(same[number].number, same[number].log, Kind.GROUPS, text)
 
 
@@ -378,9 +410,12 @@ def _apart(middle: FloatArray, number: int, least: float, floor: float) -> float
 
 def _implausible(found: Sequence[Course], airframe: Airframe) -> Iterator[Finding]:
     """What no healthy vehicle has."""
-    for spec in {one.spec.kind: one.spec for one in found}.values():
-        text = ""
+    for course in {one.name: one for one in found}.values():
+        spec, text = course.spec, ""
         match spec:
+            case float():
+                same = np.concatenate([one.value for one in found if one.name == course.name])
+                text = _too_shaky(same, spec, airframe)
             case UnbalanceSpec():
                 text = _too_unbalanced(math.sqrt(spec.power), airframe)
             case VibrationLevelSpec():
@@ -397,6 +432,14 @@ def _implausible(found: Sequence[Course], airframe: Airframe) -> Iterator[Findin
                     text = f"the vehicle does not follow its set-points in calm flight: {rates}"
         if text:
             yield Finding(0, "all flights", Kind.PHYSICS, text)
+
+
+def _too_shaky(rms: FloatArray, dt_s: float, airframe: Airframe) -> str:
+    """As `_too_unbalanced`, from second differences: a line at f has (2 sin(pi f dt))^2 times its amplitude in them."""
+    if not len(rms) or airframe.hover_rad_s is None:
+        return ""
+    passed = (2 * math.sin(airframe.hover_rad_s * dt_s / 2)) ** 2
+    return _too_unbalanced(float(np.median(rms)) / passed, airframe) if passed >= LEAST_PASSED else ""
 
 
 def _too_unbalanced(m_s2: float, airframe: Airframe) -> str:

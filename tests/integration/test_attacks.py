@@ -435,7 +435,7 @@ def test_every_vehicle_has_a_socket_of_its_own_in_a_flood() -> None:
 @pytest.mark.realtime
 def test_sigterm_ends_the_daemon_amid_a_flood() -> None:
     with (
-        running("--connect", UDP_IN, "--learn", "5") as (child, line),
+        running("--connect", UDP_IN, "--learn", "5", "--save", "b.json") as (child, line),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
     ):
         link.connect(("127.0.0.1", port_of(line)))
@@ -456,7 +456,7 @@ def test_a_key_that_others_may_read_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_text("correct horse\n")
     path.chmod(0o644)
-    run = ran("--connect", UDP_IN, "--learn", "5", "--signing-key", str(path))
+    run = ran("--connect", UDP_IN, "--learn", "5", "--save", "b.json", "--signing-key", str(path))
     assert run.returncode == 2
     assert run.stderr == f"mavdiag-detector: {path}: others may read the signing key; run `chmod 600 {path}`\n"
     path.chmod(0o600)
