@@ -40,6 +40,7 @@ NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded 
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
+CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
 GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
@@ -167,6 +168,8 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
             rate_hz = 1 / context.dt_s
             raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
         pairs = _training_pairs(summaries)
+        if all((one.y == one.y[:1]).all() for one in pairs) and sum(len(one[2]) for one in summaries) >= MIN_ROWS:
+            raise IdentificationError(CONSTANT)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
@@ -176,7 +179,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
             a[axis], b[axis] = _identify(pairs, axis, float(mean[axis]))
         squares = np.concatenate([_errors(one.u, one.y - mean, a, b)[one.valid] ** 2 for one in pairs])
         if squares.mean(axis=0).min() == 0.0:
-            raise IdentificationError("the gyro is constant or noise-free; is it a real sensor?")
+            raise IdentificationError(CONSTANT)
         busy = np.concatenate([one.busy[one.valid] for one in pairs])
         k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
         spec = InnovationSpec(

@@ -57,7 +57,7 @@ HELD = {
     Signal.HEIGHT: 2.0,
     Signal.VOLTAGE: 10.0,
     Signal.ARMED: math.inf,
-    Signal.VIBRATION: 2.0,
+    Signal.VIBRATION: 1.0,
     Signal.ACTUATOR: 1.0,
 }
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1

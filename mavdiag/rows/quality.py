@@ -7,13 +7,15 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
 the healthy leap of gyro and accelerometer, whose noise sums up, and four times that of the others, or what does no
 harm. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below 20 Hz) the signal leaps back,
-they were a glitch. If it is not, or as many of the 20 samples before leapt too, it is how the signal moves now, and all
+they were a glitch. If not, or if as many of the 20 samples before leapt too, it is how the signal moves now, and all
 are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses nothing.
-What holds its last value does not wait, and is lost. A stamp that is far ahead is lost until the next one follows it.
+What holds its last value does not wait, and is lost. A sample whose stamp leaps is lost until another one follows it.
 
 A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
-quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; likewise
-one axis of gyro or accelerometer alone; and at once if the accelerometer or all outputs read zero. Then it is unknown.
+quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; the
+attitude's set-point for two samples more than it did, for its slope is what the model is driven by; likewise one axis
+of gyro or accelerometer alone; and at once if all that the accelerometer, the outputs, the attitude or its
+set-point read is zero. Then it is unknown.
 
 The gyro is *doubted* (`Doubt`) where it is dead, where its time stamps scatter more about their grid than they did in
 health, and where its resolution is coarser. Rows keep it, and say why they must not be judged.
@@ -36,11 +38,13 @@ FAR = 4.0  # healthy leaps; a longer one is a glitch until it is seen again (our
 FAR_SENSOR = 2.0  # of the sensors: three such samples add 0.4 to the mean square of 500 (our choice)
 GLITCH_S, MOST_LOST, AMONG = 0.03, 3, 20  # an I2C glitch spoils up to three samples (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
+STILL_SHARE = 0.999  # quantile of the repetitions of the attitude's set-point that is the longest (our choice)
 STILL_FACTOR, STILL_MORE = 4.0, 2  # of the longest healthy repetition, and samples more (our choice)
-STILL_S, STILL_LEAST = 1.0, 1.5  # no longer than this, but by so much longer than in health (our choice)
+STILL_S, STILL_LEAST = 0.8, 1.5  # no longer than this, but by so much longer than in health (our choice)
 QUIET_SHARE = 0.05  # of the healthy noise: 26 dB below it (our choice)
 CALM_SHARE = 0.1  # the quantile of the noise of the seconds of healthy flight that is its quietest (our choice)
 JITTER_S = 5.0  # memory of the jitter: one wrong stamp in it is none (our choice)
+MISSING = 2.5  # periods: a longer step says nothing of jitter (our choice)
 JITTER_FACTOR, LEAST_JITTER = 2.0, 0.05  # of the healthy one, and of a period, which no monitor notices (our choice)
 RESOLUTION_FACTOR = 1.5  # of the healthy one: 2 mrad/s in place of 1 is another sensor or link (our choice)
 RESOLUTION_NOISE = 0.25  # of the rms step: a finer resolution than this is hidden by the noise (our choice)
@@ -137,7 +141,7 @@ class Habit(BaseModel):
         longest = np.array(self.still, dtype=np.float64)
         most = STILL_FACTOR * longest + STILL_MORE
         most[0] = max(min(most[0], STILL_S / self.period_s), STILL_LEAST * longest[0] + STILL_MORE)
-        return np.floor(most)
+        return np.floor(most) if self.signal is not Signal.ATTITUDE_SETPOINT else longest + STILL_MORE
 
 
 class LinkQuality(BaseModel):
@@ -313,6 +317,8 @@ def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
     series, values = looked.series, looked.series.values
     most = habit.most_still
     dead = looked.runs[:, : len(most)] > most
+    if habit.signal in ANGLES and any(habit.leap):  # no vehicle that flies has all of them at zero
+        dead |= np.all(values == 0.0, axis=1, keepdims=True)
     if habit.signal is Signal.THRUST_SETPOINT:  # below it the vehicle stands, and nothing moves
         dead &= values[:, :1] >= habit.lowest
     if habit.signal is Signal.BODY_RATE:
@@ -334,7 +340,8 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
     t, n, decided = series.t_ns, len(series), len(series)
     keep, last, last_ns, far = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far
     ahead_ns, patience = habit.ahead_ns, habit.patience
-    candidates = np.flatnonzero(_leaps(habit, last, last_ns, series) | (np.diff(t, prepend=last_ns) > ahead_ns))
+    misdated = np.abs(np.diff(t, prepend=last_ns)) > ahead_ns
+    candidates = np.flatnonzero(_leaps(habit, last, last_ns, series) | misdated)
     at, came_ns, alone = n, memory.before_ns, memory.alone
     if alone or len(candidates):
         at = 0 if alone else int(candidates[0])
@@ -343,7 +350,8 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
             came_ns = int(t[at - 1])
             if keep[at - 1]:
                 last, last_ns, alone = series.values[at - 1], came_ns, False
-        lost, stop = int(t[at]) - last_ns > ahead_ns and not (alone and abs(int(t[at]) - came_ns) <= ahead_ns), at + 1
+        followed = alone and abs(int(t[at]) - came_ns) <= ahead_ns
+        lost, stop = abs(int(t[at]) - last_ns) > ahead_ns and not followed, at + 1
         alone = lost
         if not lost:
             far = tuple(one for one in far if one > memory.count + at - AMONG)
@@ -388,7 +396,8 @@ def _apart(habit: Habit, last: FloatArray, last_ns: int, series: Series) -> Bool
 def _far(habit: Habit, step: FloatArray, span_ns: IntArray) -> BoolArray:
     if habit.signal in ANGLES:
         step = step - TURN * np.round(step / TURN)
-    periods = np.maximum(np.abs(span_ns) / (habit.period_s * NS_PER_S), 1.0)
+    span_ns = np.minimum(np.abs(span_ns), habit.ahead_ns)  # a longer one is misdated, or an outage
+    periods = np.maximum(span_ns / (habit.period_s * NS_PER_S), 1.0)
     return np.asarray((np.abs(step) > habit.most_leap * periods[:, None]).any(axis=1), dtype=np.bool_)
 
 
@@ -407,7 +416,7 @@ def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
 def _jitter(habit: Habit, memory: Memory, t_ns: IntArray) -> tuple[EmaState, FloatArray]:
     """The rms deviation of the stamps from their grid at each sample, (n,) [periods]."""
     steps = np.diff(t_ns, prepend=memory.before_ns) / (habit.period_s * NS_PER_S)
-    apart = np.where(steps > 0, steps - np.round(steps), 0.0)
+    apart = np.where((steps > 0) & (steps < MISSING), steps - np.round(steps), 0.0)  # else it is lost or misdated
     state, mean = ema(memory.jitter, np.square(apart)[:, None], forgetting(JITTER_S, habit.period_s))
     return state, np.sqrt(mean[:, 0])
 
@@ -437,7 +446,9 @@ def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]
             continue
         habit = _moved(signal, parts)
         found = [look(habit, None, one)[1] for one in parts]
-        longest = np.max([one.runs.max(axis=0) for one in found], axis=0).tolist()
+        runs = np.concatenate([one.runs for one in found])
+        share = STILL_SHARE if signal is Signal.ATTITUDE_SETPOINT else 1.0
+        longest = np.quantile(runs, share, axis=0, method="higher").tolist()
         still = tuple(longest if signal in SENSORS else longest[:1])
         habits.append(habit.model_copy(update={"still": still}))
         if signal is Signal.BODY_RATE:
