@@ -290,7 +290,7 @@ class Daemon:
         for turn in turns:
             for asked in turn.commands:
                 decline = self._sender(turn.vehicle).decline(asked.command, asked.sysid, asked.compid)
-                self._relay.send_to_vehicle(decline)
+                self._relay.answer(decline, self.fleet.link.source(asked.sysid, asked.compid))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._reporter.record(turn.vehicle, effect)
