@@ -12,6 +12,7 @@ from mavdiag.airframe.fingerprint import Figure, Fingerprint, Likeness, Outcome,
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.traits import TRAITS, beginning, traits
 from mavdiag.baseline import dump, parse
+from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.rows.front import Rows
@@ -165,3 +166,9 @@ def test_more_flights_make_a_narrower_spread_but_no_certainty() -> None:
     assert spread["yaw trim"] == pytest.approx(0.002)
     many = {figure.name: figure.spread for figure in learnt().figures}
     assert 0 < many["yaw trim"] < spread["yaw trim"]
+
+
+@pytest.mark.parametrize("figures", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0), (0.0, float("inf"))])
+def test_a_figure_without_a_spread_is_refused(figures: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="fingerprint: trim_roll"):
+        Figure("trim_roll", *figures)

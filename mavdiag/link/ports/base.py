@@ -119,7 +119,7 @@ class Endpoint(ABC):
         """Send one message to every peer, now or never: what cannot go at once is dropped and counted."""
 
     def answer(self, data: bytes, source: object) -> None:
-        """Send one message to the sender of a chunk only, if it is still there; to the one other end if there is one."""
+        """Send one message to the sender of a chunk only, if it is still there; or to the one other end there is."""
         self.send(data)
 
     @abstractmethod
