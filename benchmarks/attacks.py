@@ -186,6 +186,7 @@ class Forger:
         self._stamp_us = 0
 
     def __call__(self, genuine: bytes, now_s: float) -> bytes:
+        """What is sent after a genuine frame; empty for nothing."""
         if int.from_bytes(genuine[7:10], "little") == MessageId.RAW_IMU:
             self._stamp_us = int.from_bytes(genuine[10:18], "little")
         if now_s < self._due_s or not self._stamp_us:
@@ -364,7 +365,7 @@ def lone_vehicle(port: int, stop: threading.Event) -> None:
 
 
 def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: int, calm: dict[str, float]) -> str:
-    """One row of the table. files: baseline, old flight, key. calm: judged of the time flown without attack, by link."""
+    """One row of the table. files: baseline, old flight, key. calm: share judged without attack, by link."""
     baseline, log, key = files
     signing = ["--signing-key", str(key)] if attack.signed else []
     kind = "tcpin" if attack.clients else "udpin"
