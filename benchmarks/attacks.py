@@ -1,17 +1,22 @@
-"""Attacks on a running detector beside a genuine emulated stream, over UDP loopback.
+"""Attacks on a running detector beside a genuine emulated stream, over loopback.
 
-    python benchmarks/attacks.py [--seconds 12] [--rate 200] [--only NAME]...
+    python benchmarks/attacks.py [--seconds 16] [--rate 200] [--only NAME]...
 
-Each row is a run of its own: the daemon, one emulated vehicle that flies healthy for so long, and an attacker that
-sends from another address, from the fourth second on. `judged` is the flight time that the daemon judged, of the time
-flown; the first seconds always go to watching and measuring the new vehicle, so the row "nothing" is what to compare
-with. `ended` is the time from SIGTERM, sent while the attack goes on, to the end of the process.
+Each row is a run of its own: the daemon, one emulated vehicle that flies healthy for so long, and an attacker, from the
+fourth second on. He sends from another address; or (`beside`) from the vehicle's own address and with its running
+numbers, through a relay between both; or (`tcpin`) as further clients of the daemon's server. `judged` is the flight
+time that the daemon judged, of the time flown, and `share` is that of what the row "nothing" of its link has: the first
+seconds always go to watching and measuring the new vehicle. At least 0.9 is demanded. `told` says whether the daemon
+says, in its log or its summary, that frames or connections were refused. `ended` is the time from SIGTERM, sent while
+the attack goes on, to the end of the process; 10 s are allowed. Seed 8; everything ends by itself.
 """
 
 import argparse
+import contextlib
 import itertools
 import json
 import re
+import select
 import signal
 import socket
 import struct
@@ -32,7 +37,7 @@ from mavdiag.airframe.load import airframe_named
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
 from mavdiag.link.keys import read_key
-from mavdiag.link.messages import MessageId
+from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.signing import STALE, Signing, stamp_at
 from mavdiag.logs.tlog import read_tlog
 
@@ -44,12 +49,32 @@ SEED = 8
 
 @dataclass(frozen=True)
 class Attack:
-    """One row. frames: what is sent, without end. rate_hz: how fast; None for as fast as it goes. signed: the link."""
+    """One row.
+
+    frames: what is sent, without end.
+    rate_hz: how fast; None for as fast as it goes.
+    signed: the link.
+    told: what the daemon says of it; None if nothing is to be said.
+    beside: what is sent after this genuine frame, from the vehicle's own address.
+    copied: genuine frames are sent from another port first, and delivered 30 ms later.
+    clients: bytes that so many clients of a TCP server send, over and over; empty to stay idle.
+    early: a made-up vehicle enters before the genuine one.
+    """
 
     name: str
-    frames: Callable[[Path, Path], Iterator[bytes]]
+    frames: Callable[[Path, Path], Iterator[bytes]] = lambda log, key: iter(())
     rate_hz: float | None = None
     signed: bool = False
+    told: str | None = None
+    beside: Callable[[bytes, float], bytes] | None = None
+    copied: bool = False
+    clients: tuple[int, bytes] | None = None
+    early: bool = False
+
+    @property
+    def link(self) -> str:
+        """The row to compare with."""
+        return "tcpin" if self.clients else "signed" if self.signed else "udpin"
 
 
 def recorded(log: Path) -> list[bytes]:
@@ -145,21 +170,97 @@ def overheard(log: Path, key: Path) -> Iterator[bytes]:
     return itertools.cycle([encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(100)])
 
 
+def numbered(genuine: bytes, msgid: int, *fields: object) -> bytes:
+    """A frame in the vehicle's name with the running number behind a genuine one."""
+    encoder = Encoder(1, 1)
+    encoder._seq = (genuine[4] + 1) & 0xFF  # noqa: SLF001
+    return encoder.encode(msgid, *fields)
+
+
+class Forger:
+    """Sends something after genuine frames of one message, so many times a second; its stamps go on with theirs."""
+
+    def __init__(self, rate_hz: float, msgid: int, ahead_s: float = 0.0, number: int = 1, once: bool = False) -> None:
+        self._every_s, self._msgid, self._ahead_s = 1.0 / rate_hz, msgid, ahead_s
+        self._due_s, self._number, self._once = 0.0, number, once
+        self._stamp_us = 0
+
+    def __call__(self, genuine: bytes, now_s: float) -> bytes:
+        """What is sent after a genuine frame; empty for nothing."""
+        if int.from_bytes(genuine[7:10], "little") == MessageId.RAW_IMU:
+            self._stamp_us = int.from_bytes(genuine[10:18], "little")
+        if now_s < self._due_s or not self._stamp_us:
+            return b""
+        self._due_s = float("inf") if self._once else max(self._due_s + self._every_s, now_s)
+        stamp_us = self._stamp_us + round(1e6 * self._ahead_s)
+        before = genuine[:4] + bytes([(genuine[4] + self._number - 1) & 0xFF])
+        if self._msgid == MessageId.RAW_IMU:
+            return numbered(before, self._msgid, stamp_us, 0, 0, -1000, 1, 2, 3)
+        if self._msgid == MessageId.HEARTBEAT:
+            return numbered(before, self._msgid, 2, 3, 0, 0, 4, 3)
+        return numbered(before, self._msgid, stamp_us // 1000, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.0)
+
+
+def leaping(rate_hz: float, ahead_s: float, number: int = 20, once: bool = False) -> Forger:
+    """Gyro samples with stamps ahead."""
+    return Forger(rate_hz, MessageId.RAW_IMU, ahead_s, number, once)
+
+
+def our_own_name(log: Path, key: Path) -> Iterator[bytes]:
+    """Texts of the detector itself."""
+    encoder = Encoder(1, 191)
+    while True:
+        yield encoder.statustext(Severity.CRITICAL, "PROP FAULT motor 3")
+
+
+def commands(log: Path, key: Path) -> Iterator[bytes]:
+    """Commands to the detector of 40 ground stations."""
+    encoders = [Encoder(sysid, 190) for sysid in range(200, 240)]
+    for encoder in itertools.cycle(encoders):
+        yield encoder.encode(MessageId.COMMAND_LONG, 1, 191, 400)
+
+
+def garbage(log: Path, key: Path) -> Iterator[bytes]:
+    """Bytes without any frame."""
+    return itertools.repeat(b"GET / HTTP/1.1\r\n\r\n" * 2)
+
+
+ELSEWHERE, LEAPS, CLASHES = "sends in the name of vehicle 1", "whose stamps leap", "with the number of another frame"
 ATTACKS = (
-    Attack("nothing", lambda log, key: iter(())),
-    Attack("replay of an old flight", replayed, 4000.0),
+    Attack("nothing"),
+    Attack("replay of an old flight", replayed, 4000.0, told=ELSEWHERE),
     Attack("random frames, any sender", random_frames, 4000.0),
-    Attack("random frames as the vehicle", as_the_vehicle, 4000.0),
-    Attack("65,025 made-up senders", made_up),
+    Attack("random frames as the vehicle", as_the_vehicle, 4000.0, told=ELSEWHERE),
+    Attack("65,025 made-up senders", made_up, told=ELSEWHERE),
     Attack("255 made-up vehicles", vehicles, 15_000.0),
     Attack("unknown message ids", unknown),
     Attack("flood of 300,000 datagrams", flood),
     Attack("datagrams of 60 kB", large, 2000.0),
-    Attack("signed: nothing", lambda log, key: iter(()), signed=True),
-    Attack("signed: forged, stamp far ahead", forged, 4000.0, signed=True),
-    Attack("signed: replayed", overheard, 4000.0, signed=True),
-    Attack("signed: stale", stale, 4000.0, signed=True),
-    Attack("signed: downgraded (not signed)", replayed, 4000.0, signed=True),
+    Attack("O garbage after a made-up vehicle", garbage, early=True),
+    Attack("A frames in our own name", our_own_name, 100.0, told="in our own name 1/191"),
+    Attack("Q commands of 40 strangers", commands, 50.0),
+    Attack("L gyro 1/s stamped 1 h ahead", beside=leaping(1.0, 3600.0, 1), told=CLASHES),
+    Attack("L same, other running numbers", beside=leaping(1.0, 3600.0), told=LEAPS),
+    Attack("L gyro 10/s stamped 0.3 s ahead", beside=leaping(10.0, 0.3), told=LEAPS),
+    Attack("L one frame stamped 10 s ahead", beside=leaping(1.0, 10.0, once=True), told=LEAPS),
+    Attack("L one frame stamped 25 s ahead", beside=leaping(1.0, 25.0, once=True), told=LEAPS),
+    Attack("L one frame stamped 120 s ahead", beside=leaping(1.0, 120.0, once=True), told=LEAPS),
+    Attack("L disarmed heartbeats 3/s", beside=Forger(3.0, MessageId.HEARTBEAT), told=CLASHES),
+    Attack("L thrust 0 at 50 Hz", beside=Forger(50.0, MessageId.ATTITUDE_TARGET), told=CLASHES),
+    Attack("signed: nothing", signed=True),
+    Attack("signed: forged, stamp far ahead", forged, 4000.0, signed=True, told="signature wrong"),
+    Attack("signed: replayed", overheard, 4000.0, signed=True, told="not above the stream's last"),
+    Attack("signed: stale", stale, 4000.0, signed=True, told="over a minute old"),
+    Attack("signed: downgraded (not signed)", replayed, 4000.0, signed=True, told="unsigned"),
+    Attack("F signed: copies come first", signed=True, copied=True, told=ELSEWHERE),
+    Attack("tcpin: nothing", clients=(0, b"")),
+    Attack("G1 tcpin: 16 idle strangers first", clients=(16, b""), early=True, told="connections were turned away"),
+    Attack(
+        "G2 tcpin: 15 clients, random bytes",
+        clients=(15, np.random.default_rng(SEED).bytes(1 << 16)),
+        told="connections were turned away",
+    ),
+    Attack("G2 tcpin: 15 clients, markers", clients=(15, b"\xfd" * (1 << 16)), told="connections were turned away"),
 )
 
 
@@ -181,58 +282,164 @@ def send(frames: Iterator[bytes], port: int, rate_hz: float | None, stop: thread
     return sent
 
 
-def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: int) -> str:
-    """One row of the table. files: baseline, old flight, key."""
+class Between:
+    """A relay between vehicle and daemon: one address for the genuine frames and the forged ones."""
+
+    def __init__(self, attack: Attack, port: int, stop: threading.Event) -> None:
+        self._attack, self._stop, self._begin_s, self.sent = attack, stop, time.monotonic() + START_S, 0
+        self._near, self._far, self._other = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3))
+        self._near.bind(("127.0.0.1", 0))
+        self.port = self._near.getsockname()[1]
+        for one in (self._far, self._other):
+            one.connect(("127.0.0.1", port))
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        waiting: list[tuple[float, bytes]] = []
+        vehicle = None
+        while not self._stop.is_set():
+            ready, _, _ = select.select([self._near, self._far], [], [], 0.005)
+            now_s = time.monotonic()
+            if self._near in ready:
+                data, vehicle = self._near.recvfrom(65_535)
+                if self._attack.copied and now_s > self._begin_s:
+                    self._send(self._other, data)
+                    self.sent += 1
+                waiting.append((now_s + 0.03 * self._attack.copied, data))
+            if self._far in ready and vehicle is not None:
+                with contextlib.suppress(OSError):
+                    self._near.sendto(self._far.recv(65_535), vehicle)
+            while waiting and waiting[0][0] <= now_s:
+                _, data = waiting.pop(0)
+                self._send(self._far, data)
+                if (
+                    self._attack.beside is not None
+                    and now_s > self._begin_s
+                    and (extra := self._attack.beside(data, now_s))
+                ):
+                    self._send(self._far, extra)
+                    self.sent += 1
+
+    def _send(self, link: socket.socket, data: bytes) -> None:
+        with contextlib.suppress(OSError):
+            link.send(data)
+
+    def close(self) -> None:
+        """Wait for its end, once `stop` is set."""
+        self._thread.join()
+        for one in (self._near, self._far, self._other):
+            one.close()
+
+
+def crowd(port: int, content: bytes, stop: threading.Event) -> int:
+    """One client that sends this over and over, and comes again when it is hung up on; how many times it came."""
+    times = 0
+    while not stop.is_set():
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as link:
+            times += 1
+            link.settimeout(0.2)
+            while not stop.is_set():
+                with contextlib.suppress(TimeoutError):
+                    if content:
+                        link.send(content)
+                    elif not link.recv(4096):
+                        break
+        stop.wait(0.02)
+    return times
+
+
+def lone_vehicle(port: int, stop: threading.Event) -> None:
+    """A made-up vehicle that behaves as one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", port))
+        encoder = Encoder(9, 1)
+        for k in itertools.count():
+            if stop.wait(0.01):
+                return
+            with contextlib.suppress(OSError):
+                if k % 100 == 0:
+                    link.send(encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT))
+                link.send(encoder.encode(MessageId.ATTITUDE_TARGET, 10 * k, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.5))
+                link.send(encoder.encode(MessageId.RAW_IMU, 10_000 * k, 0, 0, -1000, 1, 2, 3))
+
+
+def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: int, calm: dict[str, float]) -> str:
+    """One row of the table. files: baseline, old flight, key. calm: share judged without attack, by link."""
     baseline, log, key = files
     signing = ["--signing-key", str(key)] if attack.signed else []
+    kind = "tcpin" if attack.clients else "udpin"
     detector = subprocess.Popen(
-        [sys.executable, "-m", "detector", "--connect", "udpin:127.0.0.1:0", "--baseline", str(baseline), *signing],
+        [sys.executable, "-m", "detector", "--connect", f"{kind}:127.0.0.1:0", "--baseline", str(baseline), *signing],
         stderr=subprocess.PIPE,
         text=True,
     )
     assert detector.stderr is not None
     port = int(re.findall(r"\d+", detector.stderr.readline().split(",")[0])[-1])
-    out = ["--out", f"udpout:127.0.0.1:{port}", "--rate", str(rate), "--json", *signing]
+    stop, sent = threading.Event(), list[int]()
+    between = Between(attack, port, stop) if attack.beside or attack.copied else None
+    threads = []
+    if attack.clients:
+        many, content = attack.clients
+        threads = [threading.Thread(target=lambda: sent.append(crowd(port, content, stop))) for _ in range(many)]
+    else:
+        threads = [
+            threading.Thread(target=lambda: sent.append(send(attack.frames(log, key), port, attack.rate_hz, stop)))
+        ]
+    if attack.early:
+        threads += [] if attack.clients else [threading.Thread(target=lone_vehicle, args=(port, stop))]
+        for one in threads[-1:] if not attack.clients else threads:
+            one.start()
+        time.sleep(3.0)
+    out = f"tcp:127.0.0.1:{port}" if attack.clients else f"udpout:127.0.0.1:{between.port if between else port}"
     plant = subprocess.Popen(
-        [sys.executable, "-m", "sitl_plant", "run", *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "sitl_plant", "run", "--out", out, "--rate", str(rate), "--json", *signing],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert plant.stdout is not None
     plant.stdout.readline()
     time.sleep(START_S)
-    stop, sent = threading.Event(), list[int]()
-    attacker = threading.Thread(target=lambda: sent.append(send(attack.frames(log, key), port, attack.rate_hz, stop)))
-    attacker.start()
+    for one in threads:
+        if not one.ident:
+            one.start()
     time.sleep(seconds - START_S)
     told = time.monotonic()
     detector.send_signal(signal.SIGTERM)
     lines = detector.communicate(timeout=60.0)[1].splitlines()
     ended_s = time.monotonic() - told
     stop.set()
-    attacker.join()
+    for one in threads:
+        one.join()
+    if between is not None:
+        between.close()
+        sent.append(between.sent)
     plant.terminate()
     flown_s = json.loads(plant.communicate()[0].splitlines()[-1])["flown_s"]
-    return row(attack, lines, sent[0], flown_s - ended_s, ended_s)
+    return row(attack, lines, sum(sent), flown_s - ended_s, ended_s, calm)
 
 
-def row(attack: Attack, lines: list[str], sent: int, flown_s: float, ended_s: float) -> str:
+def row(attack: Attack, lines: list[str], sent: int, flown_s: float, ended_s: float, calm: dict[str, float]) -> str:
     """The daemon's own summary, and what it said, in one line."""
     summary, text = lines[-1], "\n".join(lines)
     own = re.search(r"vehicle 1 (\w+), (\d+) frames, (\d+) lost on the way, ([\d.]+) s judged, (\d+) events", summary)
     state, lost, judged_s, events = (own[1], own[3], float(own[4]), own[5]) if own else ("absent", "-", 0.0, "-")
+    share = judged_s / flown_s / calm.setdefault(attack.link, judged_s / flown_s) if judged_s else 0.0
     others = len(set(re.findall(r"vehicle (\d+): received", text)) - {"1"})
     reboots = text.count("rebooted")
     overflowed = re.search(r"(\d+) datagrams overflowed", summary)
-    refused = re.search(r"refused: ([^;]*)", summary)
+    told = "-" if attack.told is None else "yes" if attack.told in text else "NO"
     return (
-        f"{attack.name:32} {sent:8} {judged_s:5.1f}/{flown_s:4.1f} {lost:>5} {events:>3} {reboots:3} {others:4} "
-        f"{overflowed[1] if overflowed else '-':>8} {ended_s:5.2f} {state:10} {refused[1] if refused else ''}"
+        f"{attack.name:36} {sent:8} {told:>4} {share:5.2f} {judged_s:5.1f}/{flown_s:4.1f} {ended_s:5.2f} {lost:>5} "
+        f"{events:>3} {reboots:3} {others:4} {overflowed[1] if overflowed else '-':>8} {state}"
     )
 
 
 def main() -> None:
     """Run the attacks and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--seconds", type=float, default=16.0)
     parser.add_argument("--rate", type=int, default=200)
     parser.add_argument("--only", action="append", help="Rows whose name has this in it.")
     options = parser.parse_args()
@@ -246,12 +453,13 @@ def main() -> None:
         known = LearnOptions(airframe=airframe_named("qdrone2"))
         learn([read_tlog(log)], known, created="2026-01-01T00:00:00Z").save(baseline)
         print(
-            f"{'attack':32} {'sent':>8} {'judged/s':>10} {'lost':>5} {'ev':>3} {'reb':>3} {'made':>4} {'overflow':>8} "
-            f"{'ended':>5} state      refused"
+            f"{'attack':36} {'sent':>8} {'told':>4} {'share':>5} {'judged/s':>10} {'ended':>5} {'lost':>5} {'ev':>3} "
+            f"{'reb':>3} {'made':>4} {'overflow':>8} state"
         )
+        calm: dict[str, float] = {}
         for attack in ATTACKS:
-            if not options.only or any(part in attack.name for part in options.only):
-                print(run(attack, (baseline, log, key), options.seconds, options.rate), flush=True)
+            if not options.only or "nothing" in attack.name or any(part in attack.name for part in options.only):
+                print(run(attack, (baseline, log, key), options.seconds, options.rate, calm), flush=True)
 
 
 if __name__ == "__main__":

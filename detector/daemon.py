@@ -312,7 +312,7 @@ class Daemon:
             for asked in turn.commands:
                 handled = self._requests.command(asked, turn.vehicle, trusted=self._signing is not None)
                 for frame in handled.answers:
-                    self._relay.send_to_vehicle(frame)
+                    self._relay.answer(frame, self.fleet.link.source(asked.sysid, asked.compid))
                 self._carry_out(handled.turns)
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
 from typing import Protocol, TypeAlias
 
 from detector.values import LearningFailed
@@ -97,6 +98,7 @@ class ProcessFitter:
     def __init__(self, limit_s: float = LIMIT_S, clock: Callable[[], float] = time.monotonic) -> None:
         self._limit_s, self._clock = limit_s, clock
         self._pool: ProcessPoolExecutor | None = None
+        self._processes: list[BaseProcess] = []  # of the pool, which begins them with its first job
         self._running: dict[int, tuple[Future[Outcome], float]] = {}
 
     def begin(self, job: FittingJob) -> None:
@@ -107,7 +109,9 @@ class ProcessFitter:
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         if self._pool is None:
             self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare)
+        others = multiprocessing.active_children()
         self._running[job.vehicle] = (self._pool.submit(fit_baseline, job), self._clock())
+        self._processes += [one for one in multiprocessing.active_children() if one not in others]
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def poll(self) -> list[tuple[int, Outcome]]:
@@ -120,6 +124,7 @@ class ProcessFitter:
         if self._pool is not None and not self._running:
             self._pool.shutdown(wait=False)
             self._pool = None
+            self._processes.clear()
         return done
 
     def close(self) -> None:
@@ -128,8 +133,9 @@ class ProcessFitter:
         self._running.clear()
 
     def _end_process(self) -> None:
-        for process in multiprocessing.active_children():
+        for process in self._processes:
             process.terminate()
+        self._processes.clear()
         if self._pool is not None:
             self._pool.shutdown(wait=False)
             self._pool = None

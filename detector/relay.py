@@ -12,6 +12,7 @@ from typing import TypeAlias
 from detector.journal import Recorder
 from mavdiag.link.ports import Endpoint
 from mavdiag.link.ports.stream import frame_length
+from mavdiag.link.sequence import Source
 
 __all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
 
@@ -99,6 +100,10 @@ class Relay:
         """One frame of our own, to everybody."""
         for endpoint in (self._main, *self._behind):
             endpoint.send(frame)
+
+    def answer(self, frame: bytes, source: Source) -> None:
+        """One frame of our own, to where a frame of the vehicle's link came from."""
+        self._main.answer(frame, source)
 
     def send_to_vehicle(self, frame: bytes) -> None:
         """One frame of our own, to the vehicle's link only."""

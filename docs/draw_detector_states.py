@@ -14,9 +14,9 @@ by `python docs/draw_detector_states.py`; do not edit it by hand.
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. What is found of the vehicle is no state of the session: it stands in the
-decision's stage (not judged, quiet, suspected, fault, inspect), whose changes are told. A rate that is wrong or a stream
-that stops leads to `waiting`, never to `faulted`.
+Heartbeats go out in every state but `faulted`. What is found of the vehicle is no state of the session: it stands in
+the decision's stage (not judged, quiet, suspected, fault, inspect), whose changes are told. A rate that is wrong or a
+stream that stops leads to `waiting`, never to `faulted`.
 
 ## What it says
 

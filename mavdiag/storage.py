@@ -3,6 +3,7 @@
 A `Shelf` puts arrays aside that are too many for the memory.
 """
 
+import fcntl
 import math
 import mmap
 import os
@@ -112,21 +113,64 @@ def write_atomically(path: Path, content: str | bytes, *, durable: bool = True) 
     durable: wait until the disk has it; without, a loss of power may leave an empty file.
     """
     check_output(path)
-    temporary: Path | None = None
+    temporary = path.with_name(f".{path.name}.tmp")
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as file:
+        with _locked_anew(temporary) as file:
             file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             if durable:
                 os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
+            if path.exists():
+                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))
+            temporary.replace(path)
     except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         raise UsageError(f"{path}: cannot be written ({error.strerror or error}); name another file") from error
+
+
+@contextmanager
+def _locked_anew(path: Path) -> Iterator[BinaryIO]:
+    """A new file of this name, locked until it is closed; what an earlier program left there is removed first.
+
+    Another writer of the same name is waited for. If the block fails, the file is removed. Raises OSError.
+    """
+    while True:
+        try:
+            file = os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666), "wb")
+        except FileExistsError:
+            _remove_left(path)
+            continue
+        with file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if not _is_at(file.fileno(), path):  # another one took it for a file that was left
+                continue
+            try:
+                yield file
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
+            return
+
+
+def _remove_left(path: Path) -> None:
+    """Remove a file once nobody holds its lock. Raises OSError."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        if _is_at(handle, path):
+            path.unlink()
+    finally:
+        os.close(handle)
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether an open file has this name still."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat(follow_symlinks=False))
+    except FileNotFoundError:
+        return False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

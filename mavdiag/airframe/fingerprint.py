@@ -27,6 +27,7 @@ from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.traits import TRAITS, beginning, traits, traits_of_parts
 from mavdiag.airframe.trim import LEVEL_RATIO, rises
+from mavdiag.errors import InputError
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import FloatArray
 
@@ -71,11 +72,18 @@ _LIMITS: tuple[_Limit, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One trait of a vehicle: a name of `traits.TRAITS`, its mean over the flights, and its spread between them."""
+    """One trait of a vehicle: a name of `traits.TRAITS`, its mean over the flights, and its spread between them.
+
+    Raises InputError if they cannot be.
+    """
 
     name: str
     mean: float
     spread: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and 0.0 < self.spread < math.inf):
+            raise InputError(f"fingerprint: {self.name} needs a finite mean and a positive, finite spread")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """One vehicle's frames to telemetry, on one clock, with the IMU message that it really sends."""
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from mavdiag.link.codec import Frame
@@ -15,7 +16,8 @@ __all__ = ["CLEAR_FRAMES", "VehicleStream"]
 
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
-USEFUL_FRAMES = 20  # of another IMU message than the profile's own, before it is taken instead (our choice)
+USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
+CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
 
 
 class VehicleStream:
@@ -79,7 +81,8 @@ class VehicleStream:
         return telemetry
 
     def _choose_imu(self, frames: Sequence[Frame]) -> None:
-        self._imu = [*self._imu, *(frame for frame in frames if frame.msgid in IMU_MESSAGES)][-CLEAR_FRAMES:]
+        found = (frame for frame in frames if frame.msgid in IMU_MESSAGES and frame.compid == Component.AUTOPILOT1)
+        self._imu = [*self._imu, *found][-CLEAR_FRAMES:]
         chosen = with_imu(self._own, self._imu, USEFUL_FRAMES)
         self._since_ns = self._since_ns or next((frame.host_ns for frame in frames), 0)
         waited_ns = frames[-1].host_ns - self._since_ns if frames else 0
@@ -87,6 +90,8 @@ class VehicleStream:
             chosen = by_attitude(self._own)
         if chosen.imu != self.profile.imu:
             self._decoder = SampleDecoder(chosen, self._signals)
-        self._settled = any(frame.msgid == chosen.imu and frame.compid == Component.AUTOPILOT1 for frame in self._imu)
+        counts = Counter(frame.msgid for frame in self._imu)
+        told_s = (self._imu[-1].host_ns - self._imu[0].host_ns) / NS_PER_S if self._imu else 0.0
+        self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
         if self._settled:
             self._imu = []

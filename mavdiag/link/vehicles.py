@@ -140,9 +140,9 @@ class LinkDecoder:
         senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
         return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
 
-    def source(self, sysid: int) -> Source:
-        """Where a vehicle's autopilot is heard from; None on a link with one other end."""
-        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+    def source(self, sysid: int, compid: int = Component.AUTOPILOT1) -> Source:
+        """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
+        sender = self._decoder.heard.get(sysid, compid)
         return None if sender is None else sender.source
 
     def intruder(self, sysid: int) -> Intruder | None:

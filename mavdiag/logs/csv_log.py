@@ -6,6 +6,7 @@ No CSV file is recognised by its content; it takes the map.
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +25,8 @@ __all__ = ["KIND", "PROFILE", "read_csv"]
 PROFILE = "csv"
 GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=1.0, trim_end_s=0.6)  # as far as the columns tell
 LATEST_NS = 2**62
+_line_end = re.compile(rb"[\r\n]").search
+LINE_BYTES = 64 << 10  # of a line, at most (our choice): a thousand columns have a quarter of it
 DAMAGED_SHARE = 0.5  # of the rows: beyond it the map is wrong (our choice)
 
 
@@ -34,9 +37,16 @@ def read_csv(path: Path, columns: ColumnMap) -> Log:
     not there, or most rows have no time or no gyro.
     """
     data = read_bytes(path)
+    if any(_line_end(data, at, at + LINE_BYTES) is None for at in range(0, len(data) - LINE_BYTES + 1, LINE_BYTES)):
+        raise InputError(f"{path}: a line has over {LINE_BYTES // 1024} KiB: it is no CSV file, or damaged")
     text = data.decode("utf-8-sig", errors="replace")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n", columns.skip_lines)[-1] if columns.skip_lines else text
-    table = _table(path, lines, columns)
+    try:
+        table = _table(path, lines, columns)
+    except csv.Error as error:
+        raise InputError(f"{path}: is no sound CSV file ({error}); save it again") from error
     t_ns, known = _times(table[:, 0], columns)
     if not len(t_ns):
         raise InputError(f"{path}: no row has a time; check the column map")

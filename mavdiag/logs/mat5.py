@@ -9,7 +9,7 @@ cut off; here the whole columns before the cut are kept. The tests compare the t
 import math
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS to mxUINT64_CLASS
 COMPLEX = 0x0800  # of the array flags
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 HEAD_BYTES = 4096  # flags, dimensions and name of a matrix fit in them
-MAX_MATRIX_BYTES = 2**28  # six times the longest matrix of the recordings (our choice): more is damage
+MAX_BYTES = 2**28  # of all matrices as float64 (our choice): more than the longest recording has, twice; more is damage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> dict[str, Matrix]:
         body = data[position + TAG_BYTES : position + TAG_BYTES + size]
         cut = len(body) < size
         if kind == COMPRESSED:
-            _take(found, wanted, order, *_inflated(body, wanted, order))
+            _take(found, wanted, order, *_inflated(body, wanted.keys() - found, order, _left(found)))
         elif kind == MATRIX:
             _take(found, wanted, order, data[position : position + TAG_BYTES + size], "")
         position += TAG_BYTES + size
@@ -88,10 +88,15 @@ def read_matrices(data: bytes, wanted: Mapping[str, int]) -> dict[str, Matrix]:
     return found
 
 
-def _inflated(body: bytes, wanted: Mapping[str, int], order: str) -> tuple[bytes, str]:
+def _left(found: Mapping[str, Matrix]) -> int:
+    """How many bytes further matrices may have."""
+    return MAX_BYTES - sum(one.values.nbytes for one in found.values())
+
+
+def _inflated(body: bytes, wanted: Collection[str], order: str, left: int) -> tuple[bytes, str]:
     """The content of a zlib stream as far as it reaches, and what is wrong with its end. Others' are not inflated.
 
-    Raises InputError for a stream that is damaged or of an impossible length.
+    left: bytes that its values may have. Raises InputError for a stream that is damaged or of an impossible length.
     """
     stream = zlib.decompressobj(-zlib.MAX_WBITS)  # its 2 bytes of header and 4 of checksum are looked at here
     try:
@@ -99,7 +104,8 @@ def _inflated(body: bytes, wanted: Mapping[str, int], order: str) -> tuple[bytes
         shape = _shape(head, order)
         if shape is None or shape.name not in wanted:
             return head, ""
-        rest = b"" if stream.eof else stream.decompress(stream.unconsumed_tail, MAX_MATRIX_BYTES)
+        _check_size(shape, left)
+        rest = b"" if stream.eof else stream.decompress(stream.unconsumed_tail, left)
     except zlib.error as error:
         raise InputError(f"its compressed data are damaged ({error}); download it again") from error
     if stream.unconsumed_tail and not stream.eof:
@@ -113,6 +119,12 @@ def _inflated(body: bytes, wanted: Mapping[str, int], order: str) -> tuple[bytes
     return content, ""
 
 
+def _check_size(shape: _Shape, left: int) -> None:
+    """Raise InputError for a matrix of more than so many bytes."""
+    if 8 * shape.rows * shape.columns > left:
+        raise InputError(f"{shape.name} is too long to be a flight")
+
+
 def _take(found: dict[str, Matrix], wanted: Mapping[str, int], order: str, content: bytes, note: str) -> None:
     """Add a matrix element to what is found, if it is wanted. Raises InputError if it has another shape."""
     shape = _shape(content, order)
@@ -121,6 +133,7 @@ def _take(found: dict[str, Matrix], wanted: Mapping[str, int], order: str, conte
     if shape.rows != wanted[shape.name]:
         wrong = f"{shape.rows} x {shape.columns}"
         raise InputError(f"{shape.name} is {wrong}, but a recording has {wanted[shape.name]} rows, one a signal")
+    _check_size(shape, _left(found))
     whole = min(shape.columns, (len(content) - shape.begin) // (shape.rows * shape.stored.itemsize))
     if whole < shape.columns:
         note = f"only {whole} of {shape.columns} samples are there: it was cut off"

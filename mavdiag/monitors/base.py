@@ -54,6 +54,15 @@ Summaries: TypeAlias = Sequence[Summary]
 """Of each flight of a fit."""
 
 
+MAX_DELAY_S = 60.0  # of the rate filters: hundreds of times the longest (our choice)
+
+
+def check_delay(monitor: str, delay_s: float) -> None:
+    """Raise InputError, naming the monitor, for a delay that no filter has."""
+    if not 0.0 <= delay_s <= MAX_DELAY_S:
+        raise InputError(f"{monitor}: delay_s must be 0 to {MAX_DELAY_S:g} s, not {delay_s:g}")
+
+
 def segments(flight: Sequence[Rows]) -> list[list[Rows]]:
     """The rows of each segment of a flight, in order."""
     return [list(rows) for _, rows in itertools.groupby(flight, key=lambda one: one.block.segment)]

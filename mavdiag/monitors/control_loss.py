@@ -4,7 +4,6 @@ Beyond some rate an attitude controller has lost the vehicle, whatever the reaso
 a sensor that lies. What the other monitors say from then on is about the upset and no longer about its cause.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary
+from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, check_delay
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Signal
@@ -26,14 +25,13 @@ MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlLossSpec:
-    """delay_s: half the window of the rate filters [s]. Raises InputError if it is negative."""
+    """delay_s: half the window of the rate filters [s]. Raises InputError if it cannot be."""
 
     kind: Literal["control_loss"] = "control_loss"
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.delay_s) and self.delay_s >= 0):
-            raise InputError("control_loss: the delay must not be negative")
+        check_delay("control_loss", self.delay_s)
 
 
 class ControlLoss(Monitor[ControlLossSpec, None]):

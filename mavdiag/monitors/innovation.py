@@ -15,7 +15,7 @@ import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
-from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
 from mavdiag.monitors.healthy import MEMORY_S, MOST, Three, cut_to_share, parted, three, variance_law, whole
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -79,6 +79,7 @@ class InnovationSpec:
             raise InputError(f"innovation: three rows of {NA} a and {NB} b, all finite, are needed")
         if min(self.dt_s, self.window_s, self.memory_s, *self.k0) <= 0 or min(self.k1) < 0:
             raise InputError("innovation: spans and k0 must be positive, k1 not negative")
+        check_delay("innovation", self.delay_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

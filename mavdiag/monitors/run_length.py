@@ -5,6 +5,7 @@ one-step prediction. A segment starts the model from the measured rate at rest i
 died out by the end of the segment's blanked first second.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,7 +17,7 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import ArxModel, freerun
 from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, segments
+from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
 from mavdiag.monitors.training import MIN_PIECE_S, SETTLE_S, train, trained, training_pieces, training_spans
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
@@ -70,8 +71,9 @@ class RunLengthSpec:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.margin_rad_s > 0 and self.delay_s >= 0):
-            raise InputError(f"fsd: the margin must be positive and the delay not negative, not {self.margin_rad_s:g}")
+        if not 0.0 < self.margin_rad_s < math.inf:
+            raise InputError(f"fsd: the margin must be positive and finite, not {self.margin_rad_s:g}")
+        check_delay("fsd", self.delay_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """CSV recordings with a column map: values by hand, and every wrong map or file is one line that says what to do."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -96,3 +97,33 @@ def test_a_file_that_the_map_does_not_fit_is_one_line(content: str, words: str, 
     with pytest.raises(InputError, match=words) as caught:
         read_log(written(tmp_path, content), columns=parse_column_map(MAP))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,p,q,r,m1,m2\n" + "1" * 200_000 + ",0,0,0,0,0\n",
+        "time,p,q,r,m1,m2\n0,0,0,0,0,0\n" + 'x"' * 70_000,
+        'time,p,q,r,m1,m2\n0,0,"' + "1\n" * 140_000,
+        "0," * 5_000_000,
+    ],
+)
+def test_what_is_no_sound_csv_file_is_one_line(tmp_path: Path, text: str) -> None:
+    path = written(tmp_path, text)
+    tracemalloc.start()
+    with pytest.raises(InputError) as caught:
+        read_log(path, columns=parse_column_map(MAP))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 4 * len(text) + 20_000_000
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_line_ends_of_all_systems_are_read(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "flight.csv"
+    rows = ["m2,time,p,q,r,m1", "40,1000,90,180,-90,10", "50,1010,0,0,0,20", "50,1020,0,0,0,none"]
+    path.write_bytes(end.join(rows).encode())
+    log = read_log(path, columns=parse_column_map(MAP))
+    assert len(log[Signal.BODY_RATE]) == 3
+    assert len(log[Signal.ACTUATOR]) == 2

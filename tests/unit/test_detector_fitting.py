@@ -1,9 +1,12 @@
 """The fit beside the daemon makes the baseline that `mavdiag identify` makes."""
 
+import multiprocessing
+import time
+
 import pytest
 from made_session import baseline_for
 
-from detector.fitting import FittingJob, fit_baseline
+from detector.fitting import FittingJob, ProcessFitter, fit_baseline
 from detector.values import LearningFailed
 from mavdiag import learning
 from mavdiag.airframe.airframe import Airframe
@@ -37,3 +40,21 @@ def test_why_there_is_no_baseline_comes_back_in_one_line(monkeypatch: pytest.Mon
     outcome = fit_baseline(JOB)
     assert isinstance(outcome, LearningFailed)
     assert outcome.reason == "roll: u is constant"
+
+
+def test_only_its_own_process_is_ended() -> None:
+    context = multiprocessing.get_context("spawn")
+    other = context.Process(target=time.sleep, args=(60.0,))
+    other.start()
+    try:
+        fitter = ProcessFitter()
+        fitter.begin(FittingJob(1, Airframe(), "qdrone2", Telemetry()))
+        own = [one for one in multiprocessing.active_children() if one.pid != other.pid]
+        assert len(own) == 1
+        fitter.close()
+        own[0].join(10.0)
+        assert not own[0].is_alive()
+        assert other.is_alive()
+    finally:
+        other.kill()
+        other.join()

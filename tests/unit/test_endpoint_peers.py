@@ -41,6 +41,23 @@ def test_udpin_answers_every_peer_it_heard_and_only_those() -> None:
         assert server.traffic.sent == 2
 
 
+@pytest.mark.parametrize("kind", ["udpin", "tcpin"])
+def test_an_answer_goes_to_the_one_that_asked(kind: str) -> None:
+    with open_endpoint(f"{kind}:127.0.0.1:0") as server, ExitStack() as stack:
+        far = server.address.replace(kind, {"udpin": "udpout", "tcpin": "tcp"}[kind])
+        clients = [stack.enter_context(open_endpoint(far)) for _ in range(3)]
+        for client in clients:
+            while not client.connected:
+                client.receive(0.001)
+            client.send(V2)
+            assert receive_all(server, len(V2)) == V2
+        server.answer(V1, server.sources[0])
+        assert receive_all(clients[2], len(V1)) == V1
+        assert [client.receive(0.02) for client in clients[:2]] == [[], []]
+        server.answer(V1, ("127.0.0.1", 1))
+        assert server.traffic.sent == server.traffic.dropped == 1
+
+
 def test_udpin_forgets_a_peer_that_fell_silent() -> None:
     with (
         open_endpoint("udpin:127.0.0.1:0", peer_fresh_s=0.05) as server,

@@ -15,6 +15,7 @@ from mavdiag.airframe.fingerprint import Figure, Fingerprint, Likeness, Outcome,
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.traits import TRAITS, beginning, traits
 from mavdiag.baseline import dump, parse
+from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.learning.flights import front_for, rows_of
@@ -259,3 +260,9 @@ def test_time_on_the_ground_is_not_compared_with_flight(learnt_s: float) -> None
         verdict = judge(grounded(7, seconds), baseline)
         assert verdict.verdict is Verdict.HEALTHY, verdict.reason
         assert "another vehicle" not in verdict.reason
+
+
+@pytest.mark.parametrize("figures", [(0.0, 0.0), (0.0, -1.0), (float("nan"), 1.0), (0.0, float("inf"))])
+def test_a_figure_without_a_spread_is_refused(figures: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="fingerprint: trim_roll"):
+        Figure("trim_roll", *figures)

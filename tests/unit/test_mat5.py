@@ -109,9 +109,18 @@ def test_what_cannot_be_used_is_one_line(data: bytes, reason: str) -> None:
 
 
 def test_a_bomb_is_refused_before_it_is_inflated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavdiag.logs.mat5.MAX_MATRIX_BYTES", 50_000)
+    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 50_000)
     with pytest.raises(InputError, match="too long to be a flight"):
         read_matrices(content({"one": np.zeros((3, 100_000)), "two": ROWS["two"]}), WANTED)
+
+
+def test_the_bound_is_over_all_matrices_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {"one": np.zeros((3, 1000)), "two": np.zeros((len(ROWS["two"]), 1000))}
+    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])))
+    assert len(read_matrices(content(rows), WANTED)) == 2
+    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])) - 1)
+    with pytest.raises(InputError, match="two is too long to be a flight"):
+        read_matrices(content(rows), WANTED)
 
 
 def test_it_is_recognised_by_its_header() -> None:

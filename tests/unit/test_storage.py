@@ -1,6 +1,9 @@
 """Files are replaced only where that is safe, and every refusal is one line that says what to do."""
 
 import os
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -46,3 +49,57 @@ def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
         read_text(tmp_path / "b")
     with pytest.raises(InputError, match="no such file"):
         read_text(tmp_path / "absent")
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_new_file_has_the_users_mode_and_one_that_is_replaced_keeps_its_own(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
+    before = os.umask(umask)
+    try:
+        write_atomically(tmp_path / "new.json", "1")
+        (tmp_path / "old.json").touch()
+        (tmp_path / "old.json").chmod(0o640)
+        write_atomically(tmp_path / "old.json", "2")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new.json").stat().st_mode & 0o777 == mode
+    assert (tmp_path / "old.json").stat().st_mode & 0o777 == 0o640
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from mavdiag import storage
+os.fsync = lambda handle: os.kill(os.getpid(), signal.SIGKILL)
+storage.write_atomically(Path(sys.argv[1]), "half")
+"""
+
+
+def test_what_a_killed_writer_leaves_is_gone_with_the_next_write(tmp_path: Path) -> None:
+    path = tmp_path / "kept.json"
+    write_atomically(path, "before")
+    for _ in range(2):
+        assert subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False).returncode == -9
+        assert path.read_text() == "before"
+        assert len(list(tmp_path.iterdir())) == 2
+    write_atomically(path, "after")
+    assert [one.name for one in tmp_path.iterdir()] == ["kept.json"]
+    assert path.read_text() == "after"
+
+
+def test_writers_of_one_name_do_not_mix(tmp_path: Path) -> None:
+    path = tmp_path / "kept.json"
+    texts = [str(k) * 100_000 for k in range(4)]
+
+    def write(text: str) -> None:
+        for _ in range(10):
+            write_atomically(path, text, durable=False)
+
+    threads = [threading.Thread(target=write, args=(text,)) for text in texts]
+    for one in threads:
+        one.start()
+    while any(one.is_alive() for one in threads):
+        assert not path.exists() or path.read_text() in texts
+    assert path.read_text() in texts
+    assert [one.name for one in tmp_path.iterdir()] == ["kept.json"]

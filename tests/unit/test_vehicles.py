@@ -8,7 +8,7 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import Encoder, message_name
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, ModeFlag
-from mavdiag.link.profiles import PROFILES
+from mavdiag.link.profiles import PROFILES, with_imu
 from mavdiag.link.vehicles import WAITING_FRAMES, Ack, Command, LinkDecoder, VehicleStream
 from mavdiag.telemetry import Signal
 
@@ -92,12 +92,29 @@ def test_b19_a_vehicle_without_its_profiles_imu_is_read_by_the_one_it_sends() ->
 def test_b19_an_imu_message_that_comes_seldom_is_not_taken_for_the_profiles_own() -> None:
     stream, sender, decoder = VehicleStream(PROFILES["ardupilot"]), Sender(), LinkDecoder(PROFILES["ardupilot"])
     few = [frame for chunk in sender.chunks(10, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
-    raw = [frame for chunk in sender.chunks(10) for frame in decoder.decoder.feed(*chunk)]
+    raw = [frame for chunk in sender.chunks(20) for frame in decoder.decoder.feed(*chunk)]
     assert stream.step(few).get(Signal.BODY_RATE) is None
-    assert len(stream.step(raw)["body_rate"]) == 10
+    assert len(stream.step(raw)["body_rate"]) == 20
     many = [frame for chunk in sender.chunks(90, MessageId.SCALED_IMU2) for frame in decoder.decoder.feed(*chunk)]
     assert stream.step(many).get(Signal.BODY_RATE) is None
     assert stream.profile is PROFILES["ardupilot"]
+
+
+@pytest.mark.parametrize("size", [1, 7, 600])
+def test_one_frame_of_a_slow_imu_message_does_not_settle_the_choice(size: int) -> None:
+    """RAW_IMU comes once a second and SCALED_IMU2 at 100 Hz: the log reader takes the second, and so does the link."""
+    sender, decoder = Sender(), LinkDecoder(PROFILES["ardupilot"])
+    chunks = []
+    for k in range(5):
+        chunks += sender.chunks(2 if k else 1)
+        chunks += sender.chunks(100, MessageId.SCALED_IMU2)
+    frames = [frame for chunk in chunks for frame in decoder.decoder.feed(*chunk)]
+    stream, samples = VehicleStream(PROFILES["ardupilot"]), 0
+    for at in range(0, len(frames), size):
+        gyro = stream.step(frames[at : at + size]).get(Signal.BODY_RATE)
+        samples += 0 if gyro is None else len(gyro)
+    assert stream.profile.imu is with_imu(PROFILES["ardupilot"], frames).imu is MessageId.SCALED_IMU2
+    assert samples >= 470  # of 500
 
 
 def test_ground_stations_and_system_zero_are_no_vehicles() -> None:

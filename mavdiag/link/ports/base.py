@@ -118,6 +118,10 @@ class Endpoint(ABC):
     def send(self, data: bytes) -> None:
         """Send one message to every peer, now or never: what cannot go at once is dropped and counted."""
 
+    def answer(self, data: bytes, source: object) -> None:
+        """Send one message to the sender of a chunk only, if it is still there; or to the one other end there is."""
+        self.send(data)
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the port or device. Closing twice is harmless; a closed endpoint receives and sends nothing."""

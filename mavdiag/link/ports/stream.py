@@ -243,6 +243,12 @@ class TcpServer(Endpoint):
         self._sent += taken.count(True)
         self._dropped += taken.count(False) if taken else 1
 
+    def answer(self, data: bytes, source: object) -> None:
+        """Send to one client; without it, the message is dropped and counted."""
+        taken = [client.write(data) for client in self._clients if client.name == source]
+        self._sent += taken.count(True)
+        self._dropped += taken.count(False) if taken else 1
+
     def close(self) -> None:
         """Stop listening and hang up on every client."""
         self._listener.close()

@@ -132,6 +132,13 @@ class UdpIn(_Udp):
         for peer in peers:
             self._send_to(data, peer)
 
+    def answer(self, data: bytes, source: object) -> None:
+        """Send to one fresh peer; without it, the message is dropped and counted."""
+        peers = [peer for peer in self._fresh_peers() if peer == source and (not self._alone or peer in self._trusted)]
+        self._dropped += not peers
+        for peer in peers:
+            self._send_to(data, peer)
+
     def close(self) -> None:
         """Close the sockets."""
         self.trust((), alone=self._alone)
