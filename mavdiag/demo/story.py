@@ -34,7 +34,9 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence[Line]) 
         strips=() if judge is None else rate_strips(judge, (Axis.ROLL,)),
         levels=figure_levels(station) if judge is None else levels(judge),
         events=tuple(events),
-        foot="" if judge is None else f"white: measured, blue: simulated, red: margin; {link_line(judge)}",
+        foot=""
+        if judge is None
+        else f"white: measured, cyan: simulated, yellow: residual, red: margin; {link_line(judge)}",
     )
 
 

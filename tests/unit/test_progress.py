@@ -3,6 +3,7 @@
 import io
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -112,7 +113,7 @@ def test_what_takes_long_is_told_where_no_terminal_is(
 
         def __init__(self, after_s: float, act: Callable[..., None], args: Any, kwargs: Any) -> None:
             assert after_s == SLOW_S
-            self.act = lambda: act(*args, **kwargs)
+            self.act: Callable[[], None] = partial(act, *args, **kwargs)
 
         def start(self) -> None:
             if slow:
