@@ -71,9 +71,7 @@ def report(
 
 def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | None, mapped: ColumnMap | None) -> None:
     from mavdiag.report.page import Made, flights_page
-    from mavdiag.report.style import check_matplotlib
 
-    check_matplotlib()
     reference = Baseline.load(baseline)
     found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     if found.skipped:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from mavdiag.drawing import Colour
-from mavdiag.errors import missing_extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +25,6 @@ __all__ = [
     "SIMULATED",
     "Line",
     "Picture",
-    "check_matplotlib",
     "drawn",
     "embedded",
     "legend_above",
@@ -123,20 +121,11 @@ class Picture:
     not_drawn: str = ""
 
 
-def check_matplotlib() -> None:
-    """Raises UsageError, with the remedy, if no figure can be drawn."""
-    try:
-        import matplotlib.backends.backend_svg  # noqa: F401  # whether it can be imported is the question
-    except ImportError as error:
-        raise missing_extra("a report", "matplotlib", "report") from error
-
-
 def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
     """The SVG of what `plot` puts on an empty figure. title, description: for those who cannot see it.
 
-    The same values give the same bytes. Raises UsageError if matplotlib is not installed.
+    The same values give the same bytes.
     """
-    check_matplotlib()
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

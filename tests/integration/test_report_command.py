@@ -1,7 +1,6 @@
 """`mavdiag report` as it is run: logs of each kind, folders, what cannot be read, a campaign's results."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from typer.testing import CliRunner
 
 from mavdiag import cli
 from mavdiag.demo import command
-from mavdiag.errors import InputError, MavdiagError, UsageError
+from mavdiag.errors import InputError, MavdiagError
 from mavdiag.face import learn
 from mavdiag.judging import judge_in_full
 from mavdiag.report.flight import flight_report
@@ -115,12 +114,6 @@ def test_an_empty_folder_and_a_missing_log_are_said(tmp_path: Path, baseline: Pa
     assert not out.exists()
 
 
-def test_without_matplotlib_one_line_says_what_to_install(baseline: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_svg", None)
-    with pytest.raises(UsageError, match=r"pip install 'mavdiag\[report\]'"):
-        run("x.tlog", "--baseline", baseline, "-o", baseline.with_suffix(".html"))
-
-
 def test_a_long_flight_has_no_longer_page() -> None:
     def size(n: int) -> int:
         (log,) = healthy(1, n)
@@ -141,6 +134,3 @@ def test_the_demo_ends_with_a_report_of_its_flight(
     said = capsys.readouterr().out
     assert f"its report: {page}" in said
     assert "Flight report: the demo's flight" in page_at(page).said
-    monkeypatch.setattr(command, "find_spec", lambda name: None)
-    command._print_report(tmp_path / "flight.tlog", baseline, page)
-    assert "pip install 'mavdiag[report]'" in capsys.readouterr().out

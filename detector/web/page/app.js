@@ -50,8 +50,8 @@ function connect() {
     take(event);
   });
   on("hello", (event) => hello(JSON.parse(event.data)));
-  on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet"); });
-  on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips"); });
+  on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet", "now"); });
+  on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips", "filter"); });
   on("now", (event) => take(JSON.parse(event.data)));
   on("entry", entry);
   source.onerror = () => {
@@ -220,7 +220,7 @@ function renderAbout() {
       "aria-label": `${slot.label} ${slot.axis}`.trim()}, el("span", {className: "fill"}), el("span", {className: "line"})),
     el("span", {className: "reason"}))));
   const thesis = slots.filter((slot) => slot.margin !== null);
-  byId("no-strips").hidden = thesis.length > 0;
+  byId("no-strips").hidden = !slots.length || thesis.length > 0;
   byId("axes").replaceChildren(...thesis.map((slot) => el("div", {className: "axis", data: {axis: slot.axis}},
     el("h3", {}, `${slot.axis[0].toUpperCase()}${slot.axis.slice(1)}: residual `,
       el("span", {className: "fine"}, `rad/s, margin ±${shown(slot.margin)}`), el("span", {className: "value"})),
@@ -235,7 +235,7 @@ function renderNow() {
   byId("verdict").dataset.level = level;
   text("mark", MARKS[level] || "");
   text("level-text", now ? NAMES[level] : page.vehicle === null ? "no vehicle yet" : "waiting for figures");
-  text("sentence", now && now.sentence !== NAMES[level] ? now.sentence : "");
+  text("sentence", now ? (now.sentence !== NAMES[level] ? now.sentence : "") : page.vehicle === null ? whatToSend() : "");
   document.title = now ? `${NAMES[level]} – vehicle ${now.vehicle} – mavdiag` : "mavdiag detector";
   renderRotors(now);
   figures("session", now ? [
@@ -263,6 +263,13 @@ function renderNow() {
   ]);
   figures("rates", link.rates.map(([name, hertz]) => [name, hertz ? `${hertz.toFixed(1)} Hz` : "does not come",
     hertz ? "" : "none"]));
+}
+
+// What an empty page lacks.
+function whatToSend() {
+  const link = page.fleet && page.fleet.links[0];
+  return `Send the vehicle's MAVLink to ${link ? link.address : "the detector's link"}: its autopilot's HEARTBEAT, a gyro `
+    + "(RAW_IMU, SCALED_IMU or HIGHRES_IMU) and ATTITUDE_TARGET.";
 }
 
 function renderRotors(now) {
@@ -341,10 +348,20 @@ function refilter() {
 function count() {
   const shownRows = byId("list").children.length;
   const lost = page.lost ? `; ${page.lost} older ones were not kept` : "";
-  text("events-count", `${page.total} received, the latest ${shownRows} shown${lost}`);
+  const away = page.entries.filter(folded).length;
+  const fold = away ? `; ${away} of monitors that do not decide are folded away` : "";
+  text("events-count", `${page.total} received, the latest ${shownRows} shown${lost}${fold}`);
+}
+
+// Alarms of monitors that only raise a suspicion are many and decide nothing: they are folded away.
+function folded({content}) {
+  if (byId("every-monitor").checked || !["opened", "event"].includes(content.kind)) return false;
+  const slot = page.about && page.about.slots.find((one) => one.name === content.monitor);
+  return Boolean(slot) && !slot.decides;
 }
 
 function wanted({content}) {
+  if (folded({content})) return false;
   if (!byId("all-vehicles").checked && content.vehicle !== null && content.vehicle !== page.vehicle) return false;
   return !byId("only-alerts").checked || loudness(content) !== "";
 }
@@ -410,6 +427,7 @@ byId("acknowledge").addEventListener("click", () => {
 });
 byId("only-alerts").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
+byId("every-monitor").addEventListener("change", () => draw("filter"));
 window.addEventListener("resize", () => draw("strips"));
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw("strips"));
 connect();
