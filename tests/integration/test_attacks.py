@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
@@ -180,7 +181,7 @@ class Beset(MadeVehicle):
     forge: what is sent after the frame of this number; None for nothing. ahead: of the running number before it.
     """
 
-    def __init__(self, forge: Callable[[int, int], tuple[int, list[object]] | None], ahead: int) -> None:
+    def __init__(self, forge: Callable[[int, int], tuple[int, list[Any]] | None], ahead: int) -> None:
         super().__init__(1)
         self._forge, self._ahead, self._frames = forge, ahead, 0
 
@@ -198,8 +199,8 @@ class Beset(MadeVehicle):
         return found
 
 
-def leaping(every: int, ahead_s: float, once: bool = False) -> Callable[[int, int], tuple[int, list[object]] | None]:
-    def forge(number: int, sent: int) -> tuple[int, list[object]] | None:
+def leaping(every: int, ahead_s: float, once: bool = False) -> Callable[[int, int], tuple[int, list[Any]] | None]:
+    def forge(number: int, sent: int) -> tuple[int, list[Any]] | None:
         if number != 1000 if once else number % every:
             return None
         return MessageId.RAW_IMU, [5_000_000 + 10_000 * sent + round(1e6 * ahead_s), 0, 0, -1000, 1, 2, 3]
@@ -207,18 +208,18 @@ def leaping(every: int, ahead_s: float, once: bool = False) -> Callable[[int, in
     return forge
 
 
-def disarming(number: int, sent: int) -> tuple[int, list[object]] | None:
+def disarming(number: int, sent: int) -> tuple[int, list[Any]] | None:
     return None if number % 67 else (MessageId.HEARTBEAT, [2, 0, 0, 0, 4, 3])
 
 
-def without_thrust(number: int, sent: int) -> tuple[int, list[object]] | None:
+def without_thrust(number: int, sent: int) -> tuple[int, list[Any]] | None:
     if number % 5:
         return None
     return MessageId.ATTITUDE_TARGET, [5000 + 10 * sent, 0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, 0.0]
 
 
 CLASH, LEAP = "two senders seem to use the name of vehicle 1", "stamps that leap"
-FORGED: Mapping[str, tuple[Callable[[int, int], tuple[int, list[object]] | None], int, str]] = {
+FORGED: Mapping[str, tuple[Callable[[int, int], tuple[int, list[Any]] | None], int, str]] = {
     "gyro 1/s stamped 1 h ahead": (leaping(201, 3600.0), 1, CLASH),
     "the same with other running numbers": (leaping(201, 3600.0), 20, LEAP),
     "gyro 10/s stamped 0.3 s ahead": (leaping(20, 0.3), 20, LEAP),

@@ -45,11 +45,11 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
     """By arrival 0.2 s without data read 45 Hz, then 100 Hz: 204 requests in 718 s."""
     streams, seen = Streams(), []
     for k in range(100):  # 100 Hz by the vehicle's clock; every second look comes late, with all that waited
-        stamps = np.arange(20 * k, 20 * (k + 1)) / 100.0
+        stamps = 0.01 * np.arange(20.0 * k, 20.0 * (k + 1))
         first, rest = stamps[:3], stamps[3:]
         streams = came(streams, first, 0.2 * k + 0.18)
         seen.append(streams.rate_hz(Signal.BODY_RATE, Instant(round((0.2 * k + 0.181) * 1e9))))
         streams = came(streams, rest, 0.2 * k + 0.19)
     assert [one for one in seen if one is not None] == pytest.approx([100.0] * sum(one is not None for one in seen))
-    slow = came(streams, 20.0 + 0.25 * np.arange(1, 4), 21.0)
+    slow = came(streams, 20.0 + 0.25 * np.arange(1.0, 4.0), 21.0)
     assert slow.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once

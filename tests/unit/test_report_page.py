@@ -135,8 +135,8 @@ def test_every_monitor_has_words_for_a_newcomer() -> None:
 def test_each_verdict_has_its_sentence_and_advice() -> None:
     def told(verdict: Verdict, kind: FaultKind | None = None) -> LogVerdict:
         change = Change(2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, kind)
-        known = {"kind": kind, "since_s": 2.0, "rotor": 3} if kind else {}
-        return replace(LogVerdict("a", verdict, "because", 9.0, 10.0, changes=(change,) if kind else ()), **known)
+        plain = LogVerdict("a", verdict, "because", 9.0, 10.0, changes=(change,) if kind else ())
+        return replace(plain, kind=kind, since_s=2.0, rotor=3) if kind else plain
 
     sentence = "A propeller fault of rotor 3 was found, most like a crack (F2, severity 2 of 3)"
     assert headline(told(Verdict.FAULT, FaultKind.PROPELLER)).startswith(sentence)

@@ -169,7 +169,3 @@ def test_what_a_turn_takes_is_learnt_and_taken_off(law: tuple[float, float]) -> 
 
 def test_a_nose_that_hardly_turns_leaves_the_law_at_its_prior() -> None:
     assert fit([[turning(60, 3, (0.1, 0.05), nose=0.001)]], "x").turn == pytest.approx((0.0, 0.04), abs=0.005)
-
-
-def test_a_threshold_above_its_reach_could_not_be_passed_by_a_vehicle_that_flies() -> None:
-    assert 0.3 < RotorTrim.reach < 0.7

@@ -210,7 +210,7 @@ def test_whatever_ends_the_flight_the_fault_is_told_until_it_is_acknowledged(end
     )
     effects = [*story.fly(20.0, armed=False), *story.fly(20.0)]
     assert INSPECT not in effects
-    assert story.state.diagnosis.stage is Stage.QUIET
+    assert str(story.state.diagnosis.stage) == "quiet"
 
 
 def test_a_fault_in_flight_cannot_be_acknowledged() -> None:
