@@ -5,8 +5,8 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
     leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > most          in some column
 
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap of gyro and accelerometer, whose noise sums up, and four times that of the others, or what does no
-harm. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below 20 Hz) the signal leaps back,
+the healthy leap of gyro, accelerometer and outputs, which are summed up, and four times that of the others, or a small
+one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below 20 Hz) the signal leaps back,
 they were a glitch. If not, or if as many of the 20 samples before leapt too, it is how the signal moves now, and all
 are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses nothing.
 What holds its last value does not wait, and is lost. A sample whose stamp leaps is lost until another one follows it.
@@ -35,7 +35,7 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, T
 from mavdiag.units import NS_PER_S
 
 FAR = 4.0  # healthy leaps; a longer one is a glitch until it is seen again (our choice)
-FAR_SENSOR = 2.0  # of the sensors: three such samples add 0.4 to the mean square of 500 (our choice)
+FAR_SENSOR = 2.0  # of sensors and outputs, which are summed up: three such add 0.4 to a mean square of 500 (our choice)
 GLITCH_S, MOST_LOST, AMONG = 0.03, 3, 20  # an I2C glitch spoils up to three samples (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
 STILL_SHARE = 0.999  # quantile of the repetitions of the attitude's set-point that is the longest (our choice)
@@ -62,14 +62,14 @@ GREATEST = {
     Signal.VIBRATION: 4000.0,
     Signal.HEIGHT: 1e5,
 }
-# A leap up to this does no harm at any rate: a tenth of what a monitor calls a fault (our choice).
+# A leap up to this is believed at any rate, for a flight may be livelier than those that taught (our choice).
 HARMLESS = {
-    Signal.ATTITUDE: 0.1,
-    Signal.ATTITUDE_SETPOINT: 0.1,
-    Signal.RATE_SETPOINT: 0.5,
-    Signal.TORQUE_COMMAND: 0.2,
+    Signal.ATTITUDE: 0.02,
+    Signal.ATTITUDE_SETPOINT: 0.01,
+    Signal.RATE_SETPOINT: 0.1,
+    Signal.TORQUE_COMMAND: 0.1,
     Signal.THRUST_SETPOINT: 0.2,
-    Signal.ACTUATOR: 0.2,
+    Signal.ACTUATOR: 0.05,
     Signal.VIBRATION: 1.0,
     Signal.HEIGHT: 0.5,
 }
@@ -123,7 +123,7 @@ class Habit(BaseModel):
         leap = np.array(self.leap)
         if self.signal in SENSORS:
             return np.where(leap > 0, FAR_SENSOR * leap, np.inf)
-        return np.maximum(FAR * leap, HARMLESS[self.signal])
+        return np.maximum((FAR_SENSOR if self.signal is Signal.ACTUATOR else FAR) * leap, HARMLESS[self.signal])
 
     @property
     def patience(self) -> int:
