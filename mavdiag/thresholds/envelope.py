@@ -8,7 +8,7 @@ what counts as nothing, if that is more), and e = (c - C)/(R C):
     e > 1          outside, from (1 + R) C on: not judged
 
 R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
-time (FSD) does not grow so: where a condition is near, it does not judge. A value that was reached once and lies far
+time (FSD) does not grow so: near, its threshold stays as it was learnt. A value that was reached once and lies far
 beyond all others was no manoeuvre: a wrong sample widens nothing. A condition that no healthy flight told of, or that
 the link does not carry now, restricts nothing.
 """
@@ -259,7 +259,7 @@ class Envelope:
         far = _farthest(state, columns, found.t_ns, slot.memory_s, self.delay_s + BIN_S)
         if not np.count_nonzero(far.excess):
             return found, {}
-        outside: BoolArray = far.excess > (1.0 if slot.grows else 0.0)
+        outside: BoolArray = far.excess > 1.0
         reasons = {}
         for column in columns:
             here = outside & (far.column == column)
@@ -269,7 +269,7 @@ class Envelope:
                 value = float(state.values[far.place[farthest], column])
                 reasons[self.covered[column].condition] = Outside(span_s, value, float(far.excess[farthest]))
         rooms = np.array([RULES[one.condition].room for one in self.covered])
-        grown = np.repeat(1.0 + rooms[far.column] * np.minimum(far.excess, 1.0), far.counts)
+        grown = 1.0 if not slot.grows else np.repeat(1.0 + rooms[far.column] * np.minimum(far.excess, 1.0), far.counts)
         valid = found.valid & ~np.repeat(outside, far.counts) if reasons else found.valid
         return replace(found, value=found.value / grown, valid=valid), reasons
 
