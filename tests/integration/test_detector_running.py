@@ -79,7 +79,11 @@ def test_the_printed_configuration_is_one_that_it_takes(tmp_path: Path) -> None:
 
 
 def test_the_environment_is_read(tmp_path: Path) -> None:
-    environ = {"MAVDIAG_DETECTOR_LEARN": "77", "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0"}
+    environ = {
+        "MAVDIAG_DETECTOR_LEARN": "77",
+        "MAVDIAG_DETECTOR_SAVE": "b.json",
+        "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0",
+    }
     with running(environ=environ) as (_, first):
         assert first.startswith("ready: tcpin:127.0.0.1:")
         assert "learning from 77 s" in first
