@@ -140,7 +140,8 @@ def _slopes(rates: FloatArray, dt_s: float) -> FloatArray:
     apart = max(1, min(2 * mean, rates.shape[1] - mean))
     sums = np.cumsum(np.concatenate((np.zeros((len(rates), 1)), rates), axis=1), axis=1)
     means = (sums[:, mean:] - sums[:, :-mean]) / mean
-    return (means[:, apart:] - means[:, :-apart]) / (apart * dt_s)
+    slopes: FloatArray = (means[:, apart:] - means[:, :-apart]) / (apart * dt_s)
+    return slopes
 
 
 def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
