@@ -111,7 +111,7 @@ def next_ticks(
     Values are medians, so that a few wild samples move nothing. A tick in which no trim changes is not whole: in flight
     the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the
     median of the yaw rate's slopes over 0.2 s, for the median of what follows a slope follows the median of the slopes.
-    Steady is a tick whose slopes are small and that ends with about the yaw rate of the tick before.
+    Steady is a tick that ends with about the yaw rate of the tick before: its second half's median.
     """
     tick = tick_rows(block.dt_s)
     trim, flown = trim_of(block, layout, source)
@@ -129,7 +129,7 @@ def next_ticks(
     slopes = np.median(_slopes(values[5], block.dt_s), axis=1)
     ends = np.where(whole, np.median(values[5, :, tick // 2 :], axis=1), np.nan)
     steps = np.nan_to_num(np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s))
-    steady = np.concatenate(([state.steady], np.maximum(np.abs(slopes), np.abs(steps)) <= STEADY))
+    steady = np.concatenate(([state.steady], np.abs(steps) <= STEADY))
     found: FloatArray = np.column_stack((np.median(values, axis=2).T, slopes, steady[1:] & steady[:-1]))
     waiting = replace(waiting, end_rate=float(ends[-1]), steady=bool(steady[-1]))
     return waiting, t_ns[tick - 1 : used : tick], found, whole

@@ -55,8 +55,8 @@ def test_twelve_of_twelve_weak_motors_are_found_and_named_by_trims_that_a_turnin
     options = LearnOptions(airframe=X, monitors=("rotor_trim", "trim_step"))
     base = learn([with_outputs(turning)], options, created=STAMP)
     limits = {one.spec.kind: one.threshold.value for one in base.monitors}  # 1.08 and 0.62 of hover before
-    assert limits["rotor_trim"] < 0.12
-    assert limits["trim_step"] < 0.03
+    assert limits["rotor_trim"] < 0.2
+    assert limits["trim_step"] < 0.05
     assert md.judge(healthy, base).verdict is Verdict.HEALTHY
     assert md.judge(with_outputs(turning), base).verdict is Verdict.HEALTHY
 

@@ -146,12 +146,12 @@ def test_no_frame_hides_a_rotor() -> None:
         assert (np.abs(frame.unmixing[2]) > 0.8 / frame.rotors).all()  # every rotor shows on yaw
 
 
-def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 0.6) -> Rows:
+def turning(seconds: float, seed: int, law: tuple[float, float], nose: float = 1.0) -> Rows:
     """A vehicle whose nose turns to and fro, commanded by b1 r + b2 dr/dt of hover."""
     rng, n = np.random.default_rng(seed), round(seconds / 0.01)
     t = 0.01 * np.arange(n)
-    rate = np.stack((0 * t, 0 * t, nose * np.sin(1.3 * t)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
-    yaw = law[0] * nose * np.sin(1.3 * t) + law[1] * nose * 1.3 * np.cos(1.3 * t)
+    rate = np.stack((0 * t, 0 * t, nose * np.sin(0.6 * t)), axis=1) + rng.normal(0.0, 0.01, (n, 3))
+    yaw = law[0] * nose * np.sin(0.6 * t) + law[1] * nose * 0.6 * np.cos(0.6 * t)
     w = np.outer(yaw, layout_named("x").mixing[:, 2])
     return example_rows(n, rate=rate, actuator=0.5 * (1 + w) + rng.normal(0.0, 0.002, (n, 4)))
 
