@@ -190,9 +190,9 @@ def _compared(fingerprint: Fingerprint, seen: FloatArray, layout: RotorLayout | 
         limit, size = _LIMITS[i], abs(float(shift[i]))
         lower = shift[i] < 0
         if size >= max(limit.far_low if lower else limit.far_high, SIGNIFICANT * spread[i]):
-            far_words.append(_words(i, *learnt[i], seen[i]))
+            far_words.append(_words(i, learnt[i], float(seen[i])))
         elif size >= max(limit.near_low if lower else limit.near_high, SIGNIFICANT * spread[i]):
-            near_words.append(_words(i, *learnt[i], seen[i]))
+            near_words.append(_words(i, learnt[i], float(seen[i])))
     outcome = Outcome.FAR if far_words else Outcome.NEAR if near_words else Outcome.ALIKE
     return Likeness(outcome, (*far_words, *near_words))
 
@@ -221,11 +221,11 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
 def _trim_words(learnt: FloatArray, seen: FloatArray) -> list[str]:
     """The axis of the trim that differs most, in its own spread."""
     worst = int(np.argmax(np.abs(seen[TRIM] - learnt[TRIM, 0]) / learnt[TRIM, 1]))
-    return [_words(worst, *learnt[worst], seen[worst])]
+    return [_words(worst, learnt[worst], float(seen[worst]))]
 
 
-def _words(i: int, mean: float, spread: float, seen: float) -> str:
-    name = TRAITS[i].name
+def _words(i: int, learnt: FloatArray, seen: float) -> str:
+    name, (mean, spread) = TRAITS[i].name, learnt.tolist()
     if TRAITS[i].log:
         return f"{name} {math.exp(seen - mean):.2g} times the learnt"
     if name == "motors":
