@@ -41,6 +41,7 @@ __all__ = [
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
+MOST_ROTORS = 8  # that a reason lists with their spans (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
@@ -402,7 +403,7 @@ def _kind(changes: Sequence[Change]) -> FaultKind | None:
 
 
 def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
-    """The kind, the highest evidence, and the rotor and type that were named last and not withdrawn."""
+    """The kind, the highest evidence, every rotor that was named, and the type that was named last."""
     kind = _kind(faults)
     faults = [one for one in faults if one.kind is kind]
     worst = max(faults, key=lambda one: one.statistic / one.threshold if one.threshold else 0.0)
@@ -415,7 +416,11 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     places = 3
     while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
         places += 1
-    rotor = next((f"; rotor {one.rotor}" for one in reversed(faults) if one.rotor is not None), "")
+    spans = _rotors(faults)
+    rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
+    if len(spans) > 1:
+        rotor = "; " + ", ".join(f"rotor {one.rotor} from {one.since_s:.1f} s" for one in spans[:MOST_ROTORS])
+        rotor += f" and {len(spans) - MOST_ROTORS} more" if len(spans) > MOST_ROTORS else ""
     graded = next((f"; {one.fault_type}" for one in reversed(faults) if one.fault_type is not None), "")
     axis = f" on {worst.axis}" if worst.axis is not None else ""
     count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
@@ -427,16 +432,9 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
 
 
 def _rotors(changes: Sequence[Change]) -> tuple[NamedRotor, ...]:
-    """Every rotor that was named, with its span: it ends when another is named or the fault is over."""
-    found: list[NamedRotor] = []
-    for change in changes:
-        t_s = change.t_ns / NS_PER_S
-        rotor = change.rotor if change.stage is Stage.FAULT else None
-        if found and found[-1].end_s is None and rotor != found[-1].rotor:
-            found[-1] = replace(found[-1], end_s=t_s)
-        if rotor is not None and (not found or found[-1].end_s is not None):
-            found.append(NamedRotor(rotor, t_s, None))
-    return tuple(found)
+    """Every rotor that was named, with its span, as the decision held it at the end."""
+    spans = changes[-1].rotors if changes else ()
+    return tuple(NamedRotor(one.rotor, one.since_ns / NS_PER_S, _seconds(one.end_ns)) for one in spans)
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:
