@@ -52,7 +52,7 @@ def test_help_names_every_option_of_the_contract() -> None:
         "keep-rates",
         "check",
         "print-config",
-        "health",
+        "working",
     ):
         assert f"--{option}" in text
 

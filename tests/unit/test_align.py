@@ -215,7 +215,7 @@ def with_stopped(signal: Signal, width: int, step: int = 1) -> tuple[IntArray, l
         (Signal.RATE_SETPOINT, 3, 2, 0.0),
         (Signal.THRUST_SETPOINT, 1, 1, 1.0),
         (Signal.ACTUATOR, 4, 10, 1.0),
-        (Signal.VIBRATION, 3, 50, 2.0),
+        (Signal.VIBRATION, 3, 50, 1.0),
         (Signal.HEIGHT, 1, 10, 2.0),
         (Signal.ARMED, 1, 399, 99.0),
     ],
