@@ -59,7 +59,7 @@ def test_the_models_of_a_baseline_are_those_of_its_fsd_monitors(
     code, out, _ = mavdiag("scan", flights[0], "--baseline", baseline, "--json")
     assert json.loads(out)["log"] == str(flights[0])  # R1
     assert json.loads(out)["monitors"]["fsd"]["judged_s"] > 5.0
-    assert code in (0, 1)
+    assert code in (0, 1, 4)
 
 
 def test_the_lab_tools_print_their_tables(mavdiag: Any, flights: list[Path]) -> None:

@@ -124,7 +124,7 @@ def test_a_signal_that_stops_is_told_with_the_time_it_cost() -> None:
     state, _ = chain.step(chain.start(), stopped)
     state, _ = chain.finish(state)
     accounts = {slot.monitor.name: account for slot, account in zip(chain.slots, state.accounts, strict=True)}
-    assert accounts["rotor_trim"].judged_s == pytest.approx(8, abs=1.5)
+    assert accounts["rotor_trim"].judged_s == pytest.approx(6.5, abs=1.5)
     assert accounts["rotor_trim"].not_judged["no actuator"] == pytest.approx(17, abs=1.5)
     for account in accounts.values():
         assert account.judged_s + sum(account.not_judged.values()) == pytest.approx(account.flight_s, abs=0.1)
@@ -237,7 +237,7 @@ def test_f1_a_vehicle_that_tumbles_until_its_log_ends_is_no_healthy_one() -> Non
 
 
 def test_f1_an_upset_is_a_loss_of_control_where_no_monitor_saw_a_fault() -> None:
-    force = np.array([0.0, 0.0, -0.5])
+    force = np.random.default_rng(4).normal([0.0, 0.0, -0.5], 0.05, (200, 3))
     verdict = judge(logged(changed(flying(3000, 1), Signal.SPECIFIC_FORCE, 28.0, 30.0, force)), trim())
     assert (verdict.verdict, verdict.kind) == (Verdict.FAULT, FaultKind.LOSS_OF_CONTROL)
     assert verdict.reason.startswith("loss of control: the flight ends in an upset, at 28.9 s: free fall")

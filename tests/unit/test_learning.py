@@ -125,8 +125,11 @@ def test_b18_nothing_is_taken_from_a_vehicle_that_was_not_named() -> None:
 
 def test_b17_without_a_classifier_no_fault_type_can_be_named() -> None:
     """B17: the types of one emulated vehicle were reported for any."""
-    known = whole()
+    learnt = whole()
+    link = learnt.link.model_copy(update={"profile": "qdrone2", "dt_s": 0.001})
+    known = learnt.model_copy(update={"link": link})  # the one that they were trained for
     assert len(chain_of(known).decision.known) == 2
+    assert chain_of(learnt).decision.known == ()
     frame = dataclasses.replace(known.airframe, classifier=None)
     assert chain_of(known.model_copy(update={"airframe": frame})).decision.known == ()
 

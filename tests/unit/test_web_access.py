@@ -94,15 +94,15 @@ def test_the_headers_let_nothing_in_from_elsewhere() -> None:
 @pytest.mark.parametrize("web", ["0.0.0.0:8080", "192.168.1.7:8080", "drone.local:8080", "[::]:8080"])
 def test_elsewhere_than_on_loopback_a_token_is_needed(web: str) -> None:
     with pytest.raises(UsageError, match=r"name a --web-token-file FILE, or 127\.0\.0\.1$"):
-        load_settings(None, {"learn": 9.0, "web": web})
-    assert load_settings(None, {"learn": 9.0, "web": web, "web_token_file": "t"}).web == web
+        load_settings(None, {"learn": 9.0, "save": "b.json", "web": web})
+    assert load_settings(None, {"learn": 9.0, "save": "b.json", "web": web, "web_token_file": "t"}).web == web
 
 
 def test_a_token_without_a_page_and_a_malformed_address_are_refused() -> None:
     with pytest.raises(UsageError, match="add --web HOST:PORT"):
-        load_settings(None, {"learn": 9.0, "web_token_file": "t"})
+        load_settings(None, {"learn": 9.0, "save": "b.json", "web_token_file": "t"})
     with pytest.raises(UsageError, match="malformed web address 'here'"):
-        load_settings(None, {"learn": 9.0, "web": "here"})
+        load_settings(None, {"learn": 9.0, "save": "b.json", "web": "here"})
     assert Settings(learn=9.0).web is None
 
 
