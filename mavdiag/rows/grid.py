@@ -5,7 +5,7 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.telemetry import FloatArray, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid", "unbroken"]
@@ -33,11 +33,12 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     """Period [s] of the gyro stream, and whether its samples are uniform enough to be rows themselves.
 
     The period of a uniform stream is the mean of the steps within 25 % of their median, so losses do not stretch it; of
-    any other the mean of all steps but pauses above 1 s. Raises InputError if there are fewer than 20 gyro samples.
+    any other the mean of all steps but pauses above 1 s. A sample whose stamp alone is out of order does not count.
+    Raises InputError if there are fewer than 20 gyro samples.
     """
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
-        t = np.unique(t)
+        t = np.unique(_well_dated(t))
     if len(t) < LEAST_SAMPLES:
         raise InputError(f"only {len(t)} gyro samples: at least {LEAST_SAMPLES} are needed to measure the rate")
     steps = np.diff(t).astype(np.float64)
@@ -49,3 +50,13 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     if float(np.mean(uniform)) >= NATIVE_SHARE:
         return dt_ns / NS_PER_S, Grid.NATIVE
     return float(np.mean(unbroken(steps))) / NS_PER_S, Grid.RESAMPLED
+
+
+def _well_dated(t_ns: IntArray) -> IntArray:
+    """Stamps, in the order in which they came, without those that are in no order with the two before and after.
+
+    Two samples that changed places are kept.
+    """
+    before, at, after = t_ns[1:-3], t_ns[2:-2], t_ns[3:-1]
+    wrong = (before < after) & ((at < np.minimum(before, t_ns[:-4])) | (at > np.maximum(after, t_ns[4:])))
+    return t_ns[np.concatenate(([True] * 2, ~wrong, [True] * 2))] if len(t_ns) > 4 else t_ns

@@ -5,11 +5,13 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
     leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > most          in some column
 
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap of gyro, accelerometer and outputs, which are summed up, and four times that of the others, or a small
-one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below 20 Hz) the signal leaps back,
-they were a glitch. If not, or if as many of the 20 samples before leapt too, it is how the signal moves now, and all
-are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses nothing.
-What holds its last value does not wait, and is lost. A sample whose stamp leaps is lost until another one follows it.
+the healthy leap, or a small one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below
+20 Hz) the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt at least half as far,
+it is how the signal moves now, and all are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes
+or throws the vehicle loses hardly anything. What holds its last value does not wait, and is lost.
+
+A sample whose stamp leaps is lost until another one follows it: a stamp that goes back by more than a period, or ahead
+by more than ever, or ahead of the next sample by more than a period.
 
 A sample is *dead* if it repeats the one before (gyro and accelerometer: or changes by less than a twentieth of the
 quietest healthy noise) for four times as long as ever in health, but not above a second unless health did; the
@@ -26,6 +28,7 @@ Samples are looked at in the order in which they came, so that a log and a live 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -34,9 +37,10 @@ from mavdiag.rows.windows import EmaState, ema, forgetting, start_ema
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-FAR = 4.0  # healthy leaps; a longer one is a glitch until it is seen again (our choice)
-FAR_SENSOR = 2.0  # of sensors and outputs, which are summed up: three such add 0.4 to a mean square of 500 (our choice)
-GLITCH_S, MOST_LOST, AMONG = 0.03, 3, 20  # an I2C glitch spoils up to three samples (our choice)
+FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
+GLITCH_S, MOST_LOST = 0.03, 3  # an I2C glitch spoils up to three samples (our choice)
+AMONG, OFTEN, AS_FAR = 20, 5, 0.5  # so many of the last samples that leapt so far are no glitches (our choice)
+OUT_OF_ORDER, EARLY = 1.5, 2.5  # periods back, and ahead: two samples that changed places are in order (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
 STILL_SHARE = 0.999  # quantile of the repetitions of the attitude's set-point that is the longest (our choice)
 STILL_FACTOR, STILL_MORE = 4.0, 2  # of the longest healthy repetition, and samples more (our choice)
@@ -122,8 +126,8 @@ class Habit(BaseModel):
         """Of each column the longest step that is believed at once; a column that never moved may do so."""
         leap = np.array(self.leap)
         if self.signal in SENSORS:
-            return np.where(leap > 0, FAR_SENSOR * leap, np.inf)
-        return np.maximum((FAR_SENSOR if self.signal is Signal.ACTUATOR else FAR) * leap, HARMLESS[self.signal])
+            return np.where(leap > 0, FAR * leap, np.inf)
+        return np.maximum(FAR * leap, HARMLESS[self.signal])
 
     @property
     def patience(self) -> int:
@@ -133,7 +137,17 @@ class Habit(BaseModel):
     @property
     def ahead_ns(self) -> int:
         """A stamp that is further ahead is an outlier until another follows it [ns]."""
-        return round(max(REORDER_S, 3 * self.period_s, FAR_SENSOR * self.pause_s) * NS_PER_S)
+        return round(max(REORDER_S, 3 * self.period_s, FAR * self.pause_s) * NS_PER_S)
+
+    @property
+    def back_ns(self) -> int:
+        """A stamp that goes back by more is an outlier until another follows it [ns]."""
+        return round(OUT_OF_ORDER * self.period_s * NS_PER_S)
+
+    @property
+    def early_ns(self) -> int:
+        """The sample after one that is further ahead tells whether its stamp is an outlier [ns]."""
+        return round(max(EARLY * self.period_s, self.pause_s) * NS_PER_S)
 
     @property
     def most_still(self) -> FloatArray:
@@ -163,14 +177,17 @@ class LinkQuality(BaseModel):
         return next((one for one in self.habits if one.signal is signal), None)
 
 
+Far: TypeAlias = tuple[tuple[int, float], ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory:
     """What is remembered of one signal between chunks.
 
     count: samples so far. last, last_ns: the last one that was believed. before, before_ns: the last one that came.
-    alone: it was ahead of its time. far: numbers of the latest samples that leapt. runs: (1 + columns,) samples that
-    repeated, together and each. jitter: mean square deviation of the stamps [periods^2]. finest: (columns,) smallest
-    steps.
+    alone: its stamp leapt. far: numbers of the latest samples that leapt, and how far, in `most_leap`. runs:
+    (1 + columns,) samples that repeated, together and each. jitter: mean square deviation of the stamps [periods^2].
+    finest: (columns,) smallest steps.
     """
 
     count: int
@@ -179,14 +196,14 @@ class Memory:
     before: FloatArray
     before_ns: int
     alone: bool
-    far: tuple[int, ...]
+    far: Far
     runs: IntArray
     jitter: EmaState
     finest: FloatArray
     waiting: Series | None = None
 
 
-Memories = Mapping[Signal, Memory]
+Memories: TypeAlias = Mapping[Signal, Memory]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,7 +226,7 @@ class _Near:
     keep: BoolArray
     last: FloatArray
     last_ns: int
-    far: tuple[int, ...]
+    far: Far
     alone: bool
 
 
@@ -339,9 +356,10 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
     """Which of the next samples are believed."""
     t, n, decided = series.t_ns, len(series), len(series)
     keep, last, last_ns, far = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far
-    ahead_ns, patience = habit.ahead_ns, habit.patience
-    misdated = np.abs(np.diff(t, prepend=last_ns)) > ahead_ns
-    candidates = np.flatnonzero(_leaps(habit, last, last_ns, series) | misdated)
+    span_ns = np.diff(t, prepend=last_ns)
+    before = np.concatenate((last[None], series.values[:-1]))
+    leaps = _sizes(habit, series.values - before, span_ns) > 1.0
+    candidates = np.flatnonzero(leaps | (span_ns > habit.early_ns) | (span_ns < -habit.back_ns))
     at, came_ns, alone = n, memory.before_ns, memory.alone
     if alone or len(candidates):
         at = 0 if alone else int(candidates[0])
@@ -350,22 +368,21 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
             came_ns = int(t[at - 1])
             if keep[at - 1]:
                 last, last_ns, alone = series.values[at - 1], came_ns, False
-        followed = alone and abs(int(t[at]) - came_ns) <= ahead_ns
-        lost, stop = abs(int(t[at]) - last_ns) > ahead_ns and not followed, at + 1
-        alone = lost
+        followed = alone and abs(int(t[at]) - came_ns) <= habit.ahead_ns
+        misdated = False if followed else _misdated(habit, last_ns, t[at : at + 2])
+        if misdated is None:  # the next sample decides
+            decided = at
+            break
+        alone = lost = misdated
+        stop = at + 1
         if not lost:
-            far = tuple(one for one in far if one > memory.count + at - AMONG)
-            leaps = _apart(habit, last, last_ns, _cut(series, slice(at, at + patience + 1)))
-            run = len(leaps) if leaps.all() else int(leaps.argmin())
-            if run and len(far) < patience and habit.signal not in HELD:
-                if run == len(leaps) <= patience:  # the next sample decides
-                    decided = at
-                    break
-                lost, stop = run <= patience and _returns(habit, series, at + run), at + run
-            elif run:
-                lost = len(far) < patience
-            if run:
-                far = (*far, *range(memory.count + at, memory.count + stop))[-patience:]
+            here = _cut(series, slice(at, at + habit.patience + 1))
+            found = _glitch(habit, last, last_ns, here, far, memory.count + at)
+            if found is None:
+                decided = at
+                break
+            lost, run, far = found
+            stop = at + run
         keep[at:stop] = not lost
         at = stop
         if not lost:  # until the next step that may be a leap all are believed
@@ -377,28 +394,52 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
     return _Near(keep[:decided], last, last_ns, far, alone and not keep[decided - 1] if decided else memory.alone)
 
 
-def _leaps(habit: Habit, last: FloatArray, last_ns: int, series: Series) -> BoolArray:
-    """(n,) whether each sample is far from the one before it."""
-    before = np.concatenate((last[None], series.values[:-1]))
-    return _far(habit, series.values - before, np.diff(series.t_ns, prepend=last_ns))
+def _misdated(habit: Habit, last_ns: int, t_ns: IntArray) -> bool | None:
+    """Whether the stamp of a sample leaps, by the last believed one and the next sample's; None if that must come."""
+    span_ns = int(t_ns[0]) - last_ns
+    if -habit.back_ns <= span_ns <= habit.early_ns:
+        return False
+    if span_ns < 0 or span_ns > habit.ahead_ns:
+        return True
+    if habit.signal in HELD:
+        return False
+    return bool(t_ns[1] < t_ns[0] - habit.back_ns) if len(t_ns) > 1 else None
 
 
-def _returns(habit: Habit, series: Series, at: int) -> bool:
-    """Whether a sample leaps away from the one before it."""
-    return bool(_apart(habit, series.values[at - 1], int(series.t_ns[at - 1]), _cut(series, slice(at, at + 1)))[0])
+def _glitch(
+    habit: Habit, last: FloatArray, last_ns: int, series: Series, far: Far, number: int
+) -> tuple[bool, int, Far] | None:
+    """Whether the first samples leap away and back, how many those are, and what leapt lately; None if more must come.
+
+    series: the samples that tell. far: what leapt before. number: of the first one.
+    """
+    patience = habit.patience
+    sizes = _sizes(habit, series.values - last, series.t_ns - last_ns)
+    leaps = sizes > 1.0
+    run = len(leaps) if leaps.all() else int(leaps.argmin())
+    if not run:
+        return False, 1, far
+    far = tuple(one for one in far if one[0] > number - AMONG)
+    usual = sum(size >= AS_FAR * sizes[0] for _, size in far) >= OFTEN
+    if usual or habit.signal in HELD:
+        lost, run = not usual, 1
+    elif run > patience:
+        lost = False
+    elif run == len(leaps):
+        return None
+    else:
+        step = series.values[run] - series.values[run - 1]
+        lost = bool(_sizes(habit, step[None], series.t_ns[run : run + 1] - series.t_ns[run - 1])[0] > 1.0)
+    return lost, run, (*far, *((number + i, float(sizes[i])) for i in range(run)))
 
 
-def _apart(habit: Habit, last: FloatArray, last_ns: int, series: Series) -> BoolArray:
-    """(n,) whether each sample is far from the last one that was believed."""
-    return _far(habit, series.values - last, series.t_ns - last_ns)
-
-
-def _far(habit: Habit, step: FloatArray, span_ns: IntArray) -> BoolArray:
+def _sizes(habit: Habit, step: FloatArray, span_ns: IntArray) -> FloatArray:
+    """(n,) how large steps are, (n, columns): above 1 they leap."""
     if habit.signal in ANGLES:
         step = step - TURN * np.round(step / TURN)
     span_ns = np.minimum(np.abs(span_ns), habit.ahead_ns)  # a longer one is misdated, or an outage
     periods = np.maximum(span_ns / (habit.period_s * NS_PER_S), 1.0)
-    return np.asarray((np.abs(step) > habit.most_leap * periods[:, None]).any(axis=1), dtype=np.bool_)
+    return np.asarray(np.fmax.reduce(np.abs(step) / habit.most_leap, axis=1) / periods, dtype=np.float64)
 
 
 def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
