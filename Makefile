@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: system demo test lint types layers doctest examples check bench fuzz soak clean help
+.PHONY: system demo test lint types layers doctest examples check older lowest bench fuzz soak clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/'
@@ -12,7 +12,7 @@ help:  ## list the targets
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plant,fleet,web,report,history]' --group test --group check
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[plant,fleet,web,history]' --group test --group check
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps MAVProxy==1.8.75
 	@touch $@
 
@@ -46,6 +46,12 @@ doctest: $(STAMP)  ## every example in a docstring
 
 examples: $(STAMP)  ## run the examples as they stand
 	set -e; for example in examples/*.py; do echo "$$example"; $(BIN)/python $$example; done
+
+older: $(STAMP)  ## the tests as on a processor that has nothing above AVX2; says so where this one has nothing more
+	$(BIN)/nox -s older
+
+lowest: $(STAMP)  ## the lowest versions that pyproject.toml allows, in an environment of their own
+	$(BIN)/nox -s lowest
 
 bench: $(STAMP)  ## the short benchmarks: ratios against a peer in the same run
 	set -e; for script in start_time decode plant_speed chain_speed detector_load endpoint; do $(BIN)/python benchmarks/$$script.py; done

@@ -9,6 +9,8 @@ import nox
 nox.options.sessions = ["check"]
 nox.options.default_venv_backend = "none"
 
+CORE = ("tests/unit", "tests/replay")  # what the lowest versions are tried on
+
 
 @nox.session
 def check(session: nox.Session) -> None:
@@ -41,3 +43,26 @@ def bench(session: nox.Session) -> None:
 def wheels(session: nox.Session) -> None:
     """Whether Debian needs a compiler; asks the package index."""
     session.run("python", "deploy/check_wheels.py")
+
+
+@nox.session
+def older(session: nox.Session) -> None:
+    """The suite without what this processor has above AVX2: numpy, its BLAS and numba compute as on an older one."""
+    import numpy as np  # of the environment that the Makefile sets up
+
+    found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    newer = [name for name in found if name.startswith(("AVX512", "X86_V4"))]
+    if not newer:
+        session.skip("this processor has nothing above AVX2: the suite as it is tests that")
+    kinds = {"OPENBLAS_CORETYPE": "Haswell", "NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": ""}
+    session.run("make", "test", external=True, env={"NPY_DISABLE_CPU_FEATURES": " ".join(newer), **kinds})
+
+
+@nox.session(venv_backend="venv")
+def lowest(session: nox.Session) -> None:
+    """The lowest versions that pyproject.toml allows, in an environment of their own: a core part of the suite."""
+    session.install("uv")
+    own = ("uv", "pip", "install", "--python", f"{session.bin}/python", "--resolution", "lowest-direct")
+    session.run(*own, "-e", ".[plant,fleet,web,history]", "--group", "test")
+    # what the newest indirect requirements say of the oldest direct ones is no fault of ours
+    session.run("python", "-m", "pytest", "-W", "ignore::DeprecationWarning", "-m", "not realtime", *CORE)

@@ -28,6 +28,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
@@ -170,7 +171,7 @@ def overheard(log: Path, key: Path) -> Iterator[bytes]:
     return itertools.cycle([encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(100)])
 
 
-def numbered(genuine: bytes, msgid: int, *fields: object) -> bytes:
+def numbered(genuine: bytes, msgid: int, *fields: Any) -> bytes:
     """A frame in the vehicle's name with the running number behind a genuine one."""
     encoder = Encoder(1, 1)
     encoder._seq = (genuine[4] + 1) & 0xFF  # noqa: SLF001

@@ -15,7 +15,7 @@ import sys
 import tempfile
 
 PEER = "import numpy, scipy.linalg, pymavlink.dialects.v20.ardupilotmega; print('ready')"
-DETECTOR = ("-m", "detector", "--learn", "10", "--connect", "udpin:127.0.0.1:0")
+DETECTOR = ("-m", "detector", "--learn", "10", "--save", "b.json", "--connect", "udpin:127.0.0.1:0")
 
 
 def spent_s(arguments: tuple[str, ...], environment: dict[str, str]) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mavdiag.airframe.propellers import FaultType
-from mavdiag.decision.grading import SCHEMA, FaultCloud, FaultTypes, Gathered, assess
+from mavdiag.decision.grading import SCHEMA, FaultCloud, FaultTypes, Features, Gathered, assess
 from mavdiag.learning import rows_of
 from mavdiag.logs import gate_for
 from mavdiag.monitors.base import LearnContext, Monitor, Rows
@@ -42,9 +42,9 @@ FAULTS = tuple((strength, code) for strength in STRENGTHS for code in FAULT_CODE
 SHRINK = 0.3  # share of the mean covariance in each (our choice)
 FLOOR = 1e-4  # least variance
 ONSET_S = 8.0
-DT_S = 0.001
+PROFILE, DT_S = "qdrone2", 0.001
 WINDOW = window_samples(DT_S)
-FRONT = Front(AlignSpec(DT_S, Grid.NATIVE), gate_for("qdrone2"), RateSpec.of(DT_S, WINDOW))
+FRONT = Front(AlignSpec(DT_S, Grid.NATIVE), gate_for(PROFILE), RateSpec.of(DT_S, WINDOW))
 CONTEXT = LearnContext(airframe_of(qdrone2(), "emulated"), None, DT_S, WINDOW)
 KINDS: tuple[type[Monitor[Any, Any]], ...] = (Unbalance, RotorSignature, RotorTrim)
 # shape, speed [m/s], heading [deg]
@@ -90,8 +90,8 @@ def features(monitors: Sequence[Monitor[Any, Any]], rows: Sequence[Rows], rotor:
             end_ns = (ONSET_S + after_s - monitor.delay_s) * NS_PER_S
             for part in parts:
                 known = replace(part, valid=part.valid & (part.t_ns <= end_ns))
-                gathered = gathered.add(str(monitor.feature), known, rotor)
-        out[k] = gathered.features.vector
+                gathered = gathered.add(str(monitor.feature), known)
+        out[k] = gathered.features(rotor).vector
     return out
 
 
@@ -135,7 +135,7 @@ def report(x: FloatArray) -> None:
         for left_out in range(len(x)):
             known = FaultTypes(after_s, tuple(clouds(np.delete(x, left_out, axis=0)[:, :, k])), "")
             for i, (_, code) in enumerate(FAULTS):
-                found = assess(gathered_of(x[left_out, i, k]), known)
+                found = assess(features_of(x[left_out, i, k]), known)
                 kind = found.fault_type is not None and found.fault_type.value == code[:2]
                 apart = 9 if found.severity is None else abs(found.severity - int(code[-1]))
                 right[i // len(FAULT_CODES)] += (kind, kind and apart == 0, apart <= 1, found.fault_type is None)
@@ -146,11 +146,10 @@ def report(x: FloatArray) -> None:
             print(f"{after_s:g} s after, fluctuation {strength:g}: {figures}")
 
 
-def gathered_of(x: FloatArray) -> Gathered:
-    """A gathering with these features."""
-    unbalance, motion, rise = (float(v) for v in (np.exp(x[0]), np.exp(x[1]), x[2] / 100))
-    squares = [(v * v, 1) if np.isfinite(v) else (0.0, 0) for v in (unbalance, motion)]
-    return Gathered(0, squares[0], squares[1], (rise, 1) if np.isfinite(rise) else (0.0, 0))
+def features_of(x: FloatArray) -> Features:
+    """The features that give this x."""
+    told = [float(v) if np.isfinite(v) else None for v in (np.exp(x[0]), np.exp(x[1]), x[2] / 100)]
+    return Features(*told)
 
 
 def text_of(x: FloatArray) -> str:
@@ -172,7 +171,8 @@ def text_of(x: FloatArray) -> str:
         for k, after_s in enumerate(AFTER_S)
     ]
     trained_on = f"emulated QDrone 2, {len(x)} airframes, seeds {SEED} to {SEED + len(x) - 1}"
-    return json.dumps({"schema": SCHEMA, "trained_on": trained_on, "tables": tables}, indent=1) + "\n"
+    link = {"profiles": [PROFILE], "rate_hz": 1.0 / DT_S}
+    return json.dumps({"schema": SCHEMA, "trained_on": trained_on, **link, "tables": tables}, indent=1) + "\n"
 
 
 def main() -> None:

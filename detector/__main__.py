@@ -1,6 +1,6 @@
 """The `mavdiag-detector` command (edge): watch vehicles over MAVLink and report a damaged propeller.
 
-Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not healthy (--health); 2 a wrong option, baseline or address, reported in
+Exit codes: 0 stopped by SIGINT or SIGTERM; 1 not working (--working); 2 a wrong option, baseline or address, in
 one line on stderr.
 """
 
@@ -27,11 +27,13 @@ from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
 from detector.journal import Journal, Recorder
 from detector.notify import Notifier
+from detector.reporting import kept_baselines
 from detector.web.token import read_token
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.inspections import Inspections
 from mavdiag.link.keys import KeptSigning, open_signing
 from mavdiag.link.ports import open_endpoint
 from mavdiag.printable import printable
@@ -60,7 +62,9 @@ def detect(
     learn: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Learn a baseline first, from so much healthy flight.")
     ] = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Keep what was learned.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep what was learned; where it is there, judge by it.")
+    ] = None,
     airframe: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE.toml", help="What is learned about: its rotors, mass, hover speed and gate."),
@@ -123,8 +127,8 @@ def detect(
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print a documented configuration file, and exit.")
     ] = False,
-    health: Annotated[
-        bool, typer.Option("--health", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
+    working: Annotated[
+        bool, typer.Option("--working", help="Ask the daemon that serves --metrics whether it works: exit code 0 or 1.")
     ] = False,
     version: Annotated[bool, commandline.version_option("mavdiag-detector")] = False,
 ) -> None:
@@ -135,29 +139,29 @@ def detect(
 
     Every setting of --config can be given in the environment too, as MAVDIAG_DETECTOR_ and its name in capitals.
 
-    Exit code 0 when stopped, 1 if --health finds it does not work, 2 for a wrong option, baseline or address.
+    Exit code 0 when stopped, 1 if --working finds it does not work, 2 for a wrong option, baseline or address.
     """
-    own = ("config", "version", "check", "print_config", "health", "reset_stamp")
+    own = ("config", "version", "check", "print_config", "working", "reset_stamp")
     given = {name: value or None if name == "forward" else value for name, value in context.params.items()}
     given = {name: value for name, value in given.items() if name not in own}
     if print_config:
         typer.echo(example_text(), nl=False)
-    elif health:
-        _health(config, given)
+    elif working:
+        _working(config, given)
     elif check:
         _check(load_settings(config, given, os.environ))
     else:
         _serve(load_settings(config, given, os.environ), reset_stamp=reset_stamp)
 
 
-def _health(config: Path | None, given: dict[str, object]) -> None:
-    from detector.health import ask_health  # only if asked for: the import takes its time
+def _working(config: Path | None, given: dict[str, object]) -> None:
+    from detector.working import ask_working  # only if asked for: the import takes its time
 
     values, _ = collect_values(config, given, os.environ)
     metrics = values.get("metrics")
-    healthy, words = ask_health(None if metrics is None else str(metrics))
+    works, words = ask_working(None if metrics is None else str(metrics))
     commandline.say(words)
-    raise typer.Exit(0 if healthy else 1)
+    raise typer.Exit(0 if works else 1)
 
 
 def _check(settings: Settings) -> None:
@@ -198,6 +202,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             web=web,
             notifier=notifier,
             signing=signing,
+            inspections=Inspections(settings.journal, _say),
         )
         daemon.run(stop)
 
@@ -213,9 +218,12 @@ def _signing(settings: Settings, stack: ExitStack, *, reset: bool) -> KeptSignin
 
 
 def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]]:
-    """The baseline for all vehicles, and those of single ones, by system id."""
+    """The baseline for all vehicles, and those of single ones, by system id; what was learned earlier among them."""
     baseline = None if settings.baseline is None else Baseline.load(settings.baseline)
-    return baseline, {sysid: Baseline.load(one.baseline) for sysid, one in settings.vehicles.items()}
+    kept = {} if settings.learn is None or settings.save is None else kept_baselines(settings.save)
+    learned = {sysid: one for sysid, (_, one) in kept.items()}
+    baseline = learned.pop(0, baseline)
+    return baseline, learned | {sysid: Baseline.load(one.baseline) for sysid, one in settings.vehicles.items()}
 
 
 def _airframe(settings: Settings) -> Airframe | None:

@@ -1,11 +1,14 @@
 """What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
-A text is one STATUSTEXT of at most 50 bytes. A declared fault is CRITICAL, a suspicion or a detector that cannot work
-is a WARNING, everything else INFO. A *lasting* matter is offered at every step: it is said when it begins, when what it
-is about changes, and at the times after its beginning that the table gives. Anything else is offered once and said
-once. Nothing of a kind is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a
-vehicle keep to a budget a minute, half of it for declared faults and half for the rest. What the budget holds back is
-counted and recorded.
+A text is one STATUSTEXT of at most 50 bytes. A declared fault is CRITICAL; a suspicion, a fault that is seen again, an
+open inspection or a detector that cannot work is a WARNING, everything else INFO. A *lasting* matter is offered at
+every step: it is said when it begins, when what it is about changes, and at the times after its beginning that the
+table gives. It is over once it was not offered for 5 s. Anything else is offered once and said once. Nothing of a kind
+is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a vehicle keep to a budget
+a minute, half of it for declared faults and half for the rest. What the budget holds back is counted and recorded.
+
+What is said of a fault follows the diagnosis (`told_of`). Nothing is ever called clear: a fault that is not seen any
+longer lasts, and after the flight it is an inspection.
 """
 
 from collections.abc import Mapping
@@ -14,9 +17,10 @@ from enum import StrEnum
 from itertools import pairwise
 
 from detector.values import Effect, SendText, TextSuppressed
-from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.decision.diagnosis import Diagnosis, Stage
+from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.link.messages import Severity
-from mavdiag.monitors import MONITORS
+from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Instant
 
@@ -28,18 +32,17 @@ __all__ = [
     "Notice",
     "Policy",
     "Presenter",
-    "alert_notice",
-    "cause_of",
-    "evidence_of",
+    "Told",
     "figure",
     "label_of",
     "present",
+    "told_of",
 ]
 
 TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
 MINUTE_S = 60.0
-THESIS, TRIM = "fsd", "rotor_trim"  # the monitors whose texts have a form of their own
+LULL_S = 5.0  # a lasting matter that is offered again within so long goes on where it was (our choice)
 
 
 class Kind(StrEnum):
@@ -50,8 +53,10 @@ class Kind(StrEnum):
     CONTROL = "loss of control"
     THRUST = "loss of thrust"
     SUSPECT = "suspect"
-    CLEARED = "cleared"
-    UNSETTLED = "unsettled"
+    AGAIN = "seen again"
+    UNSEEN = "no longer seen"
+    INSPECT = "inspect"
+    ACKNOWLEDGED = "acknowledged"
     WAITING = "waiting"
     LEARNING = "learning"
     FITTING = "fitting"
@@ -99,13 +104,15 @@ _ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
 
 # Times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
 POLICY: Mapping[Kind, Policy] = {
-    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # cause and evidence
-    Kind.SENSOR: Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S),  # evidence
-    Kind.CONTROL: Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S),  # cause and evidence
-    Kind.THRUST: Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S),  # cause and evidence
-    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # cause and evidence
-    Kind.CLEARED: Policy(Severity.INFO, "PROP clear after {}s"),  # how long
-    Kind.UNSETTLED: Policy(Severity.INFO, "PROP alert over: {}"),  # why it is not judged any longer
+    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # what was found
+    Kind.SENSOR: Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S),  # what was found
+    Kind.CONTROL: Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S),  # the rotor that was named before
+    Kind.THRUST: Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S),  # the rotor, if it is known
+    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # what was found
+    Kind.AGAIN: Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S),  # what was found
+    Kind.UNSEEN: Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,)),  # which motors
+    Kind.INSPECT: Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,)),  # which motors
+    Kind.ACKNOWLEDGED: Policy(Severity.INFO, "PROP {}: inspection acknowledged"),  # which motors
     Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", (60.0,)),  # reason
     Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", (60.0,)),  # progress, ": reason"
     Kind.FITTING: Policy(Severity.INFO, "PROP fitting the baseline"),
@@ -130,18 +137,16 @@ class Notice:
     kind: what it is about.
     words: fill the template.
     key: what a lasting matter is about (another key is news).
-    silent: the matter lasts, but must not be said now.
     """
 
     kind: Kind
     words: tuple[str, ...] = ()
     key: str = ""
-    silent: bool = False
 
     @property
     def text(self) -> str:
         """The text, within `TEXT_BYTES`: free text that does not fit is cut, at a whole character."""
-        text = POLICY[self.kind].template.format(*self.words)
+        text = POLICY[self.kind].template.format(*self.words).rstrip()
         if len(text.encode()) <= TEXT_BYTES:
             return text
         return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
@@ -152,52 +157,54 @@ _DECLARED: Mapping[FaultKind | None, Kind] = {
     FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
     FaultKind.GROSS_LOSS: Kind.THRUST,
 }
-_LABELS = {monitor.name: (monitor.label, monitor.statistic_label, monitor.threshold_label) for monitor in MONITORS}
 
 
 def label_of(monitor: str) -> str:
     """How a text calls a monitor: by its label, of at most 10 characters."""
-    return _LABELS.get(monitor, (monitor[:10],))[0]
+    return BY_NAME[monitor].label if monitor in BY_NAME else monitor[:10]
 
 
-def cause_of(finding: Change | Diagnosis) -> str:
-    """Rotor and fault as far as they are known, else the axis, else nothing; as the thesis has it or for a pilot.
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What was told of a fault.
 
-    The type is left out of a suspicion.
+    stage, kind, motors, seen: of the diagnosis that was told last.
+    loud: the present episode of the fault brought news: a declaration, another rotor, a graver kind.
     """
-    thesis, parts = finding.monitor == THESIS, list[str]()
-    if finding.rotor is not None:
-        parts.append(f"r{finding.rotor}" if thesis else f"motor {finding.rotor}")
-    if finding.fault_type is not None and finding.stage is Stage.FAULT:
-        level = f"/SV{finding.severity}" if finding.severity is not None else ""
-        parts.append(f"{finding.fault_type}{level}")
-    if not parts and finding.axis is not None:
-        parts.append(finding.axis.value)
-    return " ".join(parts)
+
+    stage: Stage = Stage.NOT_JUDGED
+    kind: FaultKind | None = None
+    motors: str = ""
+    seen: bool = False
+    loud: bool = False
 
 
-def evidence_of(finding: Change | Diagnosis) -> str:
-    """Statistic and threshold, with as many decimals as it takes to make them differ; "" without evidence.
+def told_of(told: Told, diagnosis: Diagnosis, arming: int) -> tuple[Told, tuple[Notice, ...]]:
+    """What is to be said of a diagnosis now, and what is told then. arming: number of the present one."""
+    it, motors = diagnosis, motors_words(diagnosis)
+    news = told.stage is not Stage.FAULT or (it.kind, motors) != (told.kind, told.motors)
+    loud = it.seen and (news or (told.loud and told.seen))
+    after = Told(it.stage, it.kind, motors, it.seen, loud)
+    match it.stage:
+        case Stage.FAULT if loud:
+            kind = _DECLARED.get(it.kind, Kind.FAULT)
+            return after, (_notice(kind, it, f"{it.kind} {motors}"),)
+        case Stage.FAULT if it.seen:
+            return after, (_notice(Kind.AGAIN, it),)
+        case Stage.FAULT:
+            whose = motors if it.rotor is not None or it.kind is FaultKind.SENSOR else "the fault"
+            return after, (Notice(Kind.UNSEEN, (whose,), motors),)
+        case Stage.INSPECT:
+            return after, (Notice(Kind.INSPECT, (motors,), f"{motors} {arming}"),)
+        case Stage.SUSPECTED:
+            return after, (_notice(Kind.SUSPECT, it),)
+        case _:
+            return after, ()
 
-    A suspicion begins, and a fault lasts, somewhat below the threshold: the sign shows it.
-    """
-    if finding.monitor is None:
-        return ""
-    if finding.monitor == TRIM and finding.rotor is not None:
-        return f"weak {figure(100.0 * finding.statistic, 0)}%"
-    label, one, other = _LABELS.get(finding.monitor, (label_of(finding.monitor), "", ""))
-    found, limit = figure(finding.statistic), figure(finding.threshold)
-    if found == limit:
-        found, limit = figure(finding.statistic, 3), figure(finding.threshold, 3)
-    sign, unit = ">" if finding.statistic > finding.threshold else "<", finding.unit if one else ""
-    return f"{one or label + ' '}{found}{unit}{sign}{other}{limit}{unit}"
 
-
-def alert_notice(finding: Change | Diagnosis, *, fault: bool, key: str, silent: bool = False) -> Notice:
-    """An alert as it is said while it lasts. fault: declared, not suspected."""
-    words = " ".join(part for part in (cause_of(finding), evidence_of(finding)) if part)
-    declared = _DECLARED.get(finding.kind, Kind.FAULT)
-    return Notice(declared if fault else Kind.SUSPECT, (words,), key, silent)
+def _notice(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
+    room = TEXT_BYTES - len(POLICY[kind].template.format(""))
+    return Notice(kind, (finding_words(diagnosis, room),), key)
 
 
 def figure(value: float, decimals: int = 2) -> str:
@@ -217,13 +224,18 @@ def figure(value: float, decimals: int = 2) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Said:
-    """A matter. begun: when it was said first; at: when it was said last; times: how often it was due by then."""
+    """A matter.
+
+    begun: when it was said first; at: when it was said last; times: how often it was due by then.
+    offered: when it was offered last.
+    """
 
     kind: Kind
     key: str
     begun: Instant
     at: Instant
-    times: int = 1
+    times: int
+    offered: Instant
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,12 +261,13 @@ def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> 
     out: list[Effect] = []
     presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one[1] < MINUTE_S))
     for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
-        if not notice.silent and _to_say(presenter, notice, now):
+        if _to_say(presenter, notice, now):
             presenter, effect = _say(presenter, notice, now)
             out += () if effect is None else (effect,)
-    # A lasting matter that was not offered is over: the next one begins anew.
+    # A lasting matter that was not offered for a while is over: the next one begins anew.
     offered = {notice.kind for notice in notices}
-    said = tuple(one for one in presenter.said if one.kind in offered or now - one.at < GAP_S)
+    said = tuple(replace(one, offered=now) if one.kind in offered else one for one in presenter.said)
+    said = tuple(one for one in said if now - one.offered < LULL_S)
     held = frozenset(one for one in presenter.held if one[0] in offered)
     return replace(presenter, said=said, held=held), tuple(out)
 
@@ -281,7 +294,7 @@ def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter,
         count = presenter.suppressed + 1
         return replace(presenter, suppressed=count, held=held), TextSuppressed(notice.text, count)
     begun = now if last is None else last.begun
-    fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun))
+    fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun), now)
     said = (*(one for one in presenter.said if one.kind is not notice.kind), fresh)
     held = frozenset(one for one in presenter.held if one[0] is not notice.kind)
     return replace(presenter, said=said, held=held, sent=(*presenter.sent, (loud, now))), SendText(

@@ -34,12 +34,14 @@ def _lines(
         check_output(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
         yield f"signing    by {settings.signing_key}; unsigned frames are refused"
     if baseline is not None:
-        yield f"judges by  {settings.baseline}: {_summary(baseline, settings)}"
-    if settings.learn is not None:
+        yield f"judges by  {settings.baseline or settings.save}: {_summary(baseline, settings)}"
+    if settings.learn is not None and baseline is None:
         about = f" about {airframe.name}" if airframe else ""
         yield f"learns     from {settings.learn:g} s of healthy flight{about}{_saving(settings)}"
     for sysid, one in own.items():
-        yield f"vehicle {sysid:<3}by {settings.vehicles[sysid].baseline}: {_summary(one, settings)}"
+        named = settings.vehicles.get(sysid)
+        source = named.baseline if named else "what was learned earlier"
+        yield f"vehicle {sysid:<3}by {source}: {_summary(one, settings)}"
     if settings.threshold_scale != 1.0:
         yield f"thresholds times {settings.threshold_scale:g}"
     for address in settings.forward:
@@ -93,7 +95,7 @@ def _summary(baseline: Baseline, settings: Settings) -> str:
         check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
     return (
         f"{baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.0f} Hz, "
-        f"{len(baseline.monitors)} monitors"
+        f"{len(baseline.monitors)} monitors" + (f", grade {baseline.grade}" if baseline.grade else "")
     )
 
 

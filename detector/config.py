@@ -58,8 +58,6 @@ class SessionSettings(BaseModel):
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
     threshold_scale: Annotated[float, Field(ge=0.5, le=4)] = 1.0  # of all thresholds
     link_lost_s: Positive = 3.0  # silence that means that the link is lost: three heartbeats
-    clear_s: Positive = 5.0  # quiet time that ends an alert
-    takeoff_s: Annotated[float, Field(ge=0)] = 3.0  # time after a take-off in which no alert is raised
     suspect: tuple[str, ...] = ()  # monitors ("fsd", "fsd.pitch") that only raise a suspicion
     texts_per_minute: Annotated[int, Field(ge=4, le=120)] = 30  # half for declared faults, half for the rest
     named_values_hz: Annotated[float, Field(gt=0, le=20)] = 5.0  # rate of the NAMED_VALUE_FLOATs
@@ -80,7 +78,8 @@ class Settings(SessionSettings):
     connect: str = "udpin:127.0.0.1:14550"  # the vehicle's link
     baseline: Path | None = None  # file to judge by
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
-    save: Path | None = None  # file that keeps what was learned
+    save: Path | None = None  # file that keeps what was learned, and is used at the next start
+    accept: bool = False  # whether a learned baseline of grade D is taken, too
     airframe: str | None = None  # what is learned about: a built-in name or a TOML file
     layout: str | None = None  # its rotor layout; default: by its parameters, else by its flight
     name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
@@ -170,6 +169,9 @@ def load_settings(
         host, _ = split_web_address(settings.web)
         if settings.web_token_file is None and not is_loopback(host):
             raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
+    if settings.learn is not None and settings.save is None:
+        said = "learn needs save: a FILE that keeps what is learned, or every start learns anew, broken or not"
+        raise UsageError(f"{where.get('learn', '')}{said}; or name a --baseline FILE")
     return settings
 
 

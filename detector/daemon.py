@@ -37,6 +37,8 @@ from detector.values import (
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.decision.diagnosis import Change
+from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MessageId
@@ -67,6 +69,7 @@ class Daemon:
 
     baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
     notifier: tells the service manager; None for nobody.
+    inspections: those that are open; None keeps none.
     """
 
     def __init__(
@@ -86,6 +89,7 @@ class Daemon:
         web: "Feed | None" = None,
         notifier: Notifier | None = None,
         signing: KeptSigning | None = None,
+        inspections: Inspections | None = None,
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
@@ -114,6 +118,7 @@ class Daemon:
         self._web = web
         takers: tuple[Lines | None, ...] = (journal, web)
         self._reporter = Reporter([one for one in takers if one], host.say, self._when, settings.save)
+        self._inspections = inspections or Inspections(None, host.say)
         self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
         self._started = self._now()
@@ -173,6 +178,8 @@ class Daemon:
             self._metrics.observe(turns, self._host.now_ns())
         if self._web is not None:
             self._web.look(self.fleet, turns, now)
+            for sysid in self._web.acknowledged():
+                self._acknowledge(sysid, "the live page")
         if now - self._beat_at >= 0:
             self._beat()
             self._watch(now)
@@ -212,6 +219,9 @@ class Daemon:
     def _adapted(self, sysid: int, spec: SessionSpec) -> SessionSpec | None:
         """The vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
         own = self._baselines.get(sysid)
+        judged_by = own or self._baseline
+        held = self._inspections.held(sysid, None if judged_by is None else judged_by.propellers)
+        spec = replace(spec, held=held)
         if own is None and self._baseline is None and self._settings.learn is None:
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]")
             return None
@@ -233,11 +243,22 @@ class Daemon:
         """Tell what somebody tries, and let no flood hide the vehicles; once a second."""
         self._link.trust(self._guard.sources(now, PEER_FRESH_S), alone=self._signing is not None)
         turns, texts = self._guard.look(now, self._link.traffic.turned_away)
+        for sysid, whose in self._inspections.acknowledged():
+            self._acknowledge(sysid, whose)
         failure = None if self._kept is None else self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
         self._carry_out(turns)
         for text in (*texts, *((failure,) if failure else ())):
             self._reporter.mark("note", {"text": text})
             self._host.say(text)
+
+    def _acknowledge(self, sysid: int, whose: str) -> None:
+        """Somebody has looked at a vehicle, which may not be there now."""
+        vehicle = self.fleet.vehicles.get(sysid)
+        if vehicle is not None:
+            self._carry_out([Turn(sysid, vehicle.session.acknowledge(whose))])
+        else:
+            self._inspections.close(sysid)
+            self._reporter.mark("note", {"text": f"inspection of vehicle {sysid} acknowledged by {whose}"})
 
     def _sender(self, vehicle: int) -> MavlinkSender:
         return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
@@ -267,9 +288,9 @@ class Daemon:
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
 
     def _beat(self) -> None:
-        """Heartbeats of the healthy sessions; on a link where we must send first, also before a vehicle."""
+        """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
-            if vehicle.session.healthy:
+            if vehicle.session.working:
                 self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
         if self._announces and not self.fleet.vehicles:
             self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
@@ -281,7 +302,7 @@ class Daemon:
             self._metrics.show(figures, self._host.now_ns())
         if self._web is not None:
             self._web.show(self.fleet, figures, self._now())
-        if figures.healthy:
+        if figures.working:
             self._notifier.alive(figures.status)
         else:
             self._notifier.status(figures.status)
@@ -289,8 +310,10 @@ class Daemon:
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
             for asked in turn.commands:
-                decline = self._sender(turn.vehicle).decline(asked.command, asked.sysid, asked.compid)
-                self._relay.answer(decline, self.fleet.link.source(asked.sysid, asked.compid))
+                handled = self._requests.command(asked, turn.vehicle, trusted=self._signing is not None)
+                for frame in handled.answers:
+                    self._relay.answer(frame, self.fleet.link.source(asked.sysid, asked.compid))
+                self._carry_out(handled.turns)
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._reporter.record(turn.vehicle, effect)
@@ -319,9 +342,14 @@ class Daemon:
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
-                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters))
+                self._fitter.begin(FittingJob(sysid, airframe, profile, telemetry, parameters, self._settings.accept))
             case Baseline():
                 self._reporter.save(sysid, effect)
+            case Change():
+                baseline = self.fleet.vehicles[sysid].session.state.baseline
+                judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)
+                utc = self._host.utc().isoformat(timespec="seconds")
+                self._inspections.take(sysid, effect, *judged_by, utc)
             case EventOpened(event):
                 if self._metrics is not None:
                     self._metrics.count_event(sysid, event.monitor)

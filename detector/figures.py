@@ -40,9 +40,9 @@ class DaemonFigures:
     delay_s: float = 0.0
 
     @property
-    def healthy(self) -> bool:
+    def working(self) -> bool:
         """Whether the daemon does its work or still may: not when all of its sessions are off."""
-        return not self.vehicles or any(one.healthy for one in self.vehicles)
+        return not self.vehicles or any(one.working for one in self.vehicles)
 
     @property
     def status(self) -> str:

@@ -15,7 +15,7 @@ from typing import Protocol, TypeAlias
 
 from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.baseline import Baseline
+from mavdiag.baseline import Baseline, sealed
 from mavdiag.errors import MavdiagError
 from mavdiag.telemetry import Log, Telemetry
 
@@ -36,6 +36,7 @@ class FittingJob:
     profile: of its link.
     telemetry: the flight.
     parameters: of its autopilot, by name.
+    accept: a baseline of grade D is taken, too.
     """
 
     vehicle: int
@@ -43,6 +44,7 @@ class FittingJob:
     profile: str
     telemetry: Telemetry
     parameters: Mapping[str, float] = field(default_factory=dict)
+    accept: bool = False
 
 
 class Fitter(Protocol):
@@ -62,6 +64,7 @@ def fit_baseline(job: FittingJob) -> Outcome:
     """Make a baseline here and now, as `mavdiag identify` does by default."""
     # Imported by the process that fits, not by the daemon: it brings the identification with it.
     from mavdiag.learning import LearnOptions, learn
+    from mavdiag.learning.damage import accepted
 
     created = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     log = Log(
@@ -73,9 +76,13 @@ def fit_baseline(job: FittingJob) -> Outcome:
         parameters=dict(job.parameters),
     )
     try:
-        return learn([log], LearnOptions(airframe=job.airframe), created=created)
+        baseline = learn([log], LearnOptions(airframe=job.airframe), created=created)
+        if not job.accept:
+            baseline = accepted(baseline, "accept = true")
     except MavdiagError as error:
         return LearningFailed(str(error))
+    provenance = baseline.provenance.model_copy(update={"vehicle": job.vehicle})
+    return sealed(baseline.model_copy(update={"provenance": provenance}))
 
 
 def _prepare() -> None:

@@ -16,6 +16,7 @@ from detector.states import State
 from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
 from mavdiag.baseline import Baseline
+from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
@@ -64,6 +65,7 @@ class VehicleFigures:
 
     vehicle: system id.
     state: of its session.
+    diagnosis: what is held of it.
     received, lost: its autopilot's frames, so far.
     gyro_hz: measured rate of the gyro.
     judged_s, events: so far.
@@ -86,9 +88,10 @@ class VehicleFigures:
     ratios: tuple[tuple[str, str, float], ...] = ()
     timesync: Timesync = NOT_ASKED
     drift_ppm: float | None = None
+    diagnosis: Diagnosis = NOTHING_SEEN
 
     @property
-    def healthy(self) -> bool:
+    def working(self) -> bool:
         """Whether its session does its work or still may."""
         return self.state is not State.FAULTED
 
@@ -141,7 +144,7 @@ class Vehicle:
     def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
         """Begin a new session in place of the present one; return what that leaves to record."""
         left, reboots = self.session.finish(), self.session.state.reboots
-        self.session, self.outcome = Session(spec, now), None
+        self.session, self.outcome = Session(replace(spec, held=self.session.state.diagnosis), now), None
         self.session.state = replace(self.session.state, reboots=reboots)
         return left
 
@@ -265,4 +268,5 @@ class Fleet:
             ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
             timesync=vehicle.timesync,
             drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
+            diagnosis=state.diagnosis,
         )

@@ -5,7 +5,7 @@ kind       besides "utc" (when written), "vehicle" (system id) and "vehicle_s" (
 event      an alarm of one monitor, whole; the fields of the public contract, its start in vehicle time and UTC
 opened     the same at its beginning, with the figures of that moment and end_s null
 state      from, to, reason          text        severity, text            suppressed   text, count
-stage      the decision: stage, reason, and the evidence that it rests on
+stage      the decision: stage, reason, the evidence that it rests on, and every rotor that was named with its span
 baseline   digest, airframe, layout  note        text                      start, stop  of the daemon
 """
 
@@ -88,7 +88,16 @@ def _stage(change: Change) -> dict[str, object]:
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
     fields = {name: getattr(change, name) for name in names} | {"fault_kind": change.kind}
     sound = {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in fields.items()}
-    return {"t_s": round(change.t_ns / NS_PER_S, 6)} | sound
+    spans = [
+        {"rotor": one.rotor, "since_s": _s(one.since_ns), "end_s": None if one.end_ns is None else _s(one.end_ns)}
+        for one in change.rotors
+    ]
+    declared_s = None if change.declared_ns is None else _s(change.declared_ns)
+    return {"t_s": _s(change.t_ns)} | sound | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
+
+
+def _s(t_ns: int) -> float:
+    return round(t_ns / NS_PER_S, 6)
 
 
 def _line(when: When, kind: str, content: dict[str, object]) -> str:
@@ -166,7 +175,7 @@ def is_urgent(record: Record) -> bool:
         case EventOpened() | EventClosed():
             return True
         case Change(stage=stage):
-            return stage in (Stage.SUSPECTED, Stage.FAULT)
+            return stage in (Stage.SUSPECTED, Stage.FAULT, Stage.INSPECT)
         case SendText(severity, _):
             return severity <= Severity.WARNING
         case _:

@@ -1,29 +1,24 @@
-"""Judging in flight: the chain at work, the alert that its stages add up to, and which monitors do not judge.
-
-A damaged propeller leaves the margin again and again, so the decision's stage comes and goes. An alert spans a burst:
-it begins with the first suspicion or fault and ends when there was none for a while.
-"""
+"""Judging in flight: the chain at work, and which monitors do not judge."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any
 
-from detector.alerts import Notice, alert_notice, label_of
+from detector.alerts import label_of
+from detector.config import SessionSettings
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline
-from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece
-from mavdiag.decision.alarm import Change, Diagnosis, Stage
+from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
+from mavdiag.errors import BaselineError
 from mavdiag.link.wants import LABELS
+from mavdiag.monitors.base import Monitor
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = ["Alert", "Judge", "alert_after", "not_judged", "records_of", "rescaled", "words_of"]
+__all__ = ["Judge", "chain_for", "not_judged", "records_of", "rescaled", "words_of"]
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
-ALERTING = (Stage.SUSPECTED, Stage.FAULT)
-
-Finding: TypeAlias = Change | Diagnosis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,35 +56,6 @@ class Judge:
         return replace(self, memory=memory, gauges=(), pieces=()), output
 
 
-@dataclass(frozen=True, slots=True)
-class Alert:
-    """An alert so far.
-
-    since: when it began (host).
-    latest: when there was a suspicion or a fault last (host).
-    finding: the latest of them.
-    confirmed: whether a fault was declared, not only suspected.
-    active: whether the finding is above its threshold at this moment; the stage lasts somewhat longer.
-    waned: whether the stage was left at some moment; what comes after is the fault going, and no news.
-    named: whether a rotor was named; it is news once.
-    """
-
-    since: Instant
-    latest: Instant
-    finding: Finding
-    confirmed: bool
-    active: bool = True
-    waned: bool = False
-    named: bool = False
-
-    @property
-    def notice(self) -> Notice:
-        """What is said of it while it lasts: nothing new while its finding does not hold."""
-        return alert_notice(
-            self.finding, fault=self.confirmed, key="named" if self.named else "", silent=not self.active
-        )
-
-
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
     """The baseline with all thresholds times a factor; its digest stays that of the file."""
     if scale == 1.0:
@@ -102,23 +68,18 @@ def rescaled(baseline: Baseline, scale: float) -> Baseline:
     return baseline.model_copy(update={"monitors": tuple(monitors)})
 
 
-def alert_after(
-    alert: Alert | None, output: ChainOutput, diagnosis: Diagnosis, suspect: frozenset[str], now: Instant
-) -> Alert | None:
-    """The alert after a step's output; None if there is none yet. Without new rows nothing changes."""
-    if output.now_ns is None:
-        return alert
-    latest: tuple[Finding, ...] = (*output.changes, diagnosis)
-    found = [one for one in latest if one.stage in ALERTING]
-    faults = [one for one in found if one.stage is Stage.FAULT and not suspect & _names(one)]
-    if not found or (alert is not None and alert.confirmed and not faults):
-        return alert and replace(alert, active=False, waned=True, latest=now if found else alert.latest)
-    above = [one for one in faults if one.statistic > one.threshold]
-    finding, active = (above or faults or found)[-1], bool(above) or not faults
-    if alert is None:
-        return Alert(now, now, finding, bool(faults), active, named=finding.rotor is not None)
-    named = alert.named or (not alert.waned and finding.rotor is not None)
-    return replace(alert, latest=now, finding=finding, confirmed=bool(faults), active=active, named=named)
+def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:
+    """The chain of a baseline as the settings have it: its thresholds, and the monitors that only raise a suspicion.
+
+    started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
+    """
+    chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
+    only = [bool(_names(slot.monitor) & set(settings.suspect)) for slot in chain.slots]
+    slots = tuple(replace(slot, decides=slot.decides and not one) for slot, one in zip(chain.slots, only, strict=True))
+    specs = tuple(replace(spec, decides=slot.decides) for spec, slot in zip(chain.decision.slots, slots, strict=True))
+    if chain.slots and not any(slot.decides for slot in slots):
+        raise BaselineError("suspect names every monitor that decides")
+    return replace(chain, slots=slots, decision=replace(chain.decision, slots=specs))
 
 
 def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
@@ -155,5 +116,5 @@ def words_of(unjudged: Sequence[tuple[str, str]]) -> tuple[str, str]:
     return "".join(f"; {one} not judged: {why}" for one, why in unjudged), short
 
 
-def _names(finding: Finding) -> frozenset[str]:
-    return frozenset((str(finding.monitor), f"{finding.monitor}.{finding.axis}"))
+def _names(monitor: Monitor[Any, Any]) -> frozenset[str]:
+    return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))

@@ -24,6 +24,7 @@ from detector.figures import DaemonFigures
 from detector.fleet import Turn
 from detector.latency import BOUNDS_S, LatencyCounts
 from detector.states import State
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
 from mavdiag.units import NS_PER_S
 
@@ -92,7 +93,9 @@ class Metrics(Collector):
             return
         figures = shown.figures
         age_s = (time.monotonic_ns() - shown.at_ns) / NS_PER_S
-        yield _gauge("healthy", "1 unless all sessions are off.", float(figures.healthy))
+        yield _gauge(
+            "session_working", "1 unless all sessions are off; no word about the vehicles.", float(figures.working)
+        )
         yield _gauge("figures_age_seconds", "Time since the loop set these figures; 1 at most while it goes on.", age_s)
         yield _gauge("late_ticks", "Looks at the links that came too late.", figures.late)
         yield _gauge("cpu_seconds", "Processor time used by the daemon.", figures.cpu_s)
@@ -227,6 +230,8 @@ def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
     judged = family("judged_seconds", "Flight time judged.")
     share = family("judged_share", "Flight time judged, of all flight time of this session.")
     ratio = family("statistic_ratio", "Statistic over threshold; absent while it is not valid.", "monitor", "axis")
+    verdict = family("verdict", "1 for what is held of the vehicle.", "verdict")
+    fault = family("fault", "Of a fault or an open inspection: 1 while it is seen, 0 when it is not.", "kind", "rotor")
     round_trip = family("timesync_round_trip_seconds", "Round trip of the latest TIMESYNC, to within a look.")
     drift = family("clock_drift_ppm", "Drift between the clocks of the vehicle's messages, where there are two.")
     for one in figures.vehicles:
@@ -237,6 +242,12 @@ def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
             drift.add_metric([label], one.drift_ppm)
         for other in State:
             state.add_metric([label, other.value], other is one.state)
+        held = one.diagnosis
+        for stage in Stage:
+            verdict.add_metric([label, stage.value], stage is held.stage)
+        if held.kind is not None:
+            for rotor in dict.fromkeys(span.rotor for span in held.rotors) or ("",):
+                fault.add_metric([label, held.kind, str(rotor)], held.seen and rotor in (held.rotor, ""))
         received.add_metric([label], one.received)
         lost.add_metric([label], one.lost)
         for stream, hertz in one.rates:
@@ -246,4 +257,4 @@ def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
             share.add_metric([label], min(1.0, one.judged_s / one.flight_s))
         for monitor, axis, value in one.ratios:
             ratio.add_metric([label, monitor, axis], value)
-    yield from (state, received, lost, rate, judged, share, ratio, round_trip, drift)
+    yield from (state, verdict, fault, received, lost, rate, judged, share, ratio, round_trip, drift)

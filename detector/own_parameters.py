@@ -11,6 +11,7 @@ from math import isfinite
 from detector.config import SessionSettings
 from detector.fleet import VehicleFigures
 from detector.states import State
+from mavdiag.decision.diagnosis import Stage
 from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.messages import MessageId
 
@@ -58,6 +59,8 @@ PARAMETERS = (
     OwnParameter("MD_LEARN_S", lambda view: (view.settings.learn or 0.0) if view.learning else 0.0, (0.0, 3600.0)),
     OwnParameter("MD_THR_SCALE", lambda view: view.settings.threshold_scale, (0.5, 4.0)),
     OwnParameter("MD_STATE", lambda view: float(list(State).index(view.figures.state))),
+    OwnParameter("MD_VERDICT", lambda view: float(list(Stage).index(view.figures.diagnosis.stage))),
+    OwnParameter("MD_ROTOR", lambda view: float(view.figures.diagnosis.rotor or 0)),
     OwnParameter("MD_GYRO_HZ", lambda view: view.figures.gyro_hz),
     OwnParameter("MD_JUDGED_S", lambda view: view.figures.judged_s),
     OwnParameter("MD_ALARMS", lambda view: float(view.figures.events)),

@@ -1,5 +1,6 @@
 """What the daemon writes down (edge): lines of the journal, log lines, learned baselines."""
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +22,18 @@ from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
 from mavdiag.link.timesync import TimesyncMessage
 
-__all__ = ["Lines", "Reporter"]
+__all__ = ["Lines", "Reporter", "kept_baselines"]
+
+
+def kept_baselines(path: Path) -> dict[int, tuple[Path, Baseline]]:
+    """What earlier starts learned and kept under this name, by system id; 0 for one that was not learned live.
+
+    Raises BaselineError for a file that is none.
+    """
+    own = re.compile(rf"{re.escape(path.stem)}-\d+{re.escape(path.suffix)}")
+    beside = [one for one in path.parent.iterdir() if own.fullmatch(one.name)] if path.parent.is_dir() else []
+    loaded = [(one, Baseline.load(one)) for one in (path, *sorted(beside)) if one.is_file()]
+    return {baseline.provenance.vehicle: (one, baseline) for one, baseline in reversed(loaded)}
 
 
 class Lines(Protocol):
@@ -71,7 +83,7 @@ class Reporter:
         path = self._path
         if path is None:
             return
-        if any(vehicle != sysid and taken == path for vehicle, taken in self._saved.items()):
+        if path.exists() and self._saved.get(sysid) != path:
             path = path.with_stem(f"{path.stem}-{sysid}")
         self._saved[sysid] = path
         try:

@@ -13,10 +13,12 @@ from detector.rate_guard import GUARDED, RateGuard
 from detector.sender import MavlinkSender
 from detector.values import Effect, Note
 from mavdiag.baseline import Baseline
-from mavdiag.link.addressed import PARAMETER_REQUESTS, commands_in, parameters_asked
+from mavdiag.decision.diagnosis import Stage
+from mavdiag.link.addressed import PARAMETER_REQUESTS, Command, commands_in, parameters_asked
 from mavdiag.link.codec import Decoder, Frame, message_name
-from mavdiag.link.messages import Component, MessageId
+from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
 __all__ = ["Handled", "Requests"]
@@ -90,7 +92,8 @@ class Requests:
         if to is not None:
             return replace(self.parameters(to, (frame,), now), passed=(message,))
         if self._settings.keep_rates:
-            needed = {sysid: self._fleet.link.vehicles[sysid].profile.messages for sysid in self._fleet.vehicles}
+            profiles = {sysid: self._fleet.link.vehicles[sysid].profile for sysid in self._fleet.vehicles}
+            needed = {sysid: frozenset(messages_of(profile).values()) for sysid, profile in profiles.items()}
             verdict = self._guard.verdict(frame, needed)
             if verdict is not None:
                 asked = [
@@ -105,16 +108,29 @@ class Requests:
                     for one in verdict.instead
                 ]
                 return Handled(tuple(asked), (verdict.answer,) if verdict.answer else (), self._kept_back(frame))
-        return Handled((message,), self._declined(frame))
+        handled = [self.command(one, system) for system, asked in commands_in((frame,)).items() for one in asked]
+        answers, turns = (tuple(x for one in handled for x in getattr(one, name)) for name in ("answers", "turns"))
+        return Handled((message,), answers, turns)
 
-    def _declined(self, frame: Frame) -> tuple[bytes, ...]:
-        """The answer to a command for the detector itself: it takes none."""
-        return tuple(
-            self._sender(system).decline(one.command, one.sysid, one.compid)
-            for system, asked in commands_in((frame,)).items()
-            if system in self._fleet.vehicles
-            for one in asked
-        )
+    def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
+        """A command for a vehicle's detector. It takes one: an inspection is acknowledged.
+
+        trusted: it comes from a link behind, or it is signed; any other sender may be forged.
+        """
+        if sysid not in self._fleet.vehicles:
+            return Handled()
+        whose, effects, result = f"{command.sysid}/{command.compid}", tuple[Effect, ...](), MavResult.UNSUPPORTED
+        if command.command == MavCmd.USER_1 and trusted:
+            session = self._fleet.vehicles[sysid].session
+            was_open = session.state.diagnosis.stage is Stage.INSPECT
+            effects, result = session.acknowledge(whose), MavResult.ACCEPTED if was_open else MavResult.FAILED
+        elif command.command == MavCmd.USER_1:
+            result = MavResult.DENIED
+            if (sysid, command.sysid, command.compid) not in self._noted and len(self._noted) < NOTED_MOST:
+                self._noted.add((sysid, command.sysid, command.compid))
+                effects = (Note(f"acknowledged by {whose} on a link that is not signed: refused, it may be forged"),)
+        turns = (Turn(sysid, effects),) if effects else ()
+        return Handled((), (self._sender(sysid).answer(command, result),), turns)
 
     def _kept_back(self, frame: Frame) -> tuple[Turn, ...]:
         """What is recorded of a request that was kept back: the first of a kind from each sender."""

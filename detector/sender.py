@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 from detector.states import State
 from detector.values import AskInterval, AskParameters, SendFloat, SendText
+from mavdiag.link.addressed import Command
 from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
@@ -23,7 +24,6 @@ HEALTH: Mapping[State, int] = {
     State.LEARNING: _CALIBRATING,
     State.FITTING: _CALIBRATING,
     State.MONITORING: _ACTIVE,
-    State.ALERT: _ACTIVE,
     State.LOST: _STANDBY,
 }
 
@@ -71,6 +71,7 @@ class MavlinkSender:
         """TIMESYNC to the vehicle's autopilot."""
         return self._encoder.encode(MessageId.TIMESYNC, message.tc1_ns, message.ts1_ns)
 
-    def decline(self, command: int, sysid: int, compid: int) -> bytes:
-        """COMMAND_ACK: it takes no commands."""
-        return self._encoder.encode(MessageId.COMMAND_ACK, command, MavResult.UNSUPPORTED, 0, 0, sysid, compid)
+    def answer(self, command: Command, result: MavResult) -> bytes:
+        """COMMAND_ACK to who sent a command."""
+        to = (command.sysid, command.compid)
+        return self._encoder.encode(MessageId.COMMAND_ACK, command.command, result, 0, 0, *to)

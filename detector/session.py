@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
-from detector.alerts import Kind, Notice, Presenter, figure, present
-from detector.judging import Alert, Judge, alert_after, not_judged, records_of, rescaled, words_of
+from detector.alerts import POLICY, Kind, Notice, Presenter, Told, figure, present, told_of
+from detector.judging import Judge, chain_for, not_judged, records_of, words_of
 from detector.judging_notices import imu_notes, layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
 from detector.needs import Demand, demand_of
@@ -24,21 +24,25 @@ from detector.values import (
     Learn,
     LearningFailed,
     Note,
+    SendText,
     SessionSpec,
     StateChanged,
 )
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.chain import ChainOutput, chain_of
+from mavdiag.chain import ChainOutput
+from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
+from mavdiag.decision.words import motors_words
 from mavdiag.errors import BaselineError
 from mavdiag.link.parameters import Reading
 from mavdiag.link.profiles import Profile
 from mavdiag.link.samples import joined
-from mavdiag.telemetry import Instant, Telemetry
+from mavdiag.telemetry import Instant, Signal, Telemetry
 
 __all__ = ["Session", "SessionState"]
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)
 IDLE_S = 3.0  # that nothing is judged is said after so long (our choice)
+ARMED_FROM = 0.5  # of the signal, which is 0 or 1
 PROGRESS_STEP = 25  # percent of learning between two texts
 FITS = 3  # fits that may fail before learning is given up (our choice)
 
@@ -56,9 +60,10 @@ class SessionState:
     failed: fits in vain.
     waited: the first telemetry, while its rates are measured; judging begins with it, as a scan of the recording does.
     judge: the chain at work.
-    alert: the alert, while there is one.
-    airborne: since when the vehicle flies (host), None on the ground.
-    told: monitors that were said not to judge, with the reason.
+    held: what is known of the vehicle while there is no chain: an open inspection.
+    told: what was told of a fault.
+    armed, armings: whether the vehicle was armed last, and how often it became so.
+    unjudged: monitors that were said not to judge, with the reason.
     reboots: of the vehicle.
     """
 
@@ -75,10 +80,17 @@ class SessionState:
     failed: int = 0
     waited: tuple[Telemetry, ...] = ()
     judge: Judge | None = None
-    alert: Alert | None = None
-    airborne: Instant | None = None
-    told: tuple[tuple[str, str], ...] = ()
+    held: Diagnosis = NOTHING_SEEN
+    told: Told = field(default_factory=Told)
+    armed: bool = False
+    armings: int = 0
+    unjudged: tuple[tuple[str, str], ...] = ()
     reboots: int = 0
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What is held of the vehicle now."""
+        return self.held if self.judge is None else self.judge.memory.diagnosis
 
 
 _NEW_LINK: Mapping[str, Any] = {
@@ -86,7 +98,6 @@ _NEW_LINK: Mapping[str, Any] = {
     "negotiation": Negotiation(),
     "reading": Reading(),
     "waited": (),
-    "airborne": None,
 }
 
 
@@ -98,13 +109,14 @@ class Session:
         self._settings = settings = spec.settings
         presenter = Presenter(settings.texts_per_minute)
         values = NamedValues(1.0 / settings.named_values_hz, settings.named_values_axis)
-        self.state = SessionState(State.WAITING, "the first frame came", now, spec.baseline, presenter, values)
+        begun = (State.WAITING, "the first frame came", now, spec.baseline, presenter, values)
+        self.state = SessionState(*begun, held=spec.held)
         self._effects: list[Effect] = []
         self._notices: list[Notice] = []
         self._demanded: tuple[tuple[int, int, int], Demand] | None = None
 
     @property
-    def healthy(self) -> bool:
+    def working(self) -> bool:
         """Whether it does its work or still may: only then its heartbeat goes out."""
         return self.state.state is not State.FAULTED
 
@@ -115,6 +127,7 @@ class Session:
         self._reboot(inbox)
         self._observe(inbox, now)
         self.HANDLERS[self.state.state](self, inbox, now)
+        self._tell(inbox)
         presenter, said = present(self.state.presenter, tuple(self._notices), now)
         self._keep(presenter=presenter)
         return (*self._effects, *said)
@@ -131,13 +144,55 @@ class Session:
 
     def finish(self) -> tuple[Effect, ...]:
         """The daemon stops, or the vehicle started anew: the rows that waited are judged, and events that are still
-        open are recorded with the end not seen."""
+        open are recorded with the end not seen. What was declared stays, as an open inspection."""
         judge = self.state.judge
         if judge is None:
             return ()
-        _, output = judge.chain.finish(judge.memory)
+        memory, output = judge.chain.finish(judge.memory)
+        self._keep(judge=replace(judge, memory=memory))
+        held, changes = self._held(), output.changes
+        if memory.diagnosis.stage is Stage.FAULT:
+            changes = (*changes, Change.of(held, memory.now_ns or 0))
+        self._keep(judge=None, held=held)
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
-        return tuple(EventClosed(event) for event in latest.values())
+        return (*(EventClosed(event) for event in latest.values()), *changes)
+
+    def _held(self) -> Diagnosis:
+        """What outlasts a chain: an open inspection."""
+        held, judge = self.state.diagnosis, self.state.judge
+        open_ = held.stage in (Stage.FAULT, Stage.INSPECT)
+        return landed(held, judge.memory.now_ns or 0 if judge else 0) if open_ else NOTHING_SEEN
+
+    def acknowledge(self, whose: str) -> tuple[Effect, ...]:
+        """Somebody has looked at the vehicle: an open inspection is closed. whose: who says so, for the journal.
+
+        Nothing but a note comes of it where none is open: a fault in flight cannot be acknowledged.
+        """
+        held, judge = self.state.diagnosis, self.state.judge
+        if held.stage is not Stage.INSPECT:
+            why = "the vehicle flies with the fault" if held.stage is Stage.FAULT else "no inspection is open"
+            return (Note(f"acknowledged by {whose}, without effect: {why}"),)
+        changes: tuple[Change, ...] = ()
+        if judge is not None:
+            memory, output = judge.chain.acknowledge(judge.memory)
+            changes = output.changes
+            self._keep(judge=replace(judge, memory=memory))
+        else:
+            self._keep(held=Diagnosis(reason="the inspection is acknowledged"))
+            changes = (Change.of(self.state.held, 0),)
+        text = SendText(POLICY[Kind.ACKNOWLEDGED].severity, Notice(Kind.ACKNOWLEDGED, (motors_words(held),)).text)
+        return (Note(f"inspection of {motors_words(held)} acknowledged by {whose}"), *changes, text)
+
+    def _tell(self, inbox: Inbox) -> None:
+        """Say what changed in the diagnosis, and what lasts of it, whatever the session's state."""
+        armed = inbox.telemetry.get(Signal.ARMED)
+        if armed is not None and len(armed):
+            now_armed = bool(armed.values[-1, 0] >= ARMED_FROM)
+            began = now_armed and not self.state.armed
+            self._keep(armed=now_armed, armings=self.state.armings + began)
+        told, notices = told_of(self.state.told, self.state.diagnosis, self.state.armings)
+        self._keep(told=told)
+        self._notices += notices
 
     def _keep(self, **changes: Any) -> None:
         self.state = replace(self.state, **changes)
@@ -163,7 +218,7 @@ class Session:
                 self._move(Trigger.LINK_BACK)
                 self._say(Kind.LINK_BACK, figure(now - state.latest, 1))
         elif now - state.latest > limit_s and Trigger.LINK_LOST in TABLE[state.state]:
-            self._stop_judging("link lost")
+            self._stop_judging()
             self._move(Trigger.LINK_LOST, f"nothing came for {limit_s:g} s", **_NEW_LINK)
             self._say(Kind.LINK_LOST)
 
@@ -172,7 +227,7 @@ class Session:
         if inbox.reboots == self.state.reboots or Trigger.REBOOT not in TABLE[self.state.state]:
             return
         self._effects += self.finish()
-        new: dict[str, Any] = {"collection": Collection(), "failed": 0, "judge": None, "alert": None, "told": ()}
+        new: dict[str, Any] = {"collection": Collection(), "failed": 0, "unjudged": ()}
         self._move(Trigger.REBOOT, reboots=inbox.reboots, **_NEW_LINK, **new)
         self._say(Kind.REBOOT)
 
@@ -216,18 +271,17 @@ class Session:
 
     def _lack(self, inbox: Inbox) -> Hindrance | None:
         """What the streams lack, None if they will do."""
-        judging = self.state.state in (State.MONITORING, State.ALERT)
-        return self._demand(inbox).lack(self.state.streams, judging=judging)
+        return self._demand(inbox).lack(self.state.streams, judging=self.state.state is State.MONITORING)
 
     def _waiting(self, inbox: Inbox, now: Instant) -> None:
         state = self.state
         if state.baseline is not None and (state.judge is None or state.judge.baseline is not state.baseline):
             try:
                 check_link(state.baseline, profile=self.spec.profile.name, dt_s=state.baseline.link.dt_s)
-                chain = chain_of(rescaled(state.baseline, self._settings.threshold_scale), self.spec.unix_ns(now))
+                chain = chain_for(state.baseline, self._settings, self.spec.unix_ns(now))
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
-            self._keep(judge=Judge(state.baseline, chain, chain.start(), now))
+            self._keep(judge=Judge(state.baseline, chain, chain.start(self._held()), now))
             self._effects += notes_on(state.baseline, chain, self._settings.suspect)
             self._notices += layout_notices(state.baseline)
         lack = self._lack(inbox)
@@ -262,7 +316,7 @@ class Session:
         percent = int(100 * collection.seconds / goal_s)
         shown, why = percent - percent % PROGRESS_STEP, f": {ground.text}" if ground else ""
         self._keep(reason=f"{percent} % of {goal_s:g} s{why}")
-        return self._say(Kind.LEARNING, str(shown), why, key=f"{shown}{why}")
+        return self._say(Kind.LEARNING, str(percent), why, key=f"{shown}{why}")
 
     def _fitting(self, inbox: Inbox, now: Instant) -> None:
         """A fit that failed is tried again with more flight: what was collected stays."""
@@ -283,64 +337,39 @@ class Session:
     def _judging(self, inbox: Inbox, now: Instant) -> None:
         state, lack = self.state, self._lack(inbox)
         if state.judge is None or lack is not None:
-            why = lack.text if lack else ""
-            self._stop_judging(why)
-            return self._move(Trigger.STREAMS_LOST, why, waited=())
+            self._stop_judging()
+            return self._move(Trigger.STREAMS_LOST, lack.text if lack else "", waited=())
         judge, output = state.judge.step(inbox.telemetry, now)
         values, floats = named_values(state.named_values, output, now)
-        ground = on_ground(state.streams, judge.chain.front.gate)
-        airborne = None if ground else state.airborne or now
-        alert = alert_after(state.alert, output, judge.memory.diagnosis, frozenset(self._settings.suspect), now)
-        if state.alert is None and (airborne is None or now - airborne < self._settings.takeoff_s):
-            alert = None
-        self._keep(judge=judge, named_values=values, airborne=airborne, alert=alert)
+        self._keep(judge=judge, named_values=values)
         self._record(judge, output, floats)
-        return self._quiet(judge, ground, now) if alert is None else self._alerting(judge, alert, ground, now)
+        return self._idle(judge, on_ground(state.streams, judge.chain.front.gate), now)
 
     def _record(self, judge: Judge, output: ChainOutput, floats: Sequence[Effect] = ()) -> None:
         self._effects += [*records_of(output, judge.baseline.airframe.name), *floats]
         self._notices += vehicle_notices(output)
 
-    def _stop_judging(self, why: str) -> None:
-        """What is open is closed: it must not come back with the next flight."""
-        state = self.state
-        if state.judge is not None:
-            judge, output = state.judge.end_flight()
-            self._keep(judge=judge, alert=None)
+    def _stop_judging(self) -> None:
+        """What is open is closed: it must not come back with the next flight. A fault becomes an open inspection."""
+        if self.state.judge is not None:
+            judge, output = self.state.judge.end_flight()
+            self._keep(judge=judge)
             self._record(judge, output)
-            if state.alert is not None:
-                self._say(Kind.UNSETTLED, why)
 
-    def _alerting(self, judge: Judge, alert: Alert, ground: Hindrance | None, now: Instant) -> None:
-        notice = alert.notice
-        if self.state.state is State.MONITORING:
-            self._move(Trigger.ALARM, notice.text)
-        if now - alert.latest < self._settings.clear_s:
-            self._keep(reason=notice.text)
-            self._notices.append(notice)
-            return
-        # Cleared if flight was judged since; else it only could not be followed any longer.
-        if judge.judged - alert.latest > self._settings.clear_s / 2:
-            self._say(Kind.CLEARED, figure(alert.latest - alert.since, 1))
-        else:
-            self._say(Kind.UNSETTLED, (ground or Hindrance(Reason.GAPS)).text)
-        self._move(Trigger.QUIET, self._notices[-1].text, alert=None)
-
-    def _quiet(self, judge: Judge, ground: Hindrance | None, now: Instant) -> None:
-        """Nothing found: say why nothing is judged if nothing is, and which monitors do not judge."""
-        if self.state.state is State.ALERT:
-            self._move(Trigger.QUIET)
+    def _idle(self, judge: Judge, ground: Hindrance | None, now: Instant) -> None:
+        """Say why nothing is judged if nothing is, and which monitors do not judge; what is found is said elsewhere."""
         unjudged = not_judged(judge, self.state.streams, now)
         self._effects += [
-            Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.told
+            Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.unjudged
         ]
         diagnosis, why, short = judge.memory.diagnosis, "", ""
         if now - judge.judged >= IDLE_S and (ground or not unjudged):
             why = short = f": {ground.text if ground else diagnosis.reason or Reason.GAPS}"
         elif unjudged:
             why, short = words_of(unjudged)
-        self._keep(reason=f"monitoring{why}", told=unjudged)
-        self._say(Kind.MONITORING, short, key=short)
+        self._keep(reason=f"monitoring{why}", unjudged=unjudged)
+        if diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
+            self._say(Kind.MONITORING, short, key=short)
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.state.reason)
@@ -350,7 +379,6 @@ class Session:
         State.LEARNING: _learning,
         State.FITTING: _fitting,
         State.MONITORING: _judging,
-        State.ALERT: _judging,
         State.LOST: lambda session, inbox, now: None,
         State.FAULTED: _faulted,
     }

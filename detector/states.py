@@ -16,8 +16,7 @@ class State(StrEnum):
     WAITING = "waiting"  # for the streams that are needed, at a rate that will do
     LEARNING = "learning"  # collecting healthy flight
     FITTING = "fitting"  # making the baseline from it
-    MONITORING = "monitoring"  # judging, nothing found
-    ALERT = "alert"  # a fault is declared or suspected
+    MONITORING = "monitoring"  # judging; what is found stands in the diagnosis
     LOST = "lost"  # nothing comes from the vehicle
     FAULTED = "faulted"  # cannot do its work: no heartbeat in this state
 
@@ -33,8 +32,6 @@ class Trigger(StrEnum):
     FITTED = "a baseline was made"
     NOT_FITTED = "more flight is needed"
     GIVEN_UP = "no baseline can be made"
-    ALARM = "a fault is suspected or declared"
-    QUIET = "none is, for a while"
     LINK_LOST = "nothing comes"
     LINK_BACK = "something comes"
     REBOOT = "the vehicle started anew"
@@ -65,14 +62,6 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
         Trigger.BROKEN: State.FAULTED,
     },
     State.MONITORING: {
-        Trigger.ALARM: State.ALERT,
-        Trigger.STREAMS_LOST: State.WAITING,
-        Trigger.LINK_LOST: State.LOST,
-        Trigger.REBOOT: State.WAITING,
-        Trigger.BROKEN: State.FAULTED,
-    },
-    State.ALERT: {
-        Trigger.QUIET: State.MONITORING,
         Trigger.STREAMS_LOST: State.WAITING,
         Trigger.LINK_LOST: State.LOST,
         Trigger.REBOOT: State.WAITING,
@@ -92,8 +81,8 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
 def advance(state: State, trigger: Trigger) -> State:
     """The next state. Raises ValueError for a trigger that the state does not know: a bug.
 
-    >>> advance(State.MONITORING, Trigger.ALARM)
-    <State.ALERT: 'alert'>
+    >>> advance(State.MONITORING, Trigger.LINK_LOST)
+    <State.LOST: 'lost'>
     """
     try:
         return TABLE[state][trigger]

@@ -41,8 +41,7 @@ METERED = (
     Signal.ATTITUDE,
 )
 STEADY = 5  # measurements that the steady rate is the mean of
-QUICK_S = 0.2  # host time over which a drop of a rate shows (our choice)
-QUICK_SAMPLES = 5  # that are expected in that time, at least, or a drop is left to the next measurement (our choice)
+SLOWER = 8.0  # two steps in a row so many times the period are another rate: losses hardly make them (our choice)
 WEIGH_S, WEIGH_SAMPLES = 1.0, 20  # of the accelerometer, before its scale is believed (our choice)
 _MOST = 100_000  # samples that are kept of one measurement
 _PIECES = 64  # chunks that are joined into one, so that a long collection stays a short list
@@ -89,7 +88,7 @@ class Meter:
     period_s: as measured last; None while unknown.
     before_s: as measured the time before; None if it was not.
     steps: number of steps and their length [s] of the last measurements.
-    recent: when samples came in the last moments (host), and how many.
+    recent_ns: (up to 3,) vehicle times of the last samples.
     samples: all so far.
     """
 
@@ -98,7 +97,7 @@ class Meter:
     period_s: float | None = None
     before_s: float | None = None
     steps: tuple[tuple[int, float], ...] = ()
-    recent: tuple[tuple[Instant, int], ...] = ()
+    recent_ns: IntArray = field(default_factory=_no_times)
     samples: int = 0
 
     @property
@@ -107,21 +106,18 @@ class Meter:
         span_s = sum(one for _, one in self.steps)
         return sum(count for count, _ in self.steps) / span_s if span_s else 0.0
 
-    def dropped_hz(self, now: Instant) -> float | None:
-        """The rate of the last moments, if it is less than half of the measured one; None if not.
-
-        It tells within a fraction of a second that somebody set another rate, where a measurement takes one or two.
-        """
-        expected = self.rate_hz * QUICK_S
-        if expected < QUICK_SAMPLES:
-            return None
-        came = sum(count for at, count in self.recent if now - at < QUICK_S)
-        return came / QUICK_S if came < 0.5 * expected else None
-
     @property
     def rate_hz(self) -> float:
-        """Measured rate; 0 while unknown."""
-        return 1.0 / self.period_s if self.period_s else 0.0
+        """Measured rate; 0 while unknown.
+
+        By the vehicle's stamps alone, for a radio or a computer that stalls changes no rate. Two samples of a far lower
+        rate tell at once that somebody set it, where a measurement takes a second or two.
+        """
+        if not self.period_s:
+            return 0.0
+        steps = np.diff(self.recent_ns) / NS_PER_S
+        slow_s = float(steps.min()) if len(steps) == 2 else 0.0
+        return 1.0 / (slow_s if slow_s > SLOWER * self.period_s else self.period_s)
 
     @property
     def periods_s(self) -> tuple[float, ...]:
@@ -164,7 +160,6 @@ class Streams:
     meters: of the signals in `METERED` that came so far.
     armed: 0 or 1 as said last; nan if never said.
     thrust: collective set-point, 0..1; nan if never said.
-    heard: whether anything came with the latest look.
     weighing: of the accelerometer, until its scale is believed.
     """
 
@@ -172,7 +167,6 @@ class Streams:
     meters: Mapping[Signal, Meter] = field(default_factory=dict)
     armed: float = float("nan")
     thrust: float = float("nan")
-    heard: bool = False
     weighing: Weighing = field(default_factory=Weighing)
 
     @property
@@ -185,17 +179,11 @@ class Streams:
         return self.meters.get(signal, Meter())
 
     def rate_hz(self, signal: Signal, now: Instant) -> float | None:
-        """Measured rate of a stream; 0 if it does not come, None while it is being measured.
-
-        Where it has just dropped, while other messages come, that of the last moments: a link that stalls drops none.
-        """
+        """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
         meter = self.meter(signal)
         if meter.latest is None:
             return 0.0 if self.began is not None and now - self.began > SILENT_S else None
-        if meter.period_s is None:
-            return None
-        dropped_hz = meter.dropped_hz(now) if self.heard else None
-        return meter.rate_hz if dropped_hz is None else dropped_hz
+        return None if meter.period_s is None else meter.rate_hz
 
     @property
     def gyro(self) -> Meter:
@@ -210,7 +198,6 @@ def observe(streams: Streams, telemetry: Telemetry, now: Instant, profile: Profi
         {signal: _metered(streams.meter(signal), telemetry.get(signal), now) for signal in METERED},
         _latest(streams.armed, telemetry.get(Signal.ARMED)),
         _latest(streams.thrust, telemetry.get(Signal.THRUST_SETPOINT)),
-        bool(telemetry.series),
         streams.weighing.step(telemetry.get(Signal.SPECIFIC_FORCE), profile),
     )
 
@@ -233,8 +220,8 @@ def _metered(meter: Meter, series: Series | None, now: Instant) -> Meter:
         silent = meter.latest is not None and now - meter.latest > SILENT_S
         return Meter(samples=meter.samples) if silent else meter
     t_ns = np.concatenate((meter.t_ns, series.t_ns))
-    recent = (*(one for one in meter.recent if now - one[0] < QUICK_S), (now, len(series)))
-    meter = replace(meter, latest=now, t_ns=t_ns, recent=recent, samples=meter.samples + len(series))
+    recent_ns = np.concatenate((meter.recent_ns, series.t_ns))[-3:]
+    meter = replace(meter, latest=now, t_ns=t_ns, recent_ns=recent_ns, samples=meter.samples + len(series))
     if t_ns[-1] - t_ns[0] < MEASURE_S * NS_PER_S:
         # A clock that jumps back starts the measurement anew; so does one that stands still.
         return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] or len(t_ns) > _MOST else meter

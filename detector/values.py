@@ -7,7 +7,7 @@ from typing import TypeAlias
 from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import Change, Event
+from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timesync import TimesyncMessage
@@ -41,12 +41,14 @@ class SessionSpec:
     baseline: what it judges by; None to learn one.
     settings: how it works.
     unix_offset_ns: wall clock less the host's clock [ns]; 0 if the wall clock is not known.
+    held: what is known of the vehicle from before: an open inspection.
     """
 
     profile: Profile
     baseline: Baseline | None = None
     settings: SessionSettings = field(default_factory=SessionSettings)
     unix_offset_ns: int = 0
+    held: Diagnosis = NOTHING_SEEN
 
     def unix_ns(self, now: Instant) -> int:
         """Wall-clock time, unix epoch [ns]; 0 if it is not known."""

@@ -14,9 +14,8 @@ by `python docs/draw_detector_states.py`; do not edit it by hand.
 ```mermaid
 {diagram}```
 
-Heartbeats go out in every state but `faulted`. `monitoring` and `alert` follow the decision's stage (not judged, quiet,
-suspected, fault). An alert is raised from `monitoring` only, in flight only and not in the first seconds after a
-take-off. It ends when the decision was quiet for a while, or when it can no longer be judged. A rate that is wrong or a
+Heartbeats go out in every state but `faulted`. What is found of the vehicle is no state of the session: it stands in
+the decision's stage (not judged, quiet, suspected, fault, inspect), whose changes are told. A rate that is wrong or a
 stream that stops leads to `waiting`, never to `faulted`.
 
 ## What it says

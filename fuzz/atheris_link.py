@@ -60,7 +60,7 @@ def one_input(data: bytes) -> None:
                 fleet.figures()
                 chunks = []
     fleet.step(chunks, Instant(now_ns))
-    fleet.finish()
+    fleet.finish(Instant(now_ns))
 
 
 def main() -> None:

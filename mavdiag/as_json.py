@@ -14,7 +14,7 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
     thesis = event.monitor == "fsd"
     return {
         "t_s": round(t_s, 6),
-        "end_s": None if end_s is None else round(end_s, 6),
+        "end_s": _rounded(end_s),
         "monitor": event.monitor,
         "axis": event.axis,
         "statistic": _number(event.statistic),
@@ -34,10 +34,16 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
     return {
         "log": verdict.log,
         "verdict": verdict.verdict,
-        "fault_kind": verdict.kind,
+        "kind": verdict.kind,
+        "since_s": _rounded(verdict.since_s),
+        "rotor": verdict.rotor,
+        "rotors": [
+            {"rotor": r.rotor, "since_s": round(r.since_s, 6), "end_s": _rounded(r.end_s)} for r in verdict.rotors
+        ],
         "reason": verdict.reason,
         "notes": list(verdict.notes),
         "judged_s": round(verdict.judged_s, 3),
+        "flown_s": round(verdict.flown_s, 3),
         "profile": verdict.profile,
         "rate_hz": round(verdict.rate_hz, 3),
         "monitors": {monitor.name: _monitor_json(monitor) for monitor in verdict.monitors},
@@ -56,6 +62,10 @@ def _monitor_json(monitor: MonitorSummary) -> dict[str, Any]:
         "outside_s": round(monitor.outside_s, 3),
         "axis": monitor.axis,
     }
+
+
+def _rounded(t_s: float | None) -> float | None:
+    return None if t_s is None else round(t_s, 6)
 
 
 def _number(value: float | None) -> float | None:

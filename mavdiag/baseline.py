@@ -18,15 +18,26 @@ from pydantic import (
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import Fingerprint
-from mavdiag.baseline_parts import Link, MonitorEntry, NotNegative, Part, Provenance, Refusal, Window
+from mavdiag.baseline_parts import (
+    Grade,
+    LeastDamage,
+    Link,
+    MonitorEntry,
+    NotNegative,
+    Part,
+    Provenance,
+    Refusal,
+    Window,
+)
 from mavdiag.errors import BaselineError, InputError, MavdiagError
-from mavdiag.monitors import NEED_LAYOUT, monitor_of
+from mavdiag.monitors import NEED_LAYOUT, by_name, monitor_of
 from mavdiag.printable import printable
+from mavdiag.rows.quality import LinkQuality
 from mavdiag.rows.tolerance import NATIVE_TOLERANCE, rate_tolerance
 from mavdiag.storage import read_text, write_atomically
 from mavdiag.telemetry import Signal
 from mavdiag.thresholds.envelope import Covered
-from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee, more_flights
+from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guarantee
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -54,12 +65,15 @@ class Baseline(Part):
 
     airframe: whose it is.
     link, window: how rows are made.
+    link_quality: which samples of the link are believed.
     monitors: what judges by it.
     not_judgeable: monitors that cannot work on such flights, and why.
     envelope: the conditions that the healthy flights covered.
     healthy_hours: flight that it was learnt from.
     provenance: where it came from.
     fingerprint: what its flights showed of the vehicle; None if nothing, or in an older file.
+    least_damage, grade: the least damage that it notices, and A to D for it; None in an older file.
+    weak: what its own flights say against it, such as a propeller that broke in one of them; empty if nothing.
     digest: over all the rest.
     """
 
@@ -69,12 +83,16 @@ class Baseline(Part):
     airframe: Airframe
     link: Link
     window: Window
+    link_quality: LinkQuality = LinkQuality()
     monitors: Annotated[tuple[MonitorEntry, ...], Field(min_length=1)]
     not_judgeable: tuple[Refusal, ...]
     envelope: tuple[Covered, ...] = ()
     healthy_hours: NotNegative
     provenance: Provenance
     fingerprint: Fingerprint | None = None
+    least_damage: LeastDamage | None = None
+    grade: Grade | None = None
+    weak: str = ""
     digest: str = ""
 
     @property
@@ -82,13 +100,17 @@ class Baseline(Part):
         """The thesis's monitors, one an axis: their `RunLengthSpec`, and the threshold, which is the FML [s]."""
         return tuple((entry.spec, entry.threshold) for entry in self.monitors if entry.spec.kind == "fsd")
 
+    @property
+    def propellers(self) -> int:
+        """Number of the present propeller set, 0 for the first."""
+        return max(one.propellers for one in self.provenance.logs)
+
     def same_session(self, started_ns: int) -> bool:
         """Whether a flight of that time belongs to a session of the healthy flights with the present propellers.
 
         started_ns: wall-clock time, unix epoch [ns]; 0 if it is not known, and then the answer is no.
         """
-        present = max(one.propellers for one in self.provenance.logs)
-        times = [one.started_ns for one in self.provenance.logs if one.propellers == present and one.started_ns]
+        times = [one.started_ns for one in self.provenance.logs if one.propellers == self.propellers and one.started_ns]
         return bool(started_ns) and any(abs(started_ns - t_ns) <= SESSION_GAP_NS for t_ns in times)
 
     @property
@@ -148,20 +170,37 @@ class Baseline(Part):
         lines.append(f"support    {len(self.provenance.logs)} flights, {self.healthy_hours:.3f} h of flight")
         lines += [f"left out   {one}" for one in self.provenance.left_out]
         lines += [f"note       {one}" for one in self.provenance.notes]
-        lines += [f"made       {self.provenance.created} by {self.provenance.tool}", *self._advice()]
+        lines += [f"made       {self.provenance.created} by {self.provenance.tool}", *self._worth()]
         return "\n".join(map(printable, lines))
 
-    def _advice(self) -> list[str]:
-        """How much more would be needed for what is promised to be shown."""
-        limits = [entry.threshold for entry in self.monitors]
-        lines = []
+    def _worth(self) -> list[str]:
+        """The grade, the least damage that it would notice, and what would make it better; nothing of an older file."""
+        if self.grade is None or self.least_damage is None:
+            return []
+        return [
+            f"grade      {self.grade}" + (f": {self.weak}" if self.weak else ""),
+            f"notices    {self.least_damage}; in 95 % of the time",
+            f"better     with {self._advice()}",
+        ]
+
+    def _advice(self) -> str:
+        """What would make it better."""
+        if self.weak:
+            return "flights whose propellers are sound and whose air is calm: look at what is named above"
+        names = {entry.spec.kind for entry in self.monitors}
+        guards = [by_name(name).guard for name in names]
+        days = max(one.enough_sessions for one in guards) - len({one.session for one in self.provenance.logs})
+        advice = []
         missing = flights_for_guarantee() - len(self.provenance.logs)
-        if missing > 0 and any(one.rule is ThresholdRule.MAXIMUM for one in limits):
-            lines.append(f"A 95/95 guarantee by the longest healthy run needs {missing} more flights.")
-        more = max((more_flights(one) for one in limits if one.rule is ThresholdRule.GUMBEL), default=0)
-        if more:
-            lines.append(f"To show the budget instead of extrapolating to it takes {more} more such flights.")
-        return lines
+        if missing > 0 and any(entry.threshold.rule is ThresholdRule.MAXIMUM for entry in self.monitors):
+            advice.append(f"{missing} more flights, for a 95/95 guarantee by the longest healthy run")
+        elif days > 0:
+            advice.append(f"healthy flights of {days} more day{'s' if days > 1 else ''} (`mavdiag baseline extend`)")
+        if not names & {"rotor_trim", "trim_step"}:
+            advice.append("the motors' outputs, calmly flown" if names - {"fsd"} else "all monitors")
+        if not names & {"unbalance", "vibration_level"}:
+            advice.append("an IMU stream of 400 Hz or the VIBRATION message")
+        return " and ".join(advice) or "flights of other weather and load, which widen the envelope"
 
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(entry.spec.kind for entry in self.monitors))
@@ -209,7 +248,8 @@ def validated(raw: dict[str, Any]) -> Baseline:
 
 def _place(raw: dict[str, Any]) -> str:
     """Where a value refuses itself: the first entry that does, else the airframe."""
-    for number, entry in enumerate(raw.get("monitors") or ()):
+    entries = raw.get("monitors")
+    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
         try:
             MonitorEntry.model_validate(entry)
         except MavdiagError:
@@ -234,7 +274,10 @@ def _digest(baseline: Baseline) -> str:
     for name in ("left_out", "notes"):  # fields that older files do not have count only where they say something
         if not content["provenance"][name]:
             del content["provenance"][name]
-    if content["fingerprint"] is None:
-        del content["fingerprint"]
+    for name in ("fingerprint", "least_damage", "grade", "weak"):
+        if not content[name]:
+            del content[name]
+    if not content["provenance"]["vehicle"]:
+        del content["provenance"]["vehicle"]
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

@@ -2,7 +2,7 @@
 
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     BaseModel,
@@ -20,7 +20,9 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.thresholds.rule import Threshold
 
 __all__ = [
+    "Grade",
     "HealthyScores",
+    "LeastDamage",
     "Link",
     "MonitorEntry",
     "NotNegative",
@@ -33,6 +35,8 @@ __all__ = [
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Grade: TypeAlias = Literal["A", "B", "C", "D"]
+"""What a baseline is worth, by the least damage that it notices (`mavdiag.learning.damage`)."""
 
 
 class Part(BaseModel):
@@ -128,6 +132,31 @@ class Refusal(Part):
     reason: str
 
 
+class LeastDamage(Part):
+    """The least damage of one rotor that is noticed in 95 % of the time, by any monitor.
+
+    thrust_loss: share of its thrust that rotor 1, 2, ... loses; empty if no monitor sees a trim.
+    vibration_m_s2: amplitude of what shakes the airframe [m/s^2], whichever the rotor; None if none feels it.
+    unbalance_g_mm: the same as an unbalance; None if mass and rotor speed are not known.
+    """
+
+    thrust_loss: tuple[NotNegative, ...] = ()
+    vibration_m_s2: NotNegative | None = None
+    unbalance_g_mm: NotNegative | None = None
+
+    def __str__(self) -> str:
+        """In words, for a person."""
+        parts = []
+        if self.thrust_loss:
+            each = ", ".join(f"{100 * one:.2g} % (motor {j})" for j, one in enumerate(self.thrust_loss, 1))
+            parts.append(f"a loss of thrust of {each}")
+        if self.unbalance_g_mm is not None:
+            parts.append(f"an unbalance of {self.unbalance_g_mm:.2g} g mm on any motor")
+        elif self.vibration_m_s2 is not None:
+            parts.append(f"a vibration of {self.vibration_m_s2:.2g} m/s^2 more")
+        return "; ".join(parts) or "neither a loss of thrust nor an unbalance by itself: it judges by motion"
+
+
 class SourceLog(Part):
     """One healthy flight that the baseline rests on.
 
@@ -148,6 +177,7 @@ class Provenance(Part):
     """Where the baseline came from.
 
     created: ISO 8601, UTC.
+    vehicle: system id, where it was learnt live; 0 where it was not.
     left_out: parts and logs that were given but not learnt, and why.
     notes: what was odd about the flights though they were learnt.
     """
@@ -155,5 +185,6 @@ class Provenance(Part):
     logs: Annotated[tuple[SourceLog, ...], Field(min_length=1)]
     created: str
     tool: str
+    vehicle: Annotated[int, Field(ge=0, le=255)] = 0
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

@@ -6,38 +6,47 @@ One pass: each step is entered once for a chunk. All memory is in the state.
 
 Chunks wait until they bring the rows of the decision's next look, every 0.1 s, for until then nothing can be decided.
 So a chain that is fed more often costs what one does that is fed ten times a second, and decides as early.
+
+The first 2 s wait until the gyro's rate is measured: a link that is not the baseline's is refused, by one rule for a
+log and a live vehicle (`Chain.refusal`), and is measured again every 2 s.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from mavdiag.airframe.fingerprint import FIRST_S, Fingerprint, Likeness, compare
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.baseline import Baseline
-from mavdiag.decision.account import WAITING, Account
-from mavdiag.decision.alarm import LOOK_NS, DecisionSpec, DecisionState, Event, SlotSpec
+from mavdiag.baseline import Baseline, check_link
+from mavdiag.decision.account import WAITING, Account, Coverage
+from mavdiag.decision.alarm import LOOK_NS, NOTHING_SEEN, DecisionSpec, DecisionState, Event, SlotSpec
 from mavdiag.decision.diagnosis import Change, Diagnosis
 from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
+from mavdiag.errors import BaselineError
 from mavdiag.link.samples import joined
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
-from mavdiag.rows.align import AlignSpec
+from mavdiag.rows.align import AlignSpec, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
+from mavdiag.rows.grid import LEAST_SAMPLES
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, BoolArray, Signal, Telemetry
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal, Telemetry
 from mavdiag.thresholds.envelope import Dependence, Envelope, EnvelopeState, Outside
+from mavdiag.units import NS_PER_S
 
 __all__ = ["WAITING", "Account", "Chain", "ChainOutput", "ChainState", "Gauge", "Piece", "Slot", "chain_of", "front_of"]
 
 MOST_WAITING = 32  # chunks that may wait: time that stands still must not fill the memory (our choice)
+MOST_UNMEASURED = 1024  # the same while the rate is not measured: 2 s of small chunks (our choice)
+MEASURED_S = 2.0  # of gyro samples that a live link's rate is measured by (our choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +100,8 @@ class ChainOutput:
     events: alarms of monitors that opened (end_ns None) or closed.
     changes: of the decision.
     gauges: the latest value of every slot that has one.
-    flight_s: new flight time.
-    judged_s: by how much `ChainState.judged_s` grew.
+    flight_s: new flight time, take-offs and all.
+    judged_s: by how much `ChainState.judged_s` grew; a value may judge what was flown before it.
     now_ns: vehicle time of the latest row; None if none came.
     likeness: whether it is the baseline's vehicle, once, when 20 s of flight are there; None at other times.
     pieces: the rows with their statistics, for figures and displays (`mavdiag.traces`).
@@ -113,11 +122,13 @@ class ChainState:
     """Memory of the front, the envelope, the monitors and the decision.
 
     accounts: of each slot, since the start.
-    judged_s: judged time of the slot that decides about propellers and judged for longest, since the start.
+    coverage: how much of the flight any slot that decides about propellers judged.
     now_ns: vehicle time of the latest row.
     beginning: rows until there are enough to compare the vehicle; None afterwards.
     begun_s: valid time in them.
     waiting: telemetry that does not reach the next look yet.
+    measured: the rate of the live link is known to be the baseline's.
+    refused: why the link is not the baseline's; empty if it is, or is not measured yet.
     """
 
     front: FrontState
@@ -125,21 +136,29 @@ class ChainState:
     monitors: tuple[Any, ...]
     decision: DecisionState
     accounts: tuple[Account, ...]
-    judged_s: float = 0.0
+    coverage: Coverage = field(default_factory=Coverage)
     now_ns: int | None = None
     beginning: tuple[Rows, ...] | None = ()
     begun_s: float = 0.0
     waiting: tuple[Telemetry, ...] = ()
+    measured: bool = False
+    refused: str = ""
 
     @property
     def diagnosis(self) -> Diagnosis:
         """What is held of the vehicle now."""
-        return self.decision.diagnosis
+        held = self.decision.diagnosis
+        return replace(held, reason=self.refused) if self.refused else held
+
+    @property
+    def judged_s(self) -> float:
+        """Flown time that any slot that decides about propellers judged, since the start [s]."""
+        return self.coverage.judged_s
 
     def fed(self, front: FrontState, waiting: tuple[Telemetry, ...]) -> "ChainState":
         """With another front and other telemetry that waits; quicker than `replace`, for every step does it."""
-        told = (self.accounts, self.judged_s, self.now_ns, self.beginning, self.begun_s)
-        return ChainState(front, self.envelope, self.monitors, self.decision, *told, waiting)
+        told = (self.accounts, self.coverage, self.now_ns, self.beginning, self.begun_s)
+        return ChainState(front, self.envelope, self.monitors, self.decision, *told, waiting, self.measured)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +166,8 @@ class Chain:
     """Front, slots, envelope and decision: the whole way from telemetry to alarms.
 
     fingerprint, layout: of the baseline's vehicle, to compare the flight with; None to compare nothing.
+    baseline: whose it is; None where no link is refused.
+    profile: of the data; None if it is not known.
     """
 
     front: Front
@@ -155,26 +176,40 @@ class Chain:
     envelope: Envelope = field(default_factory=Envelope)
     fingerprint: Fingerprint | None = None
     layout: RotorLayout | None = None
+    baseline: Baseline | None = None
+    profile: str | None = None
 
-    def start(self) -> ChainState:
-        """Nothing seen yet."""
-        accounts = (Account(),) * len(self.slots)
-        return ChainState(self.front.start(), self.envelope.start(), self._fresh(), self.decision.start(), accounts)
+    def start(self, held: Diagnosis = NOTHING_SEEN) -> ChainState:
+        """Nothing seen yet. held: what is known from before, as `landed` has it."""
+        accounts, decision = (Account(),) * len(self.slots), self.decision.start(held)
+        return ChainState(self.front.start(), self.envelope.start(), self._fresh(), decision, accounts)
 
     def step(self, state: ChainState, telemetry: Telemetry) -> tuple[ChainState, ChainOutput]:
         """Take in a chunk of telemetry; return what it brought."""
         waiting = (*state.waiting, telemetry) if telemetry.series else state.waiting
         if not waiting:
             return state, ChainOutput()
+        if not state.measured:
+            state = self._measured(replace(state, waiting=waiting[-MOST_UNMEASURED:]))
+            waiting = state.waiting
+            if not state.measured:
+                return state, ChainOutput()
         state = state.fed(state.front, waiting)
         return self.judge(*self._taken(state)) if self._due(state) else (state, ChainOutput())
 
     def end_flight(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The link was lost or the watch ends: close what is open. Rows may go on later."""
         state, parts = self._taken(state)
+        front, rest = self.front.settle(state.front)
+        state, parts = state.fed(front, state.waiting), (*parts, *rest)
         ends = [int(part.block.t_ns[-1]) for part in parts if isinstance(part, Rows) and len(part.block)]
         end_ns = ends[-1] if ends else state.now_ns
         return self.judge(state, parts if end_ns is None else (*parts, Border(end_ns)))
+
+    def acknowledge(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
+        """Somebody has looked at the vehicle: an open inspection is closed."""
+        decision, _, changes = self.decision.acknowledge(state.decision, state.now_ns or 0)
+        return replace(state, decision=decision), ChainOutput(changes=changes)
 
     def finish(self, state: ChainState) -> tuple[ChainState, ChainOutput]:
         """The end of a log: the last rows, and events that are still open, with end_ns None."""
@@ -187,6 +222,36 @@ class Chain:
         events = (*output.events, *events, *self.decision.open_events(decision))
         state = replace(state, decision=decision)
         return state, replace(output, events=events, changes=(*output.changes, *changes))
+
+    def refusal(self, telemetry: Telemetry, least_s: float = 0.0) -> str | None:
+        """Why data do not suit the baseline, a sentence; empty if they do, None if they are too few to tell.
+
+        least_s: gyro samples must reach over so long. Some streams are irregular, or lose much: a rate is another one
+        if neither its mean nor its median is the baseline's.
+        """
+        series = telemetry.get(Signal.BODY_RATE)
+        stamps = np.empty(0) if series is None else np.unique(series.t_ns).astype(np.float64)
+        steps: FloatArray = np.diff(stamps) / NS_PER_S
+        steps = steps[steps <= self.front.align.break_s]
+        if len(steps) + 1 < LEAST_SAMPLES or float(np.sum(steps)) < least_s:
+            return None
+        if self.baseline is None:
+            return ""
+        found = ""
+        for dt_s in (measure_grid(telemetry)[0], float(np.median(steps))):
+            try:
+                check_link(self.baseline, profile=self.profile or self.baseline.link.profile, dt_s=dt_s)
+                return ""
+            except BaselineError as error:
+                found = found or f"another link: {error}"
+        return found
+
+    def _measured(self, state: ChainState) -> ChainState:
+        """Whether what waits is of the baseline's link; of another one it is dropped."""
+        refused = self.refusal(joined(state.waiting), MEASURED_S)
+        if refused is None:
+            return state
+        return replace(state, measured=not refused, refused=refused, waiting=() if refused else state.waiting)
 
     def _due(self, state: ChainState) -> bool:
         """Whether what waits may bring rows up to the next look, or more of it must not wait."""
@@ -212,7 +277,8 @@ class Chain:
         for part in parts:
             if isinstance(part, Border):
                 decision, events, changes = self.decision.end_flight(state.decision, part.t_ns)
-                state = replace(state, envelope=self.envelope.start(), monitors=self._fresh(), decision=decision)
+                fresh = replace(state, envelope=self.envelope.start(), monitors=self._fresh(), decision=decision)
+                state = replace(fresh, coverage=state.coverage.closed())
             elif len(part.block) == 0:
                 continue
             else:
@@ -226,8 +292,9 @@ class Chain:
     ) -> tuple[ChainState, tuple[Event, ...], tuple[Change, ...], ChainOutput]:
         monitors, found, outside = [], [], []
         envelope = self.envelope.step(state.envelope, rows)
+        flown = replace(rows, covered=partial(self.envelope.covers, envelope))
         for number, (slot, memory) in enumerate(zip(self.slots, state.monitors, strict=True)):
-            after, statistic = slot.monitor.step(memory, rows)
+            after, statistic = slot.monitor.step(memory, flown)
             statistic, denied = self.envelope.apply(number, statistic, envelope)
             monitors.append(after)
             found.append(statistic)
@@ -236,20 +303,19 @@ class Chain:
         decision, events, changes = self.decision.step(state.decision, found, now_ns)
         flight_s = len(rows.block) * rows.block.dt_s
         accounts = self._accounts(state.accounts, found, outside, rows.block, flight_s)
-        judging = [a.judged_s for slot, a in zip(self.slots, accounts, strict=True) if slot.of_propellers]
-        judged_s = max(judging, default=0.0)
+        coverage = self._covered(state.coverage, rows.block, found)
         beginning, begun_s, likeness = self._compared(state, rows)
         output = ChainOutput(
             output.events,
             output.changes,
             tuple(_gauge(slot, one) for slot, one in zip(self.slots, found, strict=True) if len(one)),
             output.flight_s + flight_s,
-            output.judged_s + judged_s - state.judged_s,
+            output.judged_s + coverage.judged_s - state.judged_s,
             now_ns,
             likeness or output.likeness,
             (*output.pieces, Piece(rows, tuple(found))),
         )
-        told = (accounts, judged_s, now_ns, beginning, begun_s, state.waiting)
+        told = (accounts, coverage, now_ns, beginning, begun_s, state.waiting, state.measured)
         return ChainState(state.front, envelope, tuple(monitors), decision, *told), events, changes, output
 
     def _compared(self, state: ChainState, rows: Rows) -> tuple[tuple[Rows, ...] | None, float, Likeness | None]:
@@ -264,6 +330,16 @@ class Chain:
             return beginning, begun_s, None
         return None, state.begun_s, compare(self.fingerprint, beginning, self.layout)
 
+    def _covered(self, coverage: Coverage, block: Block, found: Sequence[Statistic]) -> Coverage:
+        """How much any slot that decides about propellers judged, after the next rows."""
+        own = [(slot, one) for slot, one in zip(self.slots, found, strict=True) if slot.of_propellers]
+        able = np.ones((len(own), len(block)), dtype=np.bool_)
+        for known, (slot, _) in zip(able, own, strict=True):
+            for signal in slot.monitor.signals:
+                known &= slot.monitor.known(block, signal)
+        reach_s = [max(slot.monitor.memory_s, one.period_s) for slot, one in own]
+        return coverage.add(block, able, [one for _, one in own], reach_s)
+
     def _accounts(
         self,
         accounts: Sequence[Account],
@@ -273,7 +349,7 @@ class Chain:
         flight_s: float,
     ) -> tuple[Account, ...]:
         counts: dict[int, tuple[BoolArray, int]] = {}  # valid rows without a signal, of each array of flags
-        out, none = [], dict[Signal, float]()
+        out, none = [], block.doubted_s()
         for slot, account, one, denied in zip(self.slots, accounts, found, outside, strict=True):
             missing = none
             for signal in slot.monitor.signals:
@@ -305,11 +381,14 @@ def front_of(baseline: Baseline) -> Front:
     """The front that a baseline was made with."""
     link = baseline.link
     rates = RateSpec.of(link.dt_s, baseline.window.samples, baseline.window.order)
-    return Front(AlignSpec(link.dt_s, link.grid, link.max_gap_s), link.gate, rates, baseline.airframe.outputs)
+    align = AlignSpec(link.dt_s, link.grid, link.max_gap_s, quality=baseline.link_quality)
+    return Front(align, link.gate, rates, baseline.airframe.outputs)
 
 
-def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
+def chain_of(baseline: Baseline, started_ns: int = 0, profile: str | None = None) -> Chain:
     """The chain that judges by a baseline.
+
+    profile: of the data, if it is known.
 
     started_ns: wall-clock time of the flight, unix epoch [ns]; 0 if it is not known. In a session of the healthy
     flights nothing is allowed for what another session may shift.
@@ -322,6 +401,7 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
     monitors = [monitor_of(entry.spec) for entry in entries]
     alone = not any(monitor.decides for monitor in monitors)
     same = baseline.same_session(started_ns)
+    coaxial = baseline.airframe.layout is not None and baseline.airframe.layout.coaxial  # the arm is told, no rotor
     slots = tuple(
         Slot(monitor, entry.threshold.within(same_session=same), monitor.decides or alone)
         for monitor, entry in zip(monitors, entries, strict=True)
@@ -332,15 +412,18 @@ def chain_of(baseline: Baseline, started_ns: int = 0) -> Chain:
             slot.monitor.unit,
             slot.decides,
             slot.monitor.delay_s,
-            slot.monitor.evidence,
+            None if coaxial else slot.monitor.evidence,
             slot.monitor.feature,
             slot.monitor.kind,
         )
         for slot in slots
     )
     features = {spec.feature for spec in specs}
-    known = known_fault_types(baseline.airframe.classifier) if "motion" in features else ()
-    depends = tuple(Dependence(slot.monitor.depends, slot.monitor.memory_s) for slot in slots)
+    link, classifier = baseline.link, baseline.airframe.classifier
+    known = known_fault_types(classifier, link.profile, 1.0 / link.dt_s) if "motion" in features else ()
+    depends = tuple(
+        Dependence(slot.monitor.depends, slot.monitor.memory_s, grows=slot.monitor.unit != "s") for slot in slots
+    )
     envelope = Envelope(baseline.envelope, depends, baseline.window.samples // 2 * baseline.link.dt_s)
     decision, whose = DecisionSpec(specs, known), baseline.airframe
-    return Chain(front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout)
+    return Chain(front_of(baseline), slots, decision, envelope, baseline.fingerprint, whose.layout, baseline, profile)

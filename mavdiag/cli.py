@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
+from mavdiag.commands import ack, balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
 
 __all__ = ["app", "main"]
@@ -17,6 +17,7 @@ app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
 app.command("watch")(watch.watch)
+app.command("ack")(ack.ack)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

@@ -18,6 +18,7 @@ __all__ = [
     "LinkError",
     "MavdiagError",
     "UsageError",
+    "missing_extra",
 ]
 
 
@@ -27,6 +28,11 @@ class MavdiagError(Exception):
 
 class UsageError(MavdiagError):
     """The caller asked for something that cannot be: a bad argument, address or configuration value."""
+
+
+def missing_extra(what: str, package: str, extra: str) -> UsageError:
+    """The error where a package of an extra is not installed: `what` needs it."""
+    return UsageError(f"{what} needs {package}, which is not installed: pip install 'mavdiag[{extra}]'")
 
 
 class InputError(MavdiagError):

@@ -25,7 +25,7 @@ from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
@@ -86,13 +86,20 @@ def learn(
     return learning.learn(found, chosen, created=now() if created is None else created)
 
 
-def judge(flight: Source, baseline: Baseline | str | Path, *, vehicle: int | None = None) -> LogVerdict:
+def judge(
+    flight: Source,
+    baseline: Baseline | str | Path,
+    *,
+    vehicle: int | None = None,
+    judged_share: float = judging.JUDGED_SHARE,
+) -> LogVerdict:
     """The verdict on one flight: a log or its path, by a baseline or its file.
 
+    judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
     Raises InputError or BaselineError if a file cannot be read. A log that cannot be judged is a verdict, with reason.
     """
     log = flight if isinstance(flight, Log) else replace(read_log(flight, vehicle=vehicle), name=str(flight))
-    return judging.judge(log, _loaded(baseline))
+    return judging.judge(log, _loaded(baseline), judged_share)
 
 
 def scan(
@@ -101,17 +108,19 @@ def scan(
     *,
     vehicle: int | None = None,
     jobs: int = 1,
+    judged_share: float = judging.JUDGED_SHARE,
 ) -> Iterator[LogVerdict]:
     """The verdicts on many logs, in their order, each as soon as it is there.
 
     flights: files, folders with all logs below them, and patterns like "flights/**/*.tlog".
     baseline: a baseline, or its file.
     vehicle: MAVLink system id, where files hold several.
+    judged_share: as in `judge`.
     jobs: worker processes. With more than one, a script must do its work under `if __name__ == "__main__":`.
     A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
     """
     named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
-    question = Question.of(_loaded(baseline), Options(vehicle), judging_version())
+    question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share), judging_version())
     opened = partial(local_executor, jobs) if jobs > 1 else in_this_process
     for answer in in_order(archive(named, question, opened)):
         yield answer.verdict
@@ -139,17 +148,24 @@ class Watch:
     """A live flight judged by a baseline: the same chain as in the detector and in `judge`, without texts.
 
     baseline: a baseline, or its file.
+    profile: name of the link profile of the telemetry; None if it is not known.
     """
 
-    def __init__(self, baseline: Baseline | str | Path) -> None:
-        self._chain = chain_of(_loaded(baseline), time.time_ns())
+    def __init__(self, baseline: Baseline | str | Path, profile: str | None = None) -> None:
+        self._chain = chain_of(_loaded(baseline), time.time_ns(), profile)
         self._state = self._chain.start()
         #: Everything that the last step brought, with the latest value of each monitor.
         self.output = ChainOutput()
 
     def step(self, telemetry: Telemetry) -> tuple[Event | Change, ...]:
-        """Take what has arrived; return the monitors' alarms and the changes of the decision, in order of time."""
+        """Take what has arrived; return the monitors' alarms and the changes of the decision, in order of time.
+
+        The first two seconds are measured before anything is judged. Raises BaselineError if the telemetry has another
+        rate or profile than the baseline; the next call measures anew.
+        """
         self._state, self.output = self._chain.step(self._state, telemetry)
+        if self._state.refused:
+            raise BaselineError(self._state.refused)
         return _in_order(self.output)
 
     def end_flight(self) -> tuple[Event | Change, ...]:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -10,16 +10,19 @@ import numpy as np
 
 from mavdiag.airframe.fingerprint import FIRST_S, Likeness, Outcome, compare
 from mavdiag.airframe.parameters import layout_from_parameters
-from mavdiag.baseline import Baseline, check_link
+from mavdiag.baseline import Baseline
 from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
+from mavdiag.decision.account import Coverage, Stretch, reason_of
 from mavdiag.decision.alarm import Change, Event, Stage
-from mavdiag.errors import BaselineError, InputError
+from mavdiag.errors import InputError
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
+from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.gate import Border
-from mavdiag.telemetry import Axis, Log, pandas_module
+from mavdiag.rows.gate import Border, Hidden, hidden_flight
+from mavdiag.rows.upsets import Upset, motion_of, upset_in
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal, pandas_module
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -27,6 +30,7 @@ __all__ = [
     "JudgedFlight",
     "LogVerdict",
     "MonitorSummary",
+    "NamedRotor",
     "Verdict",
     "exit_code",
     "judge",
@@ -35,13 +39,17 @@ __all__ = [
 ]
 
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
-MIN_JUDGED_S = 1.0  # less judged time of every deciding monitor supports no verdict (our choice)
+MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
+MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
+NEVER_FLEW = "never airborne: no armed flight with thrust"
+JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
 
 class Verdict(StrEnum):
     """What can be said of a log."""
 
     HEALTHY = "healthy"
+    SUSPECTED = "suspected"
     FAULT = "fault"
     NOT_JUDGEABLE = "not_judgeable"
     ERROR = "error"
@@ -83,20 +91,34 @@ class JudgedEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedRotor:
+    """A rotor that was named, from 1, and the span of it [s of the vehicle's clock]; end_s None if it lasted."""
+
+    rotor: int
+    since_s: float
+    end_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class LogVerdict:
     """The verdict on one log.
 
-    judged_s: judged time of the monitor that decides about propellers and judged for longest.
+    flown_s: time in the air, without take-offs and landings; what nobody could judge, as without a gyro, is in it.
+    judged_s: how much of it any monitor that decides about propellers judged.
     rate_hz: of the gyro stream.
     changes: the decision's log.
     notes: what a reader must know of the log or the baseline, one sentence each; the reason has them, too.
     kind: the gravest kind of fault that was declared; None if none was.
+    since_s: when it was declared first, of the vehicle's clock.
+    rotor: the one that was named last; None without one.
+    rotors: every one that was named, in order of time.
     """
 
     log: str
     verdict: Verdict
     reason: str
     judged_s: float = 0.0
+    flown_s: float = 0.0
     profile: str = ""
     rate_hz: float = 0.0
     monitors: tuple[MonitorSummary, ...] = ()
@@ -104,6 +126,9 @@ class LogVerdict:
     changes: tuple[Change, ...] = ()
     notes: tuple[str, ...] = ()
     kind: FaultKind | None = None
+    since_s: float | None = None
+    rotor: int | None = None
+    rotors: tuple[NamedRotor, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.log}: {self.verdict.value}, {self.reason}"
@@ -121,37 +146,66 @@ class LogVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedFlight:
-    """A verdict and what the chain showed on the way. chain: None if the log could not be judged at all."""
+    """A verdict and what the chain showed on the way.
+
+    chain: None if the log could not be judged at all. unjudged: what of the flown time was not judged.
+    """
 
     verdict: LogVerdict
     chain: Chain | None = None
     pieces: tuple[Piece, ...] = ()
+    unjudged: tuple[Stretch, ...] = ()
 
 
-def judge(log: Log, baseline: Baseline) -> LogVerdict:
+def judge(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> LogVerdict:
     """Run the chain over a log. A log that the baseline cannot judge is `not_judgeable`, with the reason.
 
+    judged_share: of the flown time that must be judged before a flight is called healthy, 0..1.
     Rows are made and judged some thousands at a time, so that it takes little memory beside the log's own.
     """
-    return _judged(log, baseline, keep=False).verdict
+    return _judged(log, baseline, judged_share, keep=False).verdict
 
 
-def judge_in_full(log: Log, baseline: Baseline) -> JudgedFlight:
+def judge_in_full(log: Log, baseline: Baseline, judged_share: float = JUDGED_SHARE) -> JudgedFlight:
     """As `judge`, and keep all that `mavdiag.traces` draws from; it takes as much memory as the rows."""
-    return _judged(log, baseline, keep=True)
+    return _judged(log, baseline, judged_share, keep=True)
 
 
-def _judged(log: Log, baseline: Baseline, keep: bool) -> JudgedFlight:
+@dataclass(slots=True)
+class _Run:
+    """What the chain made of a whole log.
+
+    spans: first and last row of each part of it that flew [ns]. motion: of its rows, for `rows.upsets`.
+    """
+
+    state: ChainState
+    events: list[Event] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
+    kept: list[Piece] = field(default_factory=list)
+    spans: list[Stretch] = field(default_factory=list)
+    motion: list[FloatArray] = field(default_factory=list)
+
+    def add(self, block: Block) -> None:
+        """More rows that flew."""
+        first, last = int(block.t_ns[0]), int(block.t_ns[-1])
+        if self.spans and first - self.spans[-1][1] <= NS_PER_S:
+            self.spans[-1] = (self.spans[-1][0], last)
+        else:
+            self.spans.append((first, last))
+        self.motion.append(motion_of(block))
+
+
+def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> JudgedFlight:
+    def refused(reason: str, rate_hz: float = 0.0) -> JudgedFlight:
+        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=rate_hz))
+
     try:
         dt_s, _ = measure_grid(log.telemetry)
     except InputError as error:
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, str(error), profile=log.profile))
-    try:
-        check_link(baseline, profile=log.profile, dt_s=dt_s)
-    except BaselineError as error:
-        reason = f"another link: {error}"
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
-    chain = replace(chain_of(baseline, log.started_ns), fingerprint=None)  # compared here, before it is judged
+        return refused(str(error))
+    chain = replace(chain_of(baseline, log.started_ns, log.profile), fingerprint=None)  # compared before it is judged
+    if refusal := chain.refusal(log.telemetry):
+        return refused(refusal, 1 / dt_s)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
     parts = chain.front.pieces(log.telemetry, PIECE_ROWS)
@@ -159,28 +213,42 @@ def _judged(log: Log, baseline: Baseline, keep: bool) -> JudgedFlight:
     likeness = _likeness(first, baseline)
     alike = likeness.sentence(baseline.airframe.name)
     if likeness.outcome is Outcome.FAR:
-        reason = f"another vehicle: {alike}"
-        return JudgedFlight(LogVerdict(log.name, Verdict.NOT_JUDGEABLE, reason, profile=log.profile, rate_hz=1 / dt_s))
-    state, found, changes, kept = _run(chain, itertools.chain(first, parts), keep)
-    events = _merged(found)
-    monitors = _summaries(chain, state, events)
-    verdict, reason = _verdict(monitors, state, events, changes)
+        return refused(f"another vehicle: {alike}", 1 / dt_s)
+    run = _run(chain, itertools.chain(first, parts), keep)
+    events, coverage = _merged(run.events), run.state.coverage.closed()
+    monitors = _summaries(chain, run.state, events)
+    hidden = hidden_flight(log.telemetry, chain.front.gate, run.spans)
+    flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
+    upset = upset_in(run.motion)
+    rotors = _rotors(run.changes)
+    takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
+    seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
+    told = _Evidence(log, monitors, *seen, upset, judged_share)
+    verdict, reason = told.verdict()
+    kind = _kind(run.changes)
+    since = next((one.t_ns / NS_PER_S for one in run.changes if one.stage is Stage.FAULT), None)
+    if kind is None and verdict is Verdict.FAULT and upset is not None:
+        kind, since = FaultKind.LOSS_OF_CONTROL, upset.begin_s
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
     judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
-    told = LogVerdict(
+    found = LogVerdict(
         log.name,
         verdict,
         "; ".join((reason, *notes)),
-        state.judged_s,
+        min(coverage.judged_s, flown_s),
+        flown_s,
         log.profile,
         1 / dt_s,
         monitors,
         judged,
-        tuple(changes),
+        tuple(run.changes),
         notes,
-        _kind(changes),
+        kind,
+        since,
+        rotors[-1].rotor if rotors else None,
+        rotors,
     )
-    return JudgedFlight(told, chain, tuple(kept))
+    return JudgedFlight(found, chain, tuple(run.kept), coverage.unjudged)
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
@@ -194,18 +262,21 @@ def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows 
     return taken
 
 
-def _run(
-    chain: Chain, parts: Iterable[Rows | Border], keep: bool
-) -> tuple[ChainState, list[Event], list[Change], list[Piece]]:
-    """All parts through the chain: its last state, all events and changes, and the pieces if they are to be kept."""
-    state, events, changes, kept = chain.start(), list[Event](), list[Change](), list[Piece]()
+def _run(chain: Chain, parts: Iterable[Rows | Border], keep: bool) -> _Run:
+    """All parts through the chain."""
+    run = _Run(chain.start())
     for part in parts:
-        state, output = chain.judge(state, (part,))
-        events += output.events
-        changes += output.changes
-        kept += output.pieces if keep else ()
-    state, output = chain.finish(state)
-    return state, [*events, *output.events], [*changes, *output.changes], [*kept, *output.pieces]
+        if isinstance(part, Rows) and len(part.block):
+            run.add(part.block)
+        run.state, output = chain.judge(run.state, (part,))
+        run.events += output.events
+        run.changes += output.changes
+        run.kept += output.pieces if keep else ()
+    run.state, output = chain.finish(run.state)
+    run.events += output.events
+    run.changes += output.changes
+    run.kept += output.pieces if keep else ()
+    return run
 
 
 def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:
@@ -218,37 +289,110 @@ def _likeness(parts: Sequence[Rows | Border], baseline: Baseline) -> Likeness:
 
 def _layout_notes(log: Log, baseline: Baseline) -> tuple[str, ...]:
     """That the rotor layout is unknown or doubtful, or that the log's own parameters have another one."""
-    own, said = baseline.airframe.layout, layout_from_parameters(log.parameters)
+    own, said = baseline.airframe.layout, layout_from_parameters(log.parameters, log.mav_type)
     other = own is not None and said.layout is not None and not said.layout.alike(own)
     differ = f"the log is of another rotor layout: {said.layout.name} by {said.reason}" if other and said.layout else ""
     return tuple(note for note in (baseline.layout_doubt, differ) if note)
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Exit code of a scan: the first of 2 error, 1 fault, 3 not judgeable that occurs, else 0."""
-    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.NOT_JUDGEABLE, 3))
+    """Exit code of a scan: the first of 2 error, 1 fault, 4 suspected, 3 not judgeable that occurs, else 0."""
+    order = ((Verdict.ERROR, 2), (Verdict.FAULT, 1), (Verdict.SUSPECTED, 4), (Verdict.NOT_JUDGEABLE, 3))
     return next((code for verdict, code in order if verdict in verdicts), 0)
 
 
-def _verdict(
-    monitors: Sequence[MonitorSummary], state: ChainState, events: Sequence[Event], changes: Sequence[Change]
-) -> tuple[Verdict, str]:
-    """The verdict and its reason: a fault if the decision declared one, healthy only if a deciding monitor judged."""
-    faults = [change for change in changes if change.stage is Stage.FAULT]
-    if faults:
-        return Verdict.FAULT, _fault_reason(faults, events)
-    deciding = [one for one in monitors if one.decides]
-    spoken = [one for one in deciding if one.judged_s >= MIN_JUDGED_S]
-    others = ", ".join(f"{one.name} ({one.not_judged})" for one in deciding if one not in spoken)
-    if not any(by_name(one.name).kind is FaultKind.PROPELLER for one in spoken):
-        flight_s = max((account.flight_s for account in state.accounts), default=0.0)
-        if flight_s == 0:
-            return Verdict.NOT_JUDGEABLE, "never airborne: no armed flight with thrust"
-        return Verdict.NOT_JUDGEABLE, f"{flight_s:.1f} s of flight, but no deciding monitor judged: {others}"
-    suspected = any(change.stage is Stage.SUSPECTED for change in changes)
-    basis = ", ".join(f"{one.name} {one.judged_s:.1f} s" for one in spoken)
-    kind = f"only suspected ({len(events)} alarms)" if events else "only suspected" if suspected else "no alarm"
-    return Verdict.HEALTHY, f"{kind}; judged by {basis}" + (f"; not judged by {others}" if others else "")
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """All that a verdict rests on."""
+
+    log: Log
+    monitors: Sequence[MonitorSummary]
+    events: Sequence[Event]
+    changes: Sequence[Change]
+    coverage: Coverage
+    hidden: Sequence[Hidden]
+    flown_s: float
+    takeoff_s: float
+    upset: Upset | None
+    judged_share: float
+
+    def verdict(self) -> tuple[Verdict, str]:
+        """A fault if one was declared or the flight has an upset, healthy only if enough of it was judged."""
+        faults = [change for change in self.changes if change.stage is Stage.FAULT]
+        upset = "" if self.upset is None else self.upset.text
+        if faults:
+            told = _fault_reason(faults, self.events) + _when(faults[0].t_ns, self.log)
+            return Verdict.FAULT, "; ".join(filter(None, (told, upset, self._share())))
+        if upset:
+            return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
+        if self.flown_s == 0:
+            return (
+                Verdict.NOT_JUDGEABLE,
+                f"only {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s else NEVER_FLEW,
+            )
+        if suspicion := self._suspicion():
+            return Verdict.SUSPECTED, f"{suspicion}; {self._share()}"
+        judged_s = self.coverage.judged_s
+        if judged_s < max(MIN_JUDGED_S, self.judged_share * self.flown_s):
+            return Verdict.NOT_JUDGEABLE, self._share()
+        return Verdict.HEALTHY, f"no alarm; {self._share()}"
+
+    def _suspicion(self) -> str:
+        """What was suspected though no fault was declared; empty if nothing was."""
+        if self.events:
+            names = ", ".join(dict.fromkeys(event.monitor for event in self.events))
+            count = f"{len(self.events)} alarm{'s' if len(self.events) != 1 else ''} of {names}"
+            single = all(not one.decides for one in self.monitors if one.alarms)
+            own = ", which decides nothing alone" if single else ""
+            return f"{count}{own}{_when(self.events[0].start_ns, self.log)}"
+        near = next((change for change in self.changes if change.stage is Stage.SUSPECTED), None)
+        if near is None:
+            return ""
+        ratios = {one.name: (one.maximum or 0.0) / one.threshold for one in self.monitors if one.decides}
+        name = max(ratios, key=lambda one: ratios[one], default="a monitor")
+        return f"{name} came to {100 * ratios.get(name, 0.0):.0f} % of its threshold{_when(near.t_ns, self.log)}"
+
+    def _share(self) -> str:
+        """How much of the flight was judged, by what, and why the rest was not."""
+        judged_s = min(self.coverage.judged_s, self.flown_s)
+        share = judged_s / self.flown_s if self.flown_s else 0.0
+        own = [one for one in self.monitors if one.decides and by_name(one.name).kind is FaultKind.PROPELLER]
+        spoken = ", ".join(one.name for one in own if one.judged_s >= MIN_JUDGED_S)
+        text = f"judged {judged_s:.1f} s of {self.flown_s:.1f} s ({100 * share:.0f} %)"
+        text += f" by {spoken}" if spoken else ""
+        text += f", without {self.takeoff_s:.1f} s of take-off or start" if self.takeoff_s >= 0.1 else ""
+        why = [f"{one.reason} {_between(one.begin_s, one.end_s, self.log)}" for one in self.hidden]
+        if 0 < share < self.judged_share:
+            longest = [one for one in self.coverage.unjudged if one[1] - one[0] >= MIN_JUDGED_S * NS_PER_S]
+            longest = sorted(longest, key=lambda one: one[0] - one[1])[:MOST_STRETCHES]
+            why += [f"nothing judged {_between(*_in_s(one), self.log)}" for one in sorted(longest)]
+        lacking = [one for one in own if one.judged_s < MIN_JUDGED_S or (one.not_judged and share < self.judged_share)]
+        reasons = ", ".join(f"{one.name} ({one.not_judged})" for one in lacking)
+        why += [f"not judged by {reasons}"] if reasons else []
+        return f"{text}{': ' if share < self.judged_share else '; '}{'; '.join(why)}" if why else text
+
+
+def _in_s(stretch: Stretch) -> tuple[float, float]:
+    return stretch[0] / NS_PER_S, stretch[1] / NS_PER_S
+
+
+def _clock(log: Log) -> tuple[float, float]:
+    """First and last time of a log [s of the vehicle's clock]."""
+    t_ns = log.telemetry.need(Signal.BODY_RATE).t_ns
+    last_ns = max(int(np.max(one.t_ns)) for one in log.telemetry.series if len(one))
+    return float(np.min(t_ns)) / NS_PER_S, last_ns / NS_PER_S
+
+
+def _when(t_ns: int, log: Log) -> str:
+    """A time of the vehicle's clock, and of the log where it begins at another one."""
+    t_s, begin_s = t_ns / NS_PER_S, _clock(log)[0]
+    into = f" of the vehicle's clock, {t_s - begin_s:.1f} s into the log" if begin_s >= 1 else ""
+    return f", first at {t_s:.2f} s{into}"
+
+
+def _between(begin_s: float, end_s: float, log: Log) -> str:
+    """A stretch of the vehicle's clock."""
+    return f"from {begin_s:.1f} s" + ("" if end_s > _clock(log)[1] - 1.0 else f" to {end_s:.1f} s")
 
 
 def _kind(changes: Sequence[Change]) -> FaultKind | None:
@@ -279,7 +423,20 @@ def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
     doubts = {by_name(event.monitor).doubt for event in events if by_name(event.monitor).decides}
     doubt = "".join(f"; {text}" for text in doubts if text and len(doubts) == 1)
     what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
-    return f"{what}{evidence}{rotor}{graded}{doubt}, {count}, first at {faults[0].t_ns / NS_PER_S:.2f} s"
+    return f"{what}{evidence}{rotor}{graded}{doubt}, {count}"
+
+
+def _rotors(changes: Sequence[Change]) -> tuple[NamedRotor, ...]:
+    """Every rotor that was named, with its span: it ends when another is named or the fault is over."""
+    found: list[NamedRotor] = []
+    for change in changes:
+        t_s = change.t_ns / NS_PER_S
+        rotor = change.rotor if change.stage is Stage.FAULT else None
+        if found and found[-1].end_s is None and rotor != found[-1].rotor:
+            found[-1] = replace(found[-1], end_s=t_s)
+        if rotor is not None and (not found or found[-1].end_s is not None):
+            found.append(NamedRotor(rotor, t_s, None))
+    return tuple(found)
 
 
 def _merged(found: Sequence[Event]) -> tuple[Event, ...]:
@@ -314,7 +471,7 @@ def _summaries(chain: Chain, state: ChainState, events: Sequence[Event]) -> tupl
 def why_not(chain: Chain, account: Account) -> str | None:
     """Why a slot did not judge: the reason that cost most time. One that judged and only warmed up has none."""
     waiting = account.not_judged if account.judged_s == 0 else {}
-    reasons = {**waiting, **{f"no {s.replace('_', ' ')}": t for s, t in account.missing.items()}}
+    reasons = {**waiting, **{reason_of(s): t for s, t in account.missing.items()}}
     outside = {chain.envelope.sentence(c, one.value): one.span_s for c, one in account.outside.items()}
     reasons = {**reasons, **outside}
     if not reasons or max(reasons.values()) < MIN_JUDGED_S:

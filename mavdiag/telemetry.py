@@ -209,6 +209,8 @@ class Log:
     notes: what is wrong with the file though it can be used, one sentence each.
     parameters: the autopilot's own parameters by name, as far as the log or link carries them; the latest values.
     motor_order: whether the columns of ACTUATOR are the motors in their order, and not the outputs of the autopilot.
+    mav_type: MAV_TYPE of the vehicle; None where the log does not say.
+    vehicle: MAVLink system id; None for a log of a kind that holds one vehicle.
     """
 
     name: str
@@ -219,6 +221,8 @@ class Log:
     notes: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     motor_order: bool = False
+    mav_type: int | None = None
+    vehicle: int | None = None
 
     def __getitem__(self, signal: Signal | str) -> Series:
         """The series of a signal, by the signal or its name. Raises InputError if the log has none."""

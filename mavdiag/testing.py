@@ -54,6 +54,7 @@ def example_rows(
         actuator=np.empty((n, 0)) if actuator is None else actuator,
         valid=always if valid is None else valid,
         setpoint_valid=always if setpoint_valid is None else setpoint_valid,
+        doubt=np.zeros(n),
     )
     spec = RateSpec.of(dt_s, WINDOW)
     return Rows(block, spec.step(spec.start(), block)[1])

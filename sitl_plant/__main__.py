@@ -13,13 +13,14 @@ from typing import Annotated, NoReturn, TextIO
 import typer
 
 from mavdiag import commandline
+from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
 from sitl_plant.emulator import FlightReport, Link, fly
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
-from sitl_plant.options import FlightPlan, TruthFile, parse_speed, with_flight
+from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
@@ -65,7 +66,8 @@ def run(
     with ExitStack() as stack:
         ends = [stack.enter_context(open_endpoint(address)) for address in out]
         lines = stack.enter_context(truth_file(truth))
-        plant = Plant(plan.config)
+        with working(STARTING):
+            plant = Plant(plan.config)
         kept = None
         if signing_key is not None:
             kept = stack.enter_context(closing(open_signing(signing_key, "plant", time.time_ns())))
@@ -101,7 +103,8 @@ def record(
     for number in range(flights):
         path = output if flights == 1 else output.with_name(f"{output.stem}-{number:03d}{output.suffix}")
         own = replace(plan, config=replace(plan.config, seed=plan.config.seed + number, landed_s=duration))
-        with truth_file(truth) as lines:
+        words = f"{path}: flying {duration:g} s; the first flight compiles the plant, up to a minute ..."
+        with truth_file(truth) as lines, working(words):
             messages = record_flight(path, own, duration, _written(lines, own, None).write)
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
@@ -120,7 +123,8 @@ def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
     else:
         fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
         link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
-        line = f"{config.vehicle.name} {config.drone} flies a {config.trajectory}{fault}; {link}"
+        path = "as it is told" if config.trajectory == "commanded" else f"a {config.trajectory}"
+        line = f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
     typer.echo(line)
 
 

@@ -24,9 +24,8 @@ from sitl_plant.physics.injections import Injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
-__all__ = ["SYSID", "FlightReport", "Link", "fly", "obey"]
+__all__ = ["FlightReport", "Link", "fly", "obey"]
 
-SYSID = 1  # the emulated vehicle's system id
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
 SLIP_S = 0.5  # later than this, the flight's clock is set back: the machine slept or is too slow
 SENDERS_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
@@ -76,7 +75,7 @@ class Link:
         self.endpoint = endpoint
         self.schedule = dialect.schedule(rate_hz, rotors, fresh)
         self._signing = signing
-        self._encoder = Encoder(SYSID, Component.AUTOPILOT1, signing)
+        self._encoder = Encoder(dialect.sysid, Component.AUTOPILOT1, signing)
         self._streamer = Streamer(dialect, self.schedule)
         decoder = Decoder(signing=signing)
         self._decode = decoder.feed_datagram if endpoint.datagrams else decoder.feed
@@ -210,7 +209,7 @@ def fly(
     """
     started_s, started_cpu_s = time.monotonic(), time.process_time()
     filters = ImuFilters(dialect, plant.config.seed)
-    autopilot = Autopilot(SYSID, [link.schedule for link in links], dialect, plant.config)
+    autopilot = Autopilot(dialect.sysid, [link.schedule for link in links], dialect, plant.config)
     clock = _Clock(plant.t_ns, speed)
     flight = _Flight(links, autopilot, clock)
     steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))

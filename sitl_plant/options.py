@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from inspect import Signature, signature
 from pathlib import Path
@@ -14,6 +14,7 @@ from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.airframe import drone as specimen
+from sitl_plant.physics.jit import check_numba
 from sitl_plant.physics.loading import PickUp
 from sitl_plant.physics.sessions import in_session_number
 from sitl_plant.physics.trajectory import Nose, Shape
@@ -28,6 +29,7 @@ VehicleName: TypeAlias = Annotated[
 TruthFile: TypeAlias = Annotated[
     Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
 ]
+STARTING = "starting the plant; the first start compiles it and takes up to a minute ..."
 PICKUP_BELOW_M = 0.05  # as the payload
 RECORDED = "qdrone2-recorded"
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
@@ -90,9 +92,11 @@ def flight_plan(
         float, typer.Option(metavar="PERCENT", help="New healthy propellers, one set a session; thrust +- this.")
     ] = 0.0,
     profile: Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
+    system_id: Annotated[int, typer.Option(metavar="N", min=1, max=255, help="MAVLink system id of the vehicle.")] = 1,
 ) -> FlightPlan:
-    """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    dialect = dialect_named(profile)
+    """Check the options and put them together. Raises UsageError for what cannot be flown, or without numba."""
+    check_numba()
+    dialect = replace(dialect_named(profile), sysid=system_id)
     rates = dialect.rates_hz(rate)
     if fault is None and onset > 0.0:
         raise UsageError("--onset needs a fault: add --fault F2/SV2")

@@ -9,7 +9,6 @@ from mavdiag.link.messages import Component
 from mavdiag.logs.tlog import tlog_record
 from sitl_plant.autopilot.imu_filters import ImuFilters
 from sitl_plant.autopilot.stream import Streamer
-from sitl_plant.emulator import SYSID
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
@@ -23,7 +22,10 @@ def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples]
     """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
     plant, filters = Plant(plan.config), ImuFilters(plan.dialect, plan.config.seed)
     schedule = plan.dialect.schedule(plan.rate_hz, plant.rotors)
-    streamer, encode = Streamer(plan.dialect, schedule), Encoder(SYSID, Component.AUTOPILOT1).encode_payload
+    streamer, encode = (
+        Streamer(plan.dialect, schedule),
+        Encoder(plan.dialect.sysid, Component.AUTOPILOT1).encode_payload,
+    )
     left = max(1, round(duration_s * 1e9 / STEP_NS))
     while left > 0:
         samples = plant.advance(min(BLOCK_STEPS, left))

@@ -32,9 +32,16 @@ def body_rates(angle: FloatArray) -> FloatArray:
 
 
 def flying(
-    n: int, seed: int, *, weak_rotor: int = 0, rise: float = 0.0, shake: float = 0.3, turn: FloatArray | None = None
+    n: int,
+    seed: int,
+    *,
+    weak_rotor: int = 0,
+    rise: float = 0.0,
+    shake: float = 0.3,
+    turn: FloatArray | None = None,
+    layout: str = "x",
 ) -> Telemetry:
-    """n samples at 100 Hz of an X frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output.
+    """n samples at 100 Hz of a frame; rotor `weak_rotor` (from 1) is commanded `rise` more of the hover output.
 
     turn: (n,) yaw rate that the nose turns with besides [rad/s]; drag asks for a yaw trim of 0.02 for each rad/s.
     """
@@ -48,7 +55,7 @@ def flying(
     attitude = np.asarray(lfilter([0.3], [1, -0.7], setpoint, axis=0))
     torque = 0.05 * (wanted - rate) + 0.002 * rng.standard_normal((n, 3))
     torque[:, 2] += 0.02 * turn
-    outputs = 0.5 * (1.0 + torque @ layout_named("x").mixing.T)
+    outputs = 0.5 * (1.0 + torque @ layout_named(layout).mixing.T)
     if weak_rotor:
         outputs[:, weak_rotor - 1] += 0.5 * rise
     force = rng.normal([0.0, 0.0, -9.81], 0.3, (n, 3))

@@ -89,7 +89,6 @@ def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:
             else math.nan
         )
         out[Condition.THROTTLE].append(_mean([block.thrust[i] for i in inside]))
-        out[Condition.VOLTAGE].append(_mean([block.voltage[i] for i in inside]))
         out[Condition.COMMANDED_RATE].append(
             max((max(abs(rates.u[i, 0]), abs(rates.u[i, 1])) for i in known), default=math.nan)
         )
@@ -99,13 +98,11 @@ def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:
         now = {
             "roll": rates.u[last, 0] if rates.commanded[last] else math.nan,
             "pitch": rates.u[last, 1] if rates.commanded[last] else math.nan,
-            "height": block.height[end] if block.valid[end] else math.nan,
             "yaw": block.setpoint[end, 2] if block.valid[end] and block.setpoint_valid[end] else math.nan,
         }
         step = {name: abs(now[name] - before.get(name, math.nan)) / 0.1 for name in now}
         accelerations = [one for one in (step["roll"], step["pitch"]) if math.isfinite(one)]
         out[Condition.COMMANDED_ACCELERATION].append(max(accelerations, default=math.nan))
-        out[Condition.CLIMB_RATE].append(step["height"])
         turn = abs(_mean([block.rate[i, 2] for i in inside]))
         out[Condition.YAW_RATE].append(step["yaw"] if math.isfinite(step["yaw"]) else turn)
         before = now

@@ -181,7 +181,8 @@ class Story:
             kept = tuple(one for one in telemetry.series if one.signal not in without)
             if outputs:
                 t_ns = telemetry.series[0].t_ns
-                kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, np.full((len(t_ns), 4), 0.5)))
+                held = 0.5 + 0.001 * np.sin(np.outer(t_ns / 1e8, [1.0, 1.1, 1.2, 1.3]))
+                kept = (*kept, Series(Signal.ACTUATOR, t_ns, t_ns, held))
             self.passed += chunk
             self.give(Inbox(Telemetry(kept), alive=True, reboots=self.reboots, parameters=self.parameters))
         return [effect for _, effect in self.log[before:]]

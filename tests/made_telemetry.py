@@ -10,11 +10,22 @@ from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 DT_NS = 1_000_000
 A = np.array([1.0, -1.95, 0.9512])  # a well damped rate loop at 1 kHz, DC gain 1
 B = np.array([0.0, 0.0007, 0.0005])
+ROUNDING = 1e-12  # of values of order 1 [SI]: matrix and dot products of other lengths are summed in another order
 
 
 def series(signal: Signal, t_ns: IntArray, values: FloatArray) -> Series:
     """A series whose host clock runs 5 ms behind the vehicle's."""
     return Series(signal, t_ns, t_ns + 5_000_000, values)
+
+
+def assert_same_telemetry(one: Telemetry, other: Telemetry) -> None:
+    """The same signals at the same times; values but for rounding, for they may be computed in other lengths."""
+    assert {series.signal for series in one} == {series.signal for series in other}
+    for series in one:
+        same = other.need(series.signal)
+        np.testing.assert_array_equal(series.t_ns, same.t_ns)
+        np.testing.assert_array_equal(series.host_ns, same.host_ns)
+        np.testing.assert_allclose(series.values, same.values, rtol=0.0, atol=ROUNDING)
 
 
 def setpoints(n: int, seed: int) -> FloatArray:

@@ -17,6 +17,7 @@ from detector.notify import Notifier
 from detector.web.feed import Feed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
+from mavdiag.inspections import Inspections
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, ModeFlag
@@ -78,9 +79,9 @@ class FakeFitter:
 class MadeVehicle:
     """Sends heartbeats and the two main streams, hovering with random set-points it follows at once."""
 
-    def __init__(self, sysid: int, autopilot: Autopilot = Autopilot.GENERIC) -> None:
+    def __init__(self, sysid: int, autopilot: Autopilot = Autopilot.GENERIC, kind: int = MavType.QUADROTOR) -> None:
         self.encoder = Encoder(sysid, Component.AUTOPILOT1)
-        self.sysid, self._autopilot = sysid, autopilot
+        self.sysid, self._autopilot, self._kind = sysid, autopilot, kind
         self._rng = np.random.default_rng(sysid)
         self.sent = 0  # samples
         self.armed = True
@@ -88,7 +89,7 @@ class MadeVehicle:
 
     def heartbeat(self) -> bytes:
         mode = ModeFlag.SAFETY_ARMED if self.armed else 0
-        return self.encoder.encode(MessageId.HEARTBEAT, MavType.QUADROTOR, self._autopilot, mode, 0, 4, 3)
+        return self.encoder.encode(MessageId.HEARTBEAT, self._kind, self._autopilot, mode, 0, 4, 3)
 
     def samples(self, count: int) -> list[bytes]:
         """The next samples of both streams, with a heartbeat every second."""
@@ -118,6 +119,7 @@ class Bench:
     notifier: Notifier | None = None
     metrics: Metrics | None = None
     web: Feed | None = None
+    inspections: Inspections | None = None
     links_behind: int = 0
     host: VirtualHost = field(default_factory=VirtualHost)
     vehicles: list[MadeVehicle] = field(default_factory=list)
@@ -149,6 +151,7 @@ class Bench:
             notifier=self.notifier,
             metrics=self.metrics,
             web=self.web,
+            inspections=self.inspections,
         )
 
     def run(self, seconds: float) -> None:

@@ -11,13 +11,13 @@ def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tupl
     """Tables of the wanted messages by name, and what is wrong with the file."""
     formats: dict[int, Format] = {}
     starts: dict[int, list[int]] = {}
-    position, sound_end = data.find(HEADER), 0
+    position, sound_end, sound = data.find(HEADER), 0, 0
     while 0 <= position <= len(data) - 3:
         kind = data[position + 2]
         length = 89 if kind == FMT_TYPE else formats[kind].length if kind in formats else 0
         if position + length > len(data):
             break
-        sound_end = position + length if length else sound_end
+        sound_end, sound = position + length if length else sound_end, sound + length
         if kind in starts:
             starts[kind].append(position)
         if kind == FMT_TYPE:
@@ -35,4 +35,6 @@ def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tupl
             tables[form.name] = first_instance(Table(form, np.array(at), np.frombuffer(content, form.layout())))
     rest = data[sound_end:]
     cut = f"it ends within a record, {len(rest)} bytes are lost: the recording was cut off"
-    return tables, (cut,) if rest.strip(b"\0\xff") else ()
+    skipped = f"{sound_end - sound} bytes of it are no records of a known type and were skipped"
+    notes = ((skipped, sound_end > sound), (cut, bool(rest.strip(b"\0\xff"))))
+    return tables, tuple(note for note, told in notes if told)

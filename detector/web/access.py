@@ -15,6 +15,7 @@ from enum import IntEnum
 __all__ = ["HEADERS", "Access", "Answer", "is_loopback"]
 
 PORT_DIGITS = 5
+ACKNOWLEDGE = "/acknowledge"  # the one path that is posted to: it changes something
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 
 #: Of every answer. Nothing is loaded from elsewhere, no script or style stands in the page itself, texts cannot become
@@ -84,7 +85,7 @@ class Access:
         host = headers.get("host", "")
         if not self._knows(host) or not _of_this_page(path, host, headers):
             return Answer.REFUSED
-        if method != "GET":
+        if method != ("POST" if path == ACKNOWLEDGE else "GET"):
             return Answer.NOT_A_GET
         if self.token is None:
             return Answer.PASS

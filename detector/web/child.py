@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import LinkError, missing_extra
 from mavdiag.telemetry import Instant
 
 __all__ = ["Child", "Place", "ServerProcess", "check_installed"]
@@ -62,7 +62,7 @@ class Place:
 def check_installed() -> None:
     """Raise UsageError, saying what to install, unless the server's library is there."""
     if importlib.util.find_spec("aiohttp") is None:
-        raise UsageError("--web needs aiohttp; run `pip install 'mavdiag[web]'`")
+        raise missing_extra("--web", "aiohttp", "web")
 
 
 class ServerProcess:

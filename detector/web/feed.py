@@ -41,6 +41,7 @@ class Feed:
         self._about: dict[int, Chain | None] = {}
         self._shown = self._began
         self._fleet = ""
+        self._acknowledged: list[int] = []
 
     @property
     def where(self) -> str:
@@ -78,6 +79,11 @@ class Feed:
         self._fleet = as_line(fleet_now(figures, levels, now - self._began))
         self._put("F", self._fleet)
 
+    def acknowledged(self) -> list[int]:
+        """The vehicles whose inspection was acknowledged on the page since the last call."""
+        found, self._acknowledged = self._acknowledged, []
+        return found
+
     def close(self) -> None:
         """Hand over what is left and end the server."""
         self._give()
@@ -85,6 +91,8 @@ class Feed:
 
     def _heard(self, line: str) -> None:
         word, _, rest = line.partition(" ")
+        if word == "ack" and rest.isdecimal() and len(rest) < 4 and len(self._acknowledged) < WATCHED_MOST:
+            self._acknowledged.append(int(rest))
         if word == "watch":
             self._watched = tuple(int(one) for one in rest.split() if one.isdecimal() and len(one) < 4)[:WATCHED_MOST]
             self._pieces = {sysid: pieces for sysid, pieces in self._pieces.items() if sysid in self._watched}

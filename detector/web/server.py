@@ -3,7 +3,8 @@
     python -m detector.web.server      not for people: the daemon starts it
 
 Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes. It ends when stdin does, so it never outlives
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes,
+and `ack VEHICLE`. It ends when stdin does, so it never outlives
 the daemon.
 """
 
@@ -18,7 +19,7 @@ from pathlib import Path
 
 from aiohttp import web
 
-from detector.web.access import HEADERS, Access, Answer
+from detector.web.access import ACKNOWLEDGE, HEADERS, Access, Answer
 from detector.web.board import Board, Reader, parse_last
 
 __all__ = ["Server", "main"]
@@ -54,6 +55,7 @@ class Server:
         for path in FILES:
             app.router.add_get(path, self._file, allow_head=False)
         app.router.add_get("/stream", self._stream, allow_head=False)
+        app.router.add_post(ACKNOWLEDGE, self._acknowledge)
         return app
 
     async def feed(self, lines: asyncio.StreamReader) -> None:
@@ -88,8 +90,8 @@ class Server:
             case Answer.REFUSED:
                 response = _said(403, "this request does not come from the page of this detector")
             case Answer.NOT_A_GET:
-                response = _said(405, "only GET")
-                response.headers["Allow"] = "GET"
+                response = _said(405, f"only GET, and POST to {ACKNOWLEDGE}")
+                response.headers["Allow"] = "POST" if request.path == ACKNOWLEDGE else "GET"
         if not response.prepared:
             response.headers.update(HEADERS)
         return response
@@ -97,6 +99,14 @@ class Server:
     async def _file(self, request: web.Request) -> web.Response:
         body, kind = self._files[request.path]
         return web.Response(body=body, content_type=kind, charset="utf-8")
+
+    async def _acknowledge(self, request: web.Request) -> web.Response:
+        """Somebody has looked at a vehicle. The journal tells what came of it."""
+        vehicle = request.query.get("vehicle", "")
+        if not (vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4):
+            raise web.HTTPBadRequest(reason="name a vehicle: ?vehicle=1")
+        _to_daemon(f"ack {vehicle}")
+        return _said(202, "handed to the detector")
 
     async def _stream(self, request: web.Request) -> web.StreamResponse:
         if len(self._wake) >= PAGES:

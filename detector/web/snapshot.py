@@ -20,7 +20,8 @@ from detector.states import State
 from detector.streams import METERED, Streams, on_ground
 from detector.web.strips import Strip, strips_of
 from mavdiag.chain import WAITING, Account, Chain, Piece, Slot
-from mavdiag.decision.alarm import Stage
+from mavdiag.decision.diagnosis import Stage
+from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.drawing import airframe_svg
 from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
@@ -50,6 +51,7 @@ class Level(StrEnum):
     """What the page says of a vehicle at first sight."""
 
     FAULT = "fault"
+    INSPECT = "inspect"  # it was declared in an earlier flight, and nobody has acknowledged it
     SUSPECTED = "suspected"
     QUIET = "quiet"  # flight is judged, and nothing was found
     NOT_JUDGED = "not judged"
@@ -258,19 +260,17 @@ def _spans(account: Account) -> dict[str, float]:
 
 def _verdict(state: SessionState, judging: bool) -> tuple[Level, str, int | None]:
     """Level, sentence and suspected rotor."""
-    alert, judge = state.alert, state.judge
-    if alert is not None:
-        level = Level.FAULT if alert.confirmed else Level.SUSPECTED
-        return level, alert.notice.text, alert.finding.rotor
+    it = state.diagnosis
+    if it.stage is Stage.FAULT:
+        return Level.FAULT, finding_words(it) + ("" if it.seen else ", no longer seen"), it.rotor
+    if it.stage is Stage.INSPECT:
+        return Level.INSPECT, f"{motors_words(it)}: inspect before flight", it.rotor
     if state.state in (State.LOST, State.FAULTED):
         return Level.OFF, state.reason, None
-    if judge is None or state.state is not State.MONITORING:
-        return Level.NOT_JUDGED, state.reason, None
-    diagnosis = judge.memory.diagnosis
-    if judging and diagnosis.stage is Stage.QUIET:
+    if judging and state.state is State.MONITORING and it.stage is Stage.QUIET:
         return Level.QUIET, "No fault found", None
-    if judging and diagnosis.stage in (Stage.SUSPECTED, Stage.FAULT):  # not said: on the ground, or just taken off
-        return Level.SUSPECTED, str(diagnosis), diagnosis.rotor
+    if judging and state.state is State.MONITORING and it.stage is Stage.SUSPECTED:
+        return Level.SUSPECTED, finding_words(it), it.rotor
     return Level.NOT_JUDGED, state.reason, None
 
 

@@ -14,6 +14,7 @@ from mavdiag.rows.gate import GateSpec
 
 __all__ = ["Airframe", "Scope"]
 
+UNNAMED = "unnamed"
 Scope: TypeAlias = Literal["airframe", "type"]
 
 
@@ -34,7 +35,7 @@ class Airframe:
     classifier: name of the trained fault types that hold for it; None if there are none.
     """
 
-    name: str = "unnamed"
+    name: str = UNNAMED
     scope: Scope = "airframe"
     layout: RotorLayout | None = None
     outputs: tuple[int, ...] | None = None

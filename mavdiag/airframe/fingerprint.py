@@ -23,8 +23,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import TRAITS, beginning, traits
+from mavdiag.airframe.traits import TRAITS, beginning, traits, traits_of_parts
 from mavdiag.airframe.trim import LEVEL_RATIO, rises
 from mavdiag.errors import InputError
 from mavdiag.rows.front import Rows
@@ -33,6 +34,7 @@ from mavdiag.telemetry import FloatArray
 __all__ = ["FIRST_S", "Figure", "Fingerprint", "Likeness", "Outcome", "compare", "fingerprint_of", "merged"]
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
+PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
@@ -116,26 +118,37 @@ class Likeness:
         if self.outcome is Outcome.ALIKE:
             return ""
         figures = ", ".join(self.differing)
+        whose = "the baseline's" if whose == UNNAMED else whose
         if self.outcome is Outcome.FAR:
-            return f"does not look like {whose}: {figures}"
+            return f"does not look like {whose}: {figures}; judge it by a baseline of its own flights"
         return f"may be another vehicle than {whose}, or have new propellers or another load: {figures}"
 
 
 def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None) -> Fingerprint | None:
     """The fingerprint of the vehicle of some healthy flights; None if they show no trait.
 
-    spread^2 = (floor^2 + sum over flights of (x - mean)^2)/n for n flights: the floor stands for one more flight, so
-    few flights have a spread that is not smaller than it ought to be.
+    spread^2 = (floor^2 + sum over flights of (x - mean)^2)/n + within^2 for n flights: the floor stands for one more
+    flight, so few flights have a spread that is not smaller than it ought to be. within^2: the variance of the trait
+    between parts of one flight, for what is compared is a part, and some traits follow what is flown in it.
     """
     found = np.array([traits(flight, layout) for flight in flights])
+    parts = [traits_of_parts(flight, layout, PART_S) for flight in flights]
     figures = []
-    for trait, limit, column in zip(TRAITS, _LIMITS, found.T, strict=True):
+    for i, (trait, limit, column) in enumerate(zip(TRAITS, _LIMITS, found.T, strict=True)):
         known = column[np.isfinite(column)]
         if len(known):
             mean = float(known.mean())
-            spread = math.sqrt((limit.floor**2 + float(np.square(known - mean).sum())) / len(known))
-            figures.append(Figure(trait.name, mean, spread))
+            between = (limit.floor**2 + float(np.square(known - mean).sum())) / len(known)
+            figures.append(Figure(trait.name, mean, math.sqrt(between + _within([one[:, i] for one in parts]))))
     return Fingerprint(tuple(figures), len(flights)) if figures else None
+
+
+def _within(parts: Sequence[FloatArray]) -> float:
+    """The variance of a trait within a flight, from its values in the parts of each; 0 where none has two."""
+    known = [one[np.isfinite(one)] for one in parts]
+    freedom = sum(max(0, len(one) - 1) for one in known)
+    squares = sum(float(np.square(one - one.mean()).sum()) for one in known if len(one))
+    return squares / freedom if freedom else 0.0
 
 
 def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
@@ -215,7 +228,7 @@ def _trim_words(learnt: Sequence[Figure], seen: FloatArray) -> list[str]:
 
 def _words(i: int, learnt: Figure, seen: float) -> str:
     if TRAITS[i].log:
-        return f"{learnt.name} x{math.exp(seen - learnt.mean):.2g}"
+        return f"{learnt.name} {math.exp(seen - learnt.mean):.2g} times the learnt"
     if learnt.name == "motors":
         return f"{seen:.0f} motors (learnt {learnt.mean:.0f})"
     return f"{learnt.name} {seen:+.3f} (learnt {learnt.mean:+.3f} +- {learnt.spread:.3f})"

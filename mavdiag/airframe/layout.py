@@ -47,6 +47,12 @@ class RotorLayout:
         """How many there are."""
         return len(self.signs)
 
+    @property
+    def coaxial(self) -> bool:
+        """Whether rotors share an arm: roll and pitch tell the arm then, and hardly anything which rotor on it."""
+        arms = {(round(roll, 3), round(pitch, 3)) for roll, pitch, _ in self.signs}
+        return len(arms) < self.rotors
+
     def alike(self, other: "RotorLayout") -> bool:
         """Whether both have the same rotors in the same order, whatever they are called."""
         return self.rotors == other.rotors and bool(np.allclose(self.mixing, other.mixing, atol=COLUMN_TOLERANCE))
@@ -106,16 +112,16 @@ def layout_of_effects(name: str, effects: Sequence[tuple[float, float, float]]) 
     return RotorLayout(name, tuple((float(r), float(p), float(y)) for r, p, y in B))
 
 
-def ring(name: str, *angles_deg: float, cw: tuple[int, ...]) -> RotorLayout:
+def ring(name: str, *angles_deg: float, cw: tuple[int, ...], yaw: tuple[float, ...] = ()) -> RotorLayout:
     """Rotors on a circle, by angle from the nose to the right [deg]; cw: numbers of those that turn clockwise.
 
-    Raises UsageError if they cannot command all three axes.
+    yaw: how much each of them turns the vehicle, where they differ. Raises UsageError if they cannot command all axes.
     """
-    places = [
-        Place(round(math.cos(math.radians(deg)), 9), round(math.sin(math.radians(deg)), 9), "cw" if i in cw else "ccw")
-        for i, deg in enumerate(angles_deg, start=1)
+    effects = [
+        (-round(math.sin(math.radians(deg)), 9), round(math.cos(math.radians(deg)), 9), -size if i in cw else size)
+        for i, (deg, size) in enumerate(zip(angles_deg, yaw or (1.0,) * len(angles_deg), strict=True), start=1)
     ]
-    return layout_at(name, places)
+    return layout_of_effects(name, effects)
 
 
 _KNOWN = (
@@ -137,6 +143,12 @@ _KNOWN = (
     ring("hexa-plus", 0, 180, -120, 60, -60, 120, cw=(1, 3, 6)),
     ring("octo-x", 22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5, cw=(1, 2, 7, 8)),
     ring("octo-plus", 0, 180, 45, 135, -45, -135, -90, 90, cw=(1, 2, 7, 8)),
+    # setup_octaquad_matrix, setup_y6_matrix (its default, and Y6B), setup_deca_matrix.
+    ring("x8", 45, -45, -135, 135, -45, 45, 135, -135, cw=(2, 4, 6, 8)),
+    ring("y6", 60, -60, -60, 180, 60, 180, cw=(2, 4, 5)),
+    ring("y6b", 60, 60, 180, 180, -60, -60, cw=(1, 3, 5)),
+    ring("deca-plus", *range(0, 360, 36), cw=(2, 4, 6, 8, 10)),
+    ring("deca-x", *range(18, 360, 36), cw=(2, 4, 6, 8, 10)),
 )
 
 #: The layouts known by name.

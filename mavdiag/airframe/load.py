@@ -81,7 +81,7 @@ class _Gate(_Table):
     min_height_m: Finite | None = None
     min_thrust: Annotated[float, Field(strict=True, ge=0, le=1)] | None = None
     need_armed: Annotated[bool, Field(strict=True)] = True
-    trim_start_s: NotNegative = 0.0
+    trim_start_s: NotNegative = 3.0
     trim_end_s: NotNegative = 0.0
 
 

@@ -1,7 +1,8 @@
 """The rotor layout from the autopilot's own parameters: what its mixer is set to do, and on which outputs.
 
-ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp, setup_quad_matrix,
-setup_hexa_matrix, setup_octa_matrix); SERVOn_FUNCTION 33 to 40 puts motor 1 to 8 on output n (82 to 85: motor 9 to 12).
+ArduPilot: FRAME_CLASS and FRAME_TYPE name a table of motors (AP_MotorsMatrix.cpp, setup_quad_matrix and its likes);
+SERVOn_FUNCTION 33 to 40 puts motor 1 to 8 on output n (82 to 85: motor 9 to 12), any other function makes it no motor.
+Up to Copter 3.4 FRAME was the type, the class was another firmware, and the functions were RCn_FUNCTION.
 PX4: CA_ROTOR_COUNT, and for rotor n from 0 its place CA_ROTORn_PX, _PY [m] (FRD: forward, right) and its moment
 coefficient CA_ROTORn_KM, "positive for a rotor with CCW rotation" (control_allocator/module.yaml) seen from above,
 which turns the nose to the right; <group>_FUNCn 101 to 112 puts motor 1 to 12 on output n of that group.
@@ -9,6 +10,7 @@ which turns the nose to the right; <group>_FUNCn 101 to 112 puts motor 1 to 12 o
 Only what can be stated with certainty is: tables on a circle, rotors of one kind that push up.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,23 +18,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named, layout_of_effects, ring
+from mavdiag.airframe.vehicle_type import QUAD
 from mavdiag.errors import UsageError
 
-__all__ = ["ParameterFinding", "layout_from_parameters"]
+__all__ = ["ParameterFinding", "layout_from_parameters", "output_functions"]
 
-_COPTER_MOTORS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)  # SERVOn_FUNCTION of motor 1, 2, ...
-_PX4_MOTOR_1, _PX4_MOTORS = 101, 12
-_SERVO = re.compile(r"SERVO(\d+)_FUNCTION")
+COPTER_MOTORS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)  # SERVOn_FUNCTION of motor 1, 2, ...
+_MOST_ROTORS = 12  # of ArduPilot and of CA_ROTOR_COUNT
+_LARGEST = 1e6  # no parameter that is read here has a larger value
+_PX4_MOTOR_1 = 101
+_OLD_FRAMES = (0, 1, 2, 3)  # plus, X, V, H
+_SERVO = re.compile(r"(SERVO|RC)(\d{1,2})_FUNCTION")
 _PX4_FUNCTION = re.compile(r"(PWM_MAIN|PWM_AUX|HIL_ACT|UAVCAN_EC)_FUNC(\d+)")
 _AIRFRAME_MULTIROTOR = 0  # CA_AIRFRAME
 _UP = (0.0, 0.0, -1.0)  # CA_ROTORn_AX, _AY, _AZ by default
 _SAME = 1e-3  # of an axis or of the thrust coefficients: closer ones are the same (our choice)
 
-# FRAME_CLASS: its name and number of motors. FRAME_TYPE by class.
-_CLASSES = {1: ("quad", 4), 2: ("hexa", 6), 3: ("octa", 8)}
+
+def _twice(*angles_deg: float) -> tuple[float, ...]:
+    """Two rotors on each arm, one above the other."""
+    return tuple(deg for deg in angles_deg for _ in range(2))
+
+
+# FRAME_TYPE by FRAME_CLASS. The V's two rear rotors turn it more than its two front ones.
+_CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "X8", 5: "Y6", 12: "dodecahexa", 14: "deca"}
+_X8 = (45, -45, -135, 135, -45, 45, 135, -135)
+_X8_BETAFLIGHT = (135, 45, -135, -45, 135, 45, -135, -45)
 _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
     (1, 0): layout_named("plus"),
     (1, 1): layout_named("x"),
+    (1, 2): ring("v", 45, -135, -45, 135, cw=(3, 4), yaw=(0.7981, 1.0, 0.7981, 1.0)),
     (1, 3): ring("h", 45, -135, -45, 135, cw=(1, 2)),
     (1, 6): ring("plus-reversed", 90, -90, 0, 180, cw=(1, 2)),
     (1, 12): ring("x-betaflight", 135, 45, -135, -45, cw=(1, 4)),
@@ -47,6 +62,21 @@ _FRAMES: Mapping[tuple[int, int], RotorLayout] = {
     (3, 1): layout_named("octo-x"),
     (3, 13): ring("octo-x-dji", 22.5, -22.5, -67.5, -112.5, -157.5, 157.5, 112.5, 67.5, cw=(2, 4, 6, 8)),
     (3, 14): ring("octo-x-clockwise", 22.5, 67.5, 112.5, 157.5, -157.5, -112.5, -67.5, -22.5, cw=(2, 4, 6, 8)),
+    (4, 0): ring("x8-plus", 0, -90, 180, 90, -90, 0, 90, 180, cw=(2, 4, 6, 8)),
+    (4, 1): layout_named("x8"),
+    (4, 2): ring("x8-v", *_X8, cw=(2, 4, 6, 8), yaw=(0.7981, 0.7981, 1.0, 1.0, 0.7981, 0.7981, 1.0, 1.0)),
+    (4, 3): ring("x8-h", *_X8, cw=(1, 3, 5, 7)),
+    (4, 12): ring("x8-betaflight", *_X8_BETAFLIGHT, cw=(1, 4, 6, 7)),
+    (4, 14): ring("x8-clockwise", *_twice(45, 135, -135, -45), cw=(2, 3, 6, 7)),
+    (4, 18): ring("x8-betaflight-reversed", *_X8_BETAFLIGHT, cw=(2, 3, 5, 8)),
+    **{(5, kind): layout_named("y6") for kind in range(22)},
+    (5, 10): layout_named("y6b"),
+    (5, 11): ring("y6f", 180, 60, -60, 180, 60, -60, cw=(4, 5, 6)),
+    (12, 0): ring("dodecahexa-plus", *_twice(0, 60, 120, 180, -120, -60), cw=(2, 3, 6, 7, 10, 11)),
+    (12, 1): ring("dodecahexa-x", *_twice(30, 90, 150, -150, -90, -30), cw=(2, 3, 6, 7, 10, 11)),
+    (14, 0): layout_named("deca-plus"),
+    (14, 1): layout_named("deca-x"),
+    (14, 14): layout_named("deca-x"),
 }
 
 
@@ -64,8 +94,11 @@ class ParameterFinding:
     reason: str = ""
 
 
-def layout_from_parameters(parameters: Mapping[str, float]) -> ParameterFinding:
+def layout_from_parameters(parameters: Mapping[str, float], mav_type: int | None = None) -> ParameterFinding:
     """What an autopilot's parameters say of its rotors. parameters: by name; integers as floats.
+
+    mav_type: MAV_TYPE of the vehicle, which older ArduPilots tell besides; None if it is not known. What is not finite,
+    or beyond what such a parameter can be, counts as not told.
 
     >>> layout_from_parameters({"FRAME_CLASS": 1, "FRAME_TYPE": 0}).layout.name
     'plus'
@@ -77,22 +110,47 @@ def layout_from_parameters(parameters: Mapping[str, float]) -> ParameterFinding:
         return ParameterFinding(reason="the parameters are of two autopilots (FRAME_CLASS and CA_ROTOR_COUNT)")
     if px4:
         return _px4(parameters)
-    layout, reason = _copter_layout(parameters) if copter else (None, "")
-    servos = {int(found[1]): value for name, value in parameters.items() if (found := _SERVO.fullmatch(name))}
-    motors = {number: _COPTER_MOTORS.index(int(v)) + 1 for number, v in servos.items() if v in _COPTER_MOTORS}
+    layout, reason = _copter_layout(parameters) if copter else _old_layout(parameters, mav_type)
+    functions = output_functions(parameters)
+    motors = {output: COPTER_MOTORS.index(one) + 1 for output, one in functions.items() if one in COPTER_MOTORS}
     return _with_outputs(layout, reason, motors, "SERVOn_FUNCTION")
+
+
+def output_functions(parameters: Mapping[str, float]) -> dict[int, int]:
+    """ArduPilot's function of each output, from 1, that has one (SERVOn_FUNCTION, or RCn_FUNCTION up to Copter 3.4)."""
+    named = {name: found for name in parameters if (found := _SERVO.fullmatch(name))}
+    prefix = "SERVO" if any(found[1] == "SERVO" for found in named.values()) else "RC"
+    told = {int(found[2]): _whole(parameters, name) for name, found in named.items() if found[1] == prefix}
+    return {output: function for output, function in told.items() if function}
+
+
+def _whole(parameters: Mapping[str, float], name: str) -> int | None:
+    """A parameter that is a whole number; None if it is not told, or cannot be one."""
+    value = parameters.get(name, math.nan)
+    return int(value) if math.isfinite(value) and abs(value) <= _LARGEST and value == int(value) else None
 
 
 def _copter_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None, str]:
     if "FRAME_TYPE" not in parameters:
         return None, "FRAME_TYPE is not among the parameters"
-    frame = int(parameters["FRAME_CLASS"]), int(parameters["FRAME_TYPE"])
-    told = f"FRAME_CLASS {frame[0]}, FRAME_TYPE {frame[1]}"
-    layout = _FRAMES.get(frame)
+    frame_class, frame_type = _whole(parameters, "FRAME_CLASS"), _whole(parameters, "FRAME_TYPE")
+    if frame_class is None or frame_type is None:
+        return None, "FRAME_CLASS and FRAME_TYPE are no whole numbers"
+    told = f"FRAME_CLASS {frame_class}, FRAME_TYPE {frame_type}"
+    layout = _FRAMES.get((frame_class, frame_type))
     if layout is None:
-        kind = _CLASSES.get(frame[0], ("no quad, hexa or octa", 0))[0]
+        kind = _CLASSES.get(frame_class, "a class without a table")
         return None, f"the geometry of {told} ({kind}) is not known here"
     return layout, f"the vehicle's parameters {told}"
+
+
+def _old_layout(parameters: Mapping[str, float], mav_type: int | None) -> tuple[RotorLayout | None, str]:
+    """By FRAME, as Copter up to 3.4 has it. It has one type for all classes, and only a quad is told by MAV_TYPE."""
+    frame_type = _whole(parameters, "FRAME")
+    if frame_type is None:
+        return None, ""
+    layout = _FRAMES.get((1, frame_type)) if mav_type == QUAD and frame_type in _OLD_FRAMES else None
+    return layout, "" if layout is None else f"the vehicle's parameter FRAME {frame_type} of a quad"
 
 
 def _with_outputs(layout: RotorLayout | None, reason: str, motors: Mapping[int, int], source: str) -> ParameterFinding:
@@ -112,9 +170,10 @@ def _with_outputs(layout: RotorLayout | None, reason: str, motors: Mapping[int, 
 def _px4(parameters: Mapping[str, float]) -> ParameterFinding:
     layout, reason = _px4_layout(parameters)
     groups: dict[str, dict[int, int]] = {}
-    for name, value in parameters.items():
-        found, motor = _PX4_FUNCTION.fullmatch(name), int(value) - _PX4_MOTOR_1 + 1
-        if found and 1 <= motor <= _PX4_MOTORS:
+    for name in parameters:
+        found = _PX4_FUNCTION.fullmatch(name)
+        motor = (_whole(parameters, name) or 0) - _PX4_MOTOR_1 + 1 if found else 0
+        if found and 1 <= motor <= _MOST_ROTORS:
             groups.setdefault(found[1], {})[int(found[2])] = motor
     if any(motors != next(iter(groups.values())) for motors in groups.values()):
         several = f"{reason}; the outputs are not known: motors on {', '.join(sorted(groups))}"
@@ -124,11 +183,13 @@ def _px4(parameters: Mapping[str, float]) -> ParameterFinding:
 
 
 def _px4_layout(parameters: Mapping[str, float]) -> tuple[RotorLayout | None, str]:
-    count = int(parameters["CA_ROTOR_COUNT"])
+    count = _whole(parameters, "CA_ROTOR_COUNT")
+    if count is None or not 0 < count <= _MOST_ROTORS:
+        return None, f"CA_ROTOR_COUNT {parameters['CA_ROTOR_COUNT']:g} is no number of rotors (1 to {_MOST_ROTORS})"
     if parameters.get("CA_AIRFRAME", _AIRFRAME_MULTIROTOR) != _AIRFRAME_MULTIROTOR:
         return None, f"CA_AIRFRAME {parameters['CA_AIRFRAME']:g} is no multirotor"
     names = [f"CA_ROTOR{n}_{part}" for n in range(count) for part in ("PX", "PY", "KM")]
-    if missing := [name for name in names if name not in parameters]:
+    if missing := [name for name in names if not abs(parameters.get(name, math.inf)) <= _LARGEST]:
         return None, f"{missing[0]} is not among the parameters"
     if odd := _odd(parameters, count):
         return None, odd

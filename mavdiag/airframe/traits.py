@@ -20,7 +20,7 @@ from mavdiag.rows.rates import RateBlock
 from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits"]
+__all__ = ["TRAITS", "Trait", "beginning", "joined", "joined_rates", "traits", "traits_of_parts"]
 
 CALM_RAD_S = 2.0  # rms of the body rates over a second (our choice)
 TRIM_S = 1.0  # of one mean of the trim (our choice)
@@ -28,11 +28,13 @@ NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
 CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
 SLOW_S = 0.3  # means of the rates that are compared for the gain (our choice)
 MOST_LAG_S = 0.4  # between commanded and measured rate (our choice)
+RESOLUTION_SHARE = 0.05  # of the steps of a signal that may be smaller than its resolution (our choice)
 GAIN_CORRELATION = 0.9  # of commanded and measured slow rates; with less the gain is that of noise (our choice)
 TURN_S = 0.1  # means of the gyro whose difference is the angular acceleration (our choice)
 TURN_LAG_S = 0.2  # between outputs and acceleration (our choice)
 TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
 LAG_STEP_S = 0.02
+MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
 ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
 MOVES = 0.2  # of the busiest motor's rms (our choice)
@@ -98,7 +100,30 @@ motors: outputs that move like motors, whatever the layout.
 
 def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
     """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
-    blocks, rates = joined(flight), joined_rates(flight)
+    return _traits(joined(flight), joined_rates(flight), layout)
+
+
+def traits_of_parts(flight: Sequence[Rows], layout: RotorLayout | None, span_s: float) -> FloatArray:
+    """The figures of parts of a flight that are so long [s] each, (parts, len(TRAITS)): what a vehicle varies by as it
+    flies. At most `MOST_PARTS`, over the whole flight; none of a flight that is shorter."""
+    blocks, rates = joined(flight), {one.segment: one for one in joined_rates(flight)}
+    places = [
+        (block, first, first + length)
+        for block in blocks
+        if (length := window_rows(span_s, block.dt_s))
+        for first in range(0, len(block) - length + 1, length)
+    ]
+    chosen = [places[i * len(places) // MOST_PARTS] for i in range(MOST_PARTS)] if len(places) > MOST_PARTS else places
+    found = [np.empty((0, len(TRAITS)))]
+    for block, first, stop in chosen:
+        own = rates.get(block.segment)
+        edges = [] if own is None else np.searchsorted(own.t_ns, block.t_ns[[first, stop - 1]]).tolist()
+        turning = [] if own is None else [_rate_rows(own, *edges)]
+        found.append(_traits([block.rows(first, stop)], turning, layout)[None])
+    return np.concatenate(found)
+
+
+def _traits(blocks: Sequence[Block], rates: Sequence[RateBlock], layout: RotorLayout | None) -> FloatArray:
     calm = [_calm(block) for block in blocks]
     trims = [] if layout is None else [shown_trim(block, layout) for block in blocks]
     means = (
@@ -155,25 +180,38 @@ def beginning(flight: Sequence[Rows], span_s: float) -> list[Rows]:
 
 def _until(rows: Rows, block: Block, stop_ns: int) -> Rows:
     """That block, with the rates of the rows before a time; they come half a window later, with the next rows."""
-    rates = rows.rates
-    last = int(np.searchsorted(rates.t_ns, stop_ns))
-    columns = (getattr(rates, field.name)[:last] for field in fields(RateBlock)[2:])
-    return Rows(block, RateBlock(rates.segment, rates.dt_s, *columns))
+    return Rows(block, _rate_rows(rows.rates, 0, int(np.searchsorted(rows.rates.t_ns, stop_ns))))
+
+
+def _rate_rows(rates: RateBlock, first: int, stop: int) -> RateBlock:
+    columns = (getattr(rates, field.name)[first:stop] for field in fields(RateBlock)[2:])
+    return RateBlock(rates.segment, rates.dt_s, *columns)
 
 
 def _noise(signals: Sequence[tuple[FloatArray, BoolArray]], blocks: Sequence[Block]) -> FloatArray:
-    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows."""
-    found = [np.empty((0, 3))]
+    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows.
+
+    What is quieter than its resolution q shows q alone: a rounding has the variance q^2/12, a second difference six
+    times that.
+    """
+    found, steps = [np.empty((0, 3))], [np.empty((0, 3))]
     for (values, known), block in zip(signals, blocks, strict=True):
+        steps.append(np.abs(np.diff(values, axis=0)[window_all(known, 2)]))
         window = window_rows(NOISE_WINDOW_S, block.dt_s)
         squares = np.where(window_all(known, 3)[:, None], np.square(np.diff(values, n=2, axis=0)), np.nan)
         found.append(window_mean(squares, window)[:: max(1, window // 2)])
-    squares = np.concatenate(found)
-    return np.array([_log_root(column[np.isfinite(column)]) for column in squares.T])
+    pairs = zip(np.concatenate(found).T, np.concatenate(steps).T, strict=True)
+    return np.array([_log_root(column[np.isfinite(column)], _resolution(step)) for column, step in pairs])
 
 
-def _log_root(squares: FloatArray) -> float:
-    calm = float(np.quantile(squares, CALM_SHARE)) if len(squares) else 0.0
+def _resolution(steps: FloatArray) -> float:
+    """The smallest step between samples, but for a few that interpolation made; 0 if there is none."""
+    moved = steps[steps > 0]
+    return float(np.quantile(moved, RESOLUTION_SHARE, method="lower")) if len(moved) else 0.0
+
+
+def _log_root(squares: FloatArray, resolution: float) -> float:
+    calm = max(float(np.quantile(squares, CALM_SHARE)), resolution**2 / 2) if len(squares) else 0.0
     return 0.5 * math.log(calm) if calm > 0 else math.nan
 
 

@@ -52,8 +52,14 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
 
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
-    """(2,) whether a flight shows a trim by each of `SOURCES`."""
-    return np.array([any(trim_of(rows.block, layout, one)[1].any() for rows in flight) for one in SOURCES])
+    """(2,) whether a flight shows a trim by each of `SOURCES`: outputs that stand still show none."""
+    return np.array([any(_moves(rows.block, layout, one) for rows in flight) for one in SOURCES])
+
+
+def _moves(block: Block, layout: RotorLayout, source: Source) -> bool:
+    trim, known = trim_of(block, layout, source)
+    used = trim[known]
+    return bool((used != used[:1]).any())
 
 
 def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
@@ -70,7 +76,7 @@ def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
         if any(one[number] for one in shown):
             return source
     raise InputError(
-        f"it needs the outputs of {layout.rotors} motors above idle, or torque commands whose mixing is known"
+        f"it needs the outputs of {layout.rotors} motors that move above idle, or torque commands whose mixing is known"
     )
 
 

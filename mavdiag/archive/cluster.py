@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mavdiag.archive.pool import TaskExecutor
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import LinkError, missing_extra
 
 __all__ = ["dask_executor"]
 
@@ -36,7 +36,7 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise UsageError("--scheduler needs Dask: install mavdiag[fleet]") from error
+        raise missing_extra("--scheduler", "Dask", "fleet") from error
     try:
         client = Client(address, timeout=PATIENCE_S)
     except (OSError, TimeoutError, ValueError) as error:

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 from mavdiag.archive.windows import Window
 from mavdiag.baseline import Baseline, dump
 from mavdiag.errors import InputError
-from mavdiag.judging import LogVerdict, Verdict
+from mavdiag.judging import JUDGED_SHARE, LogVerdict, Verdict
 
 __all__ = ["Answer", "Options", "Question", "Record", "record_from", "record_text", "refused"]
 
@@ -24,6 +24,7 @@ class Options:
     from_s, to_s: the part of the log to judge, of the vehicle's clock [s].
     windows_s: length of windows to judge besides [s]; None for none.
     columns: the text of a column map, where the logs are CSV recordings (`mavdiag.logs.csv_columns`).
+    judged_share: of the flown time that must be judged before a log is called healthy, 0..1.
     """
 
     vehicle: int | None = None
@@ -31,6 +32,7 @@ class Options:
     to_s: float | None = None
     windows_s: float | None = None
     columns: str | None = None
+    judged_share: float = JUDGED_SHARE
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,10 @@ from typing import TypeAlias
 from mavdiag.archive.job import Answer
 from mavdiag.archive.windows import Window
 from mavdiag.decision.alarm import Change, Stage
-from mavdiag.errors import UsageError
+from mavdiag.errors import missing_extra
 from mavdiag.judging import LogVerdict, MonitorSummary
 from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
-from mavdiag.units import NS_PER_S
 
 __all__ = ["COLUMNS", "Column", "check_parquet", "rows_of", "write_csv", "write_parquet"]
 
@@ -48,7 +47,7 @@ def write_csv(path: Path, rows: Sequence[Sequence[Value]]) -> None:
 def check_parquet() -> None:
     """Raise UsageError, saying what to install, if Parquet cannot be written."""
     if find_spec("pyarrow") is None:
-        raise UsageError("--parquet needs pyarrow: install mavdiag[fleet]")
+        raise missing_extra("--parquet", "pyarrow", "fleet")
 
 
 def write_parquet(path: Path, rows: Sequence[Sequence[Value]]) -> None:
@@ -105,8 +104,11 @@ def _faults(verdict: LogVerdict) -> list[Change]:
     return [one for one in verdict.changes if one.stage is Stage.FAULT and one.kind is verdict.kind]
 
 
-def _since(answer: Answer, part: Window | None) -> Value:
-    return next((one.t_ns / NS_PER_S for one in _faults(answer.record.verdict)), None)
+def _rotors(verdict: LogVerdict) -> str | None:
+    """Every rotor that was named, with its span: "1 from 98.7 s to 228.0 s; 2 from 228.0 s"."""
+    ends = ("" if one.end_s is None else f" to {one.end_s:.1f} s" for one in verdict.rotors)
+    told = (f"{one.rotor} from {one.since_s:.1f} s{end}" for one, end in zip(verdict.rotors, ends, strict=True))
+    return "; ".join(told) or None
 
 
 def _last(name: str) -> Callable[[Answer, Window | None], Value]:
@@ -148,9 +150,10 @@ COLUMNS: tuple[Column, ...] = (
     Column("verdict", str, _verdict),
     Column("log_verdict", str, lambda answer, part: str(answer.record.verdict.verdict)),
     Column("reason", str, lambda answer, part: answer.record.verdict.reason),
-    Column("fault_kind", str, lambda answer, part: answer.record.verdict.kind),
-    Column("since_s", float, _since),
-    Column("rotor", int, _last("rotor")),
+    Column("kind", str, lambda answer, part: answer.record.verdict.kind),
+    Column("since_s", float, lambda answer, part: answer.record.verdict.since_s),
+    Column("rotor", int, lambda answer, part: answer.record.verdict.rotor),
+    Column("rotors", str, lambda answer, part: _rotors(answer.record.verdict)),
     Column("fault_type", str, _last("fault_type")),
     Column("severity", int, _last("severity")),
     Column("confidence", float, _last("confidence")),
@@ -158,6 +161,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("judged_s", float, lambda answer, part: (answer.record.verdict if part is None else part).judged_s),
     Column("ratio", float, _ratio_of),
     Column("monitor", str, _whose),
+    Column("flown_s", float, lambda answer, part: (answer.record.verdict if part is None else part).flown_s),
     Column("profile", str, lambda answer, part: answer.record.verdict.profile or None),
     Column("rate_hz", float, lambda answer, part: answer.record.verdict.rate_hz or None),
     *(column for monitor in MONITORS for column in _monitor_columns(monitor.name)),

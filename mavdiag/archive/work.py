@@ -52,17 +52,20 @@ def digest_of_file(path: str) -> str:
 def judge_file(path: str, question: Question) -> Record:
     """Read a log and judge it.
 
-    Raises InputError if it cannot be read, and LinkError if this process has other code than the one that asks.
+    Raises InputError if it cannot be read, and LinkError if this process has other code, or computes with other
+    packages, than the one that asks.
     """
     if judging_version() != question.version:
-        raise LinkError("a worker has another version of mavdiag; install the same one everywhere")
+        raise LinkError("a worker has another version of mavdiag, numpy or scipy; install the same ones everywhere")
     options, baseline = question.options, _parsed(question.baseline)
     columns = None if options.columns is None else parse_column_map(options.columns)
     log = read_part(Path(path), options.vehicle, options.from_s, options.to_s, columns)
     if options.windows_s is None:
-        return Record(log.sha256, replace(judge(log, baseline), log=""))
-    flight = judge_in_full(log, baseline)
-    return Record(log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s))
+        return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
+    flight = judge_in_full(log, baseline, options.judged_share)
+    return Record(
+        log.sha256, replace(flight.verdict, log=""), windows_of(flight, options.windows_s, options.judged_share)
+    )
 
 
 def answer_of(path: str, question: Question | None) -> str | Record:

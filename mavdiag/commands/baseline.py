@@ -9,10 +9,11 @@ import typer
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
+from mavdiag.commands.options import Accept, AsJson, FromS, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each, followed
 from mavdiag.errors import BaselineError
 from mavdiag.face import now
+from mavdiag.learning.damage import accepted
 from mavdiag.learning.extend import extend as extended
 from mavdiag.storage import check_output, read_text
 from mavdiag.upgrade import upgrade as upgraded
@@ -48,6 +49,7 @@ def extend(
     new_propellers: Annotated[
         bool, typer.Option("--new-propellers", help="They were flown with new propellers; a hover of 15 s is enough.")
     ] = False,
+    accept: Accept = False,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
@@ -58,6 +60,8 @@ def extend(
     flights = (read_part(path, vehicle, from_s, to_s) for path in each(logs, "reading"))
     with followed(flights, f"adding {len(logs)} flights ...") as taken:
         longer = extended(baseline, taken, new_propellers=new_propellers, created=now())
+    if not accept:
+        accepted(longer, "--accept")
     longer.save(output)
     say(f"{longer}\nwritten to {output}")
 

@@ -2,12 +2,14 @@
 
 import csv
 import importlib
+import io
 import json
 import shutil
 import sys
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -19,7 +21,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
 from mavdiag.commands.options import AsJson, Vehicle, read_part
 from mavdiag.commands.progress import each
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError, UsageError, missing_extra
 from mavdiag.history.as_json import FLIGHT_COLUMNS, TREND_COLUMNS, flight_json, flight_rows, overview_json, trend_rows
 from mavdiag.history.draw import Line, day, lines_of
 from mavdiag.history.overview import Overview, overview_of
@@ -27,6 +29,7 @@ from mavdiag.history.records import FlightRecord, Mark, MarkKind
 from mavdiag.history.summary import content_of, record_of
 from mavdiag.judging import judge_in_full
 from mavdiag.printable import printable
+from mavdiag.storage import write_atomically
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S
 
@@ -41,7 +44,7 @@ Database: TypeAlias = Annotated[
     str, typer.Option(metavar="FILE|URL", help="SQLite file, or postgresql://user@host/name for a fleet.")
 ]
 AirframeName: TypeAlias = Annotated[str | None, typer.Option("--airframe", metavar="NAME", help="Only this airframe.")]
-AsCsv: TypeAlias = Annotated[bool, typer.Option("--csv", help="Print CSV, with a line of column names.")]
+CsvFile: TypeAlias = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write a table, too.")]
 
 app = application("Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.")
 
@@ -52,15 +55,15 @@ def overview(
     airframe: AirframeName = None,
     database: Database = FILE,
     as_json: AsJson = False,
-    as_csv: AsCsv = False,
+    csv_file: CsvFile = None,
 ) -> None:
     """Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.
 
     Without a command: `show`.
     """
     if context.invoked_subcommand is None:
-        show(airframe, database, as_json, as_csv)
-    elif airframe is not None or database != FILE or as_json or as_csv:
+        show(airframe, database, as_json, csv_file)
+    elif airframe is not None or database != FILE or as_json or csv_file is not None:
         name = context.invoked_subcommand
         raise UsageError(f"options belong behind the command, as in `mavdiag history {name} --airframe NAME`")
 
@@ -75,8 +78,16 @@ def add(
     database: Database = FILE,
     again: Annotated[bool, typer.Option("--again", help="Judge and replace flights that are there already.")] = False,
     vehicle: Vehicle = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.  [default: when added]"),
+    ] = None,
 ) -> None:
-    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read."""
+    """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
+
+    Logs that do not say when they were flown follow each other in the order in which they are named.
+    """
+    flown_ns = None if at is None else _time(at)
     reference = Baseline.load(baseline)
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
@@ -88,7 +99,10 @@ def add(
             try:
                 if one.trouble:
                     raise InputError(one.trouble)
-                say(f"{path}: {_added(history, path, reference, name, vehicle, again)}")
+                log = read_part(path, vehicle, None, None)
+                if flown_ns is not None and not log.started_ns:
+                    log = replace(log, started_ns=flown_ns)
+                say(f"{path}: {_added(history, log, reference, name, again)}")
             except InputError as error:
                 failed += 1
                 say(f"{path}: error, {str(error).removeprefix(f'{path}: ')}")
@@ -99,37 +113,37 @@ def add(
 
 @app.command("list")
 def list_flights(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, as_csv: AsCsv = False
+    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
 ) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
-    _one_format(as_json, as_csv)
     with _open(database) as history:
         kept = [history.flights(name) for name in _names(history, airframe)]
     numbered = [(number, one) for flights in kept for number, one in enumerate(flights, 1)]
-    if as_csv:
-        _print_csv(FLIGHT_COLUMNS, (row for number, one in numbered for row in flight_rows(number, one)))
-        return
+    if csv_file is not None:
+        _write_csv(csv_file, FLIGHT_COLUMNS, (row for number, one in numbered for row in flight_rows(number, one)))
     for number, one in numbered:
         say(json.dumps(flight_json(number, one)) if as_json else _flight_line(number, one))
 
 
 @app.command()
 def show(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, as_csv: AsCsv = False
+    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
 ) -> None:
-    """Draw the trends since the propellers were new. Exit code 1 if a statistic reaches its threshold soon, else 0."""
-    _one_format(as_json, as_csv)
+    """Draw the trends since the propellers were new.
+
+    Exit code 1 if a statistic reaches its threshold soon, or the last flight is a fault; else 0.
+    """
     with _open(database) as history:
         names = _names(history, airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
-    if as_csv:
-        _print_csv(TREND_COLUMNS, (row for one in found for row in trend_rows(one)))
-    for one in () if as_csv else found:
+    if csv_file is not None:
+        _write_csv(csv_file, TREND_COLUMNS, (row for one in found for row in trend_rows(one)))
+    for one in found:
         if as_json:
             say(json.dumps(overview_json(one)))
         else:
             _print_lines(one)
-    raise typer.Exit(1 if any(one.warned for one in found) else 0)
+    raise typer.Exit(1 if any(one.warned or one.faulty for one in found) else 0)
 
 
 @app.command()
@@ -153,21 +167,20 @@ def mark(
     say(f"{airframe}: {kind.value}, {day(t_ns)}")
 
 
-def _added(history: "History", path: Path, baseline: Baseline, airframe: str, vehicle: int | None, again: bool) -> str:
+def _added(history: "History", log: Log, baseline: Baseline, airframe: str, again: bool) -> str:
     """Judge and keep one log; what came of it."""
-    log = read_part(path, vehicle, None, None)
-    there = history.airframe_of(content_of(log, vehicle))
+    there = history.airframe_of(content_of(log))
     if there is not None and not again:
         return f"is there already, of {there}"
-    record = _judged(log, baseline, airframe, vehicle)
+    record = _judged(log, baseline, airframe)
     if not history.add(record, again=again):
         return "is there already"
     return f"{'judged again' if there else 'added'}, {record.verdict.value.replace('_', ' ')}, {record.reason}"
 
 
-def _judged(log: Log, baseline: Baseline, airframe: str, vehicle: int | None) -> FlightRecord:
+def _judged(log: Log, baseline: Baseline, airframe: str) -> FlightRecord:
     judged = judge_in_full(log, baseline)
-    return record_of(log, judged, baseline, airframe=airframe, added_ns=time.time_ns(), vehicle=vehicle)
+    return record_of(log, judged, baseline, airframe=airframe, added_ns=time.time_ns())
 
 
 def _open(database: str, *, create: bool = False, write: bool = False) -> "AbstractContextManager[History]":
@@ -175,7 +188,7 @@ def _open(database: str, *, create: bool = False, write: bool = False) -> "Abstr
     try:
         store = importlib.import_module("mavdiag.history.store")
     except ImportError as error:
-        raise UsageError("a history needs SQLAlchemy and Alembic: pip install 'mavdiag[history]'") from error
+        raise missing_extra("a history", "SQLAlchemy or Alembic", "history") from error
     opened: AbstractContextManager[History] = store.open_history(database, create=create, write=write)
     return opened
 
@@ -200,11 +213,6 @@ def _time(text: str) -> int:
     return round(at.timestamp()) * NS_PER_S
 
 
-def _one_format(as_json: bool, as_csv: bool) -> None:
-    if as_json and as_csv:
-        raise UsageError("--json and --csv are two formats; choose one")
-
-
 def _flight_line(number: int, record: FlightRecord) -> str:
     near = max(
         ((one.peak / one.threshold, one) for one in record.slots if one.peak is not None),
@@ -218,10 +226,13 @@ def _flight_line(number: int, record: FlightRecord) -> str:
     return f"{told}, {record.log}"
 
 
-def _print_csv(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    writer = csv.writer(sys.stdout, lineterminator="\n")
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write rows with a head. What is not known is an empty field. Raises UsageError if it cannot be written."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([printable(one) if isinstance(one, str) else one for one in row] for row in rows)
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue().encode(errors="surrogateescape"))
 
 
 def _print_lines(one: Overview) -> None:

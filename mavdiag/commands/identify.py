@@ -14,6 +14,7 @@ from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.options import (
+    Accept,
     AsJson,
     AxisChoice,
     Columns,
@@ -28,6 +29,7 @@ from mavdiag.commands.progress import each, followed, sizes_of
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
+from mavdiag.learning.damage import accepted
 from mavdiag.logs.csv_columns import is_csv, load_column_map
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
@@ -79,13 +81,14 @@ def identify(
     robust: Annotated[
         bool, typer.Option("--robust", help="Leave out what is no healthy flight (falls, copies) instead of refusing.")
     ] = False,
+    accept: Accept = False,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
     columns: Columns = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fit a baseline to healthy flights, and say what its alarms will cost."""
+    """Fit a baseline to healthy flights, and say what it would notice and what its alarms will cost."""
     check_output(output)
     thesis = monitors == "thesis"
     options = LearnOptions(
@@ -104,6 +107,8 @@ def identify(
     if fleet:
         options = replace(options, airframe=replace(options.airframe, scope="type"))
     baseline = make_baseline(logs, options, vehicle=vehicle, from_s=from_s, to_s=to_s, columns=columns)
+    if not accept:
+        accepted(baseline, "--accept")
     baseline.save(output)
     if baseline.layout_doubt and as_json:
         say(baseline.layout_doubt, err=True)

@@ -14,7 +14,7 @@ import typer
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import with_layout
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import AsJson, Vehicle
+from mavdiag.commands.options import AsJson, Layout, Vehicle, is_endpoint
 from mavdiag.errors import UsageError
 from mavdiag.link.asking import Asked, Asker
 from mavdiag.link.codec import message_name
@@ -45,13 +45,11 @@ from mavdiag.units import NS_PER_S
 
 __all__ = ["Inspection", "inspect"]
 
-ADDRESSES = ("udpin:", "udpout:", "tcp:", "tcpin:", "/dev/")
 LISTEN_S = 2.0  # before anything is asked for
 ASK_S = 6.0  # for the answers: some thirty parameters at four each 0.2 s, three times (our choice)
 LEAST_HZ = 45.0  # slowest gyro and set-points that are not asked for: the detector's least
 COMPANION_OF = 1  # as whose companion we speak on a link before a vehicle is known
 WIDTH = 80
-SINCE_BOOT_S = 1e8  # behind the unix time of a recording by more, a clock counts from the start of the vehicle
 STREAMS_ADVICE = "ask for what is missing with --ask, or set the parameters named above"
 
 
@@ -88,9 +86,7 @@ def inspect(
         bool, typer.Option("--ask", help="Ask the vehicle for the streams that are missing, and for its rotors.")
     ] = False,
     baseline: Annotated[Path | None, typer.Option(metavar="FILE", help="Show the monitors of this baseline.")] = None,
-    layout: Annotated[
-        str | None, typer.Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
-    ] = None,
+    layout: Layout = None,
     vehicle: Vehicle = None,
     profile: Annotated[str | None, typer.Option(metavar="NAME", help="Link profile, where it is not clear.")] = None,
     signing_key: Annotated[
@@ -105,7 +101,7 @@ def inspect(
     """
     judged_by = None if baseline is None else Baseline.load(baseline)
     told = Airframe() if layout is None else with_layout(Airframe(), layout)
-    live = source.startswith(ADDRESSES)
+    live = is_endpoint(source)
     if ask and not live:
         raise UsageError("--ask is for a link; a log holds what it holds")
     key = None if signing_key is None else read_key(signing_key)
@@ -114,7 +110,7 @@ def inspect(
             found = _live(link, source, duration, vehicle if ask else None, ask=ask)
     else:
         found = _logged(Path(source), source, vehicle, profile)
-    airframe = rotors_of(found.log, told)
+    airframe, _, _ = rotors_of(found.log, told)
     states = monitor_states(found.log, found.found, airframe, judged_by)
     fits = "" if judged_by is None else baseline_statement(judged_by, found.log, found.found)
     found = replace(found, airframe=airframe, monitors=states, baseline=fits)
@@ -257,12 +253,15 @@ def _lines(text: str, indent: str = "  ") -> str:
 
 
 def _clock(clock: Clock) -> str:
-    drift = "" if clock.drift_ppm is None else f", drift {clock.drift_ppm:+.0f} ppm"
+    drift = "" if clock.drift_ppm is None else f", it runs {abs(clock.drift_ppm):.0f} ppm {_pace(clock.drift_ppm)}"
     late = {name: ms for name, ms in clock.signals_ms.items() if abs(ms) >= 1.0}
     others = "".join(f", {name} {ms:+.0f} ms" for name, ms in late.items())
     beside = f"; beside the gyro{others[1:]}" if others else ""
-    behind = f"{clock.behind_s:.3f} s behind ours" if abs(clock.behind_s) < SINCE_BOOT_S else "since boot"
-    return _lines(f"clock: {behind}{drift}, delay within {clock.spread_ms:.1f} ms{beside}")
+    return _lines(f"clock: transport delay varies by {clock.spread_ms:.1f} ms{drift}{beside}")
+
+
+def _pace(drift_ppm: float) -> str:
+    return "slower than ours" if drift_ppm > 0 else "faster than ours"
 
 
 def _messages(rates: Mapping[int, float]) -> str:

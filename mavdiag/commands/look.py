@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.load import airframe_from
+from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.archive.paths import logs_named
 from mavdiag.commandline import ERROR, say
-from mavdiag.commands.options import AsJson, FromS, ToS, Vehicle, read_part
+from mavdiag.commands.options import AsJson, Columns, FromS, Layout, ToS, Vehicle, read_part
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError
 from mavdiag.logs.csv_columns import is_csv, load_column_map
@@ -24,15 +24,11 @@ __all__ = ["look"]
 
 def look(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG|DIR", help="Logs, folders of logs, or patterns.")],
-    columns: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv", "--columns", metavar="MAP.toml", help="The logs are CSV recordings; it says which column is what."
-        ),
-    ] = None,
+    columns: Columns = None,
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME|FILE.toml", help="The vehicle.  [default: what the log itself shows]")
     ] = None,
+    layout: Layout = None,
     vehicle: Vehicle = None,
     from_s: FromS = None,
     to_s: ToS = None,
@@ -44,6 +40,7 @@ def look(
     It is no verdict. Exit code: 0, or 2 if a log cannot be read; the others are told all the same.
     """
     told = Airframe() if airframe is None else airframe_from(airframe)
+    told = told if layout is None else with_layout(told, layout)
     mapped = None if columns is None else load_column_map(columns)
     named = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     failed = False

@@ -133,7 +133,7 @@ def sweep(
     """Fit one model for each order or filter window; the best fit with the best known parameters is marked."""
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
-    with working("fitting ..."):
+    with working("fitting a model for each; this takes a minute or more ..."):
         if over is Over.ORDER:
             flight = rates(train, axis, window)
             held_out = None if other is None else _pair(rates(other, axis, window))

@@ -1,10 +1,11 @@
-"""Progress (edge), on stderr only: a bar on a terminal, elsewhere a plain line now and then or nothing."""
+"""Progress (edge), on stderr only: a bar or a spinner on a terminal, elsewhere a plain line now and then."""
 
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Timer
 from typing import TypeVar
 
 from mavdiag.commandline import say
@@ -13,6 +14,7 @@ __all__ = ["Shown", "each", "followed", "shown", "sizes_of", "told", "working"]
 
 T = TypeVar("T")
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # a log file of a nightly run is not filled with lines (our choice)
+SLOW_S = 2.0  # without a word is long for who waits (our choice)
 BAR = 24  # characters
 REDRAW_S = 0.1
 
@@ -137,9 +139,16 @@ def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) ->
 
 @contextmanager
 def working(text: str) -> Iterator[None]:
-    """A spinner while the block runs."""
+    """A spinner while the block runs; where no terminal is, a line if it takes more than SLOW_S."""
     if not sys.stderr.isatty():
-        yield
+        line = Timer(SLOW_S, say, (text,), {"err": True})
+        line.daemon = True
+        line.start()
+        try:
+            yield
+        finally:
+            line.cancel()
+            line.join()
         return
     from rich.console import Console
 

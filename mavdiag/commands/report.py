@@ -54,7 +54,8 @@ def report(
 ) -> None:
     """Write one self-contained page: the verdict on each log, its evidence, and the figures of the thesis.
 
-    The page needs no network and no script. Exit code: 0 written, whatever the verdicts; 2 error.
+    The page needs no network and no script. Exit code: 0 written, whatever the verdicts; 2 error: also if no log could
+    be read, and then there is no page.
     """
     check_output(output)
     if campaign is not None:
@@ -70,9 +71,7 @@ def report(
 
 def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | None, mapped: ColumnMap | None) -> None:
     from mavdiag.report.page import Made, flights_page
-    from mavdiag.report.style import check_matplotlib
 
-    check_matplotlib()
     reference = Baseline.load(baseline)
     found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     if found.skipped:
@@ -82,6 +81,10 @@ def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | 
         _flight(one, reference, options, figures=number < DRAWN)
         for number, one in enumerate(each(found.logs, "drawn", sizes_of([one.path for one in found.logs])))
     ]
+    if all(one.verdict.verdict is Verdict.ERROR for one in reports):
+        first = reports[0].verdict
+        more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""
+        raise InputError(f"{first.log}: {first.reason}{more}")
     write_atomically(output, flights_page(reports, reference, Made(now(), str(baseline))))
     for one in reports:
         say(f"{one.verdict.log}: {one.verdict.verdict}")

@@ -26,7 +26,7 @@ from mavdiag.commandline import say
 from mavdiag.commands.options import AsJson, Columns, FromS, ToS, Vehicle
 from mavdiag.commands.progress import shown, sizes_of
 from mavdiag.errors import UsageError
-from mavdiag.judging import LogVerdict, Verdict, exit_code
+from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs.csv_columns import column_map_text, is_csv
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
@@ -47,6 +47,9 @@ def scan(
     from_s: FromS = None,
     to_s: ToS = None,
     columns: Columns = None,
+    judged_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
+    ] = JUDGED_SHARE,
     windows: Annotated[
         float | None, typer.Option(metavar="S", min=1.0, help="Judge each log in windows of this length besides.")
     ] = None,
@@ -63,7 +66,8 @@ def scan(
     ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Judge all anew, and keep nothing.")] = False,
 ) -> None:
-    """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable; of several logs the first of 2, 1, 3, 0.
+    """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable, 4 suspected; of several logs the first of
+    2, 1, 4, 3, 0.
 
     Answers are kept, so a scan that was stopped goes on where it was.
     """
@@ -75,7 +79,7 @@ def scan(
     if parquet is not None:
         check_parquet()
     mapped = None if columns is None else column_map_text(columns)
-    question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped), judging_version())
+    question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share), judging_version())
     kept = None if no_cache else _cache(cache, question.scope)
     found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     opened = _opened(scheduler, min(jobs or _processors(), len(found.logs)))
@@ -160,30 +164,20 @@ def _window_json(one: Window) -> dict[str, Any]:
         "to_s": one.to_s,
         "verdict": one.verdict,
         "judged_s": round(one.judged_s, 3),
+        "flown_s": round(one.flown_s, 3),
         "ratio": None if one.ratio is None else float(f"{one.ratio:.9g}"),
         "monitor": one.monitor,
     }
 
 
 def _lines(answer: Answer) -> str:
-    return "\n".join((_line(answer.verdict), *_window_lines(answer.record.windows)))
-
-
-def _line(verdict: LogVerdict) -> str:
-    """The verdict in one line: what, why, and how long each monitor judged."""
-    line = f"{verdict.log}: {verdict.verdict}, {verdict.reason}"
-    if verdict.verdict is Verdict.ERROR:
-        return line
-    parts = [
-        f"{one.name} {one.judged_s:.1f} s" + (f" ({one.not_judged})" if one.not_judged else "")
-        for one in verdict.monitors
-    ]
-    return f"{line}; judged {verdict.judged_s:.1f} s" + (f": {', '.join(parts)}" if parts else "")
+    return "\n".join((str(answer.verdict), *_window_lines(answer.record.windows)))
 
 
 def _window_lines(windows: Sequence[Window]) -> list[str]:
     lines = []
     for one in windows:
         nearest = "" if one.ratio is None else f", {one.monitor} at {one.ratio:.2f} of its threshold"
-        lines.append(f"  {one.from_s:g} to {one.to_s:g} s: {one.verdict}, judged {one.judged_s:.1f} s{nearest}")
+        judged = f"judged {one.judged_s:.1f} s of {one.flown_s:.1f} s"
+        lines.append(f"  {one.from_s:g} to {one.to_s:g} s: {one.verdict}, {judged}{nearest}")
     return lines

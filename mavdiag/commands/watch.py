@@ -9,7 +9,7 @@ import typer
 
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import stop_signals
-from mavdiag.commands.options import Vehicle
+from mavdiag.commands.options import Vehicle, is_endpoint
 from mavdiag.errors import UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import open_endpoint
@@ -19,7 +19,6 @@ from mavdiag.telemetry import Axis
 __all__ = ["watch"]
 
 LISTENING = ("udpin:", "tcpin:")
-ADDRESSES = (*LISTENING, "udpout:", "tcp:", "/dev/")
 SPAN_S = 20.0
 
 
@@ -57,7 +56,7 @@ def watch(
         def ended() -> bool:
             return stopped() or (until is not None and time.monotonic() >= until)
 
-        if not source.startswith(ADDRESSES):
+        if not is_endpoint(source):
             if baseline is not None or signing_key is not None:
                 raise UsageError("--baseline and --signing-key are for a link; a journal has its verdicts")
             with closing(Journal(Path(source))) as journal:

@@ -7,7 +7,7 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Change", "Diagnosis", "Stage"]
+__all__ = ["Change", "Diagnosis", "RotorSpan", "Stage"]
 
 
 class Stage(StrEnum):
@@ -16,7 +16,22 @@ class Stage(StrEnum):
     NOT_JUDGED = "not judged"
     QUIET = "quiet"
     SUSPECTED = "suspected"
-    FAULT = "fault"
+    FAULT = "fault"  # declared: it lasts until the flight ends
+    INSPECT = "inspect"  # it was declared in a flight that has ended; it lasts until somebody acknowledges it
+
+
+@dataclass(frozen=True, slots=True)
+class RotorSpan:
+    """A rotor that was named, from 1.
+
+    since_ns: vehicle time since when its fault was seen, as far as it is known; it may have been named later.
+    end_ns: since when it is no longer seen; None while it is. A rotor that comes back before another one is named goes
+        on with its span.
+    """
+
+    rotor: int
+    since_ns: int
+    end_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +40,12 @@ class Diagnosis:
 
     stage, reason: where it stands, and why, as a sentence.
     since_ns: vehicle time since when; 0 before the first look.
-    monitor, axis, unit, statistic, threshold: the evidence with the highest ratio at present; None and nan without one.
-    rotor, fault_type, severity, confidence, kind: as in `Event`.
+    monitor, axis, unit, statistic, threshold: the evidence with the highest ratio at present; of a fault the latest
+        that was above its threshold. None and nan without one.
+    rotor, fault_type, severity, confidence, kind: as in `Event`; of the latest time that the fault was seen.
+    declared_ns: vehicle time at which the fault was declared; None without one, or if it was before a restart.
+    seen: the monitors that declared it are above or near their thresholds, or cannot say.
+    rotors: every rotor that was named, in order of naming.
     """
 
     stage: Stage = Stage.NOT_JUDGED
@@ -42,12 +61,15 @@ class Diagnosis:
     fault_type: str | None = None
     severity: int | None = None
     kind: FaultKind | None = None
+    declared_ns: int | None = None
+    seen: bool = False
+    rotors: tuple[RotorSpan, ...] = ()
 
     def __str__(self) -> str:
         """One line for a person."""
         named = f", rotor {self.rotor}" if self.rotor is not None else ""
         fault = f", {self.fault_type}" if self.fault_type is not None else ""
-        stage = self.stage if self.kind is None else self.kind
+        stage = self.kind if self.stage is Stage.FAULT and self.kind is not None else self.stage
         return f"{stage}: {self.reason}{named}{fault}"
 
 
@@ -68,6 +90,9 @@ class Change:
     fault_type: str | None
     severity: int | None
     kind: FaultKind | None = None
+    declared_ns: int | None = None
+    seen: bool = False
+    rotors: tuple[RotorSpan, ...] = ()
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, t_ns: int) -> "Change":
@@ -79,5 +104,5 @@ class Change:
         """One line for a person."""
         where = "" if self.rotor is None else f", rotor {self.rotor}"
         evidence = "" if self.monitor is None else f" ({self.monitor} {self.statistic:.3g} of {self.threshold:.3g})"
-        stage = self.stage if self.kind is None else self.kind
+        stage = self.kind if self.stage is Stage.FAULT and self.kind is not None else self.stage
         return f"{self.t_ns / NS_PER_S:.2f} s {stage}: {self.reason}{evidence}{where}"

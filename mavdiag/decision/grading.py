@@ -12,7 +12,8 @@ give is left out of all of them. What lies too far from every known fault gets n
 
 **The parameters were trained on the emulator** (`benchmarks/train_fault_types.py`) with the nine faults of T Tables
 3.1-3.3 and their fitted fluctuation at full, half and no strength. They are as true as the emulator is, for its
-airframe: a hint for the mechanic, no measurement. The unbalance is measured.
+airframe: a hint for the mechanic, no measurement. The unbalance is measured. The features depend on what the link
+carries, so on a link of another profile or rate no type is named: at 100 Hz four of five names were wrong.
 """
 
 import json
@@ -52,6 +53,7 @@ LEAST_UNBALANCE_G_MM = 0.05  # below it the estimate is noise (our choice)
 LEAST_MOTION_RAD_S = 1e-4
 UNBALANCE_AFTER_S, MOTION_AFTER_S, RISE_AFTER_S = 0.6, 2.95, 4.0  # windows that hold the fault only (their lengths)
 FEATURES = 3
+RATE_WITHIN = 0.05  # of the rate that the clouds were trained at (our choice: clocks differ by less)
 CLASSIFIERS = {"qdrone2-emulated": "fault_types.json"}  # the names that an airframe may give
 
 
@@ -88,35 +90,32 @@ class Gathered:
 
     since_ns: vehicle time of the declaration.
     unbalance, motion: of U^2 and A^2.
-    rise: of a.
+    rise: of a, for each rotor.
     """
 
     since_ns: int
     unbalance: tuple[float, int] = (0.0, 0)
     motion: tuple[float, int] = (0.0, 0)
-    rise: tuple[float, int] = (0.0, 0)
+    rise: tuple[tuple[float, int], ...] = ()
 
-    def add(self, feature: str, found: Statistic, rotor: int | None) -> "Gathered":
-        """Add the next values of a feature. Only windows that lie after the declaration count.
-
-        rotor: from 1, as named so far; the rise counts only where one is.
-        """
+    def add(self, feature: str, found: Statistic) -> "Gathered":
+        """Add the next values of a feature. Only windows that lie after the declaration count."""
         after = found.valid & (found.t_ns >= self.since_ns + round(_WAIT_S[feature] * NS_PER_S))
         if not after.any():
             return self
         if feature == Feature.RISE:
-            if rotor is None or rotor > found.rotors.shape[1]:
-                return self
-            return replace(self, rise=_sum(self.rise, found.rotors[after, rotor - 1]))
+            before = self.rise or ((0.0, 0),) * found.rotors.shape[1]
+            columns = found.rotors[after].T
+            return replace(self, rise=tuple(_sum(*pair) for pair in zip(before, columns, strict=True)))
         squares = np.square(found.level[after])
         if feature == Feature.UNBALANCE:
             return replace(self, unbalance=_sum(self.unbalance, squares))
         return replace(self, motion=_sum(self.motion, squares))
 
-    @property
-    def features(self) -> Features:
-        """The features so far."""
-        (u, n_u), (m, n_m), (a, n_a) = self.unbalance, self.motion, self.rise
+    def features(self, rotor: int | None) -> Features:
+        """The features so far. rotor: that is named, from 1; without one nothing is said of a rise."""
+        (u, n_u), (m, n_m) = self.unbalance, self.motion
+        a, n_a = self.rise[rotor - 1] if rotor is not None and rotor <= len(self.rise) else (0.0, 0)
         return Features(
             math.sqrt(u / n_u) if n_u else None, math.sqrt(m / n_m) if n_m else None, a / n_a if n_a else None
         )
@@ -142,11 +141,21 @@ class FaultCloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultTypes:
-    """The clouds that hold from `after_s` seconds after the declaration on. trained_on: what they are worth."""
+    """The clouds that hold from `after_s` seconds after the declaration on.
+
+    trained_on: what they are worth. profiles, rate_hz: of the links that they were trained for; None for any.
+    """
 
     after_s: float
     clouds: tuple[FaultCloud, ...]
     trained_on: str
+    profiles: tuple[str, ...] | None = None
+    rate_hz: float | None = None
+
+    def fit(self, profile: str, rate_hz: float) -> bool:
+        """Whether they were trained for links like that one."""
+        known = self.profiles is None or profile in self.profiles
+        return known and (self.rate_hz is None or abs(rate_hz / self.rate_hz - 1.0) <= RATE_WITHIN)
 
 
 class Outcome(Enum):
@@ -172,9 +181,8 @@ class Assessment:
     distance: float | None = None
 
 
-def assess(gathered: Gathered, known: FaultTypes) -> Assessment:
-    """Name type and severity from what was gathered so far, by the clouds for so much time."""
-    features = gathered.features
+def assess(features: Features, known: FaultTypes) -> Assessment:
+    """Name type and severity by the clouds for so much time."""
     x, clouds = features.vector, known.clouds
     told = np.isfinite(x)
     if told.sum() < 2 or not told[1]:
@@ -212,12 +220,15 @@ def _densities(clouds: Sequence[FaultCloud], x: FloatArray, told: FloatArray) ->
 
 
 @cache
-def known_fault_types(classifier: str | None) -> tuple[FaultTypes, ...]:
-    """The fault types that hold for an airframe with this classifier; none if it has none or it is not known here."""
+def known_fault_types(classifier: str | None, profile: str, rate_hz: float) -> tuple[FaultTypes, ...]:
+    """The fault types that hold for an airframe with this classifier, on a link of that profile and rate.
+
+    None if it has no classifier, if that is not known here, or if it was trained for other links.
+    """
     if classifier not in CLASSIFIERS:
         return ()
     text = resources.files("mavdiag.decision").joinpath(CLASSIFIERS[classifier]).read_text(encoding="utf-8")
-    return parse_fault_types(text)
+    return tuple(one for one in parse_fault_types(text) if one.fit(profile, rate_hz))
 
 
 def parse_fault_types(text: str) -> tuple[FaultTypes, ...]:
@@ -226,12 +237,13 @@ def parse_fault_types(text: str) -> tuple[FaultTypes, ...]:
         raw = json.loads(text)
         if raw["schema"] != SCHEMA:
             raise InputError(f"fault types: schema {raw['schema']!r} instead of {SCHEMA!r}")
-        return tuple(_table(part, str(raw["trained_on"])) for part in raw["tables"])
+        trained = str(raw["trained_on"]), tuple(map(str, raw["profiles"])), float(raw["rate_hz"])
+        return tuple(_table(part, *trained) for part in raw["tables"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"fault types: the file does not hold what it should ({error})") from error
 
 
-def _table(part: dict[str, object], trained_on: str) -> FaultTypes:
+def _table(part: dict[str, object], trained_on: str, profiles: tuple[str, ...], rate_hz: float) -> FaultTypes:
     rows = part["clouds"]
     if not isinstance(rows, list):
         raise TypeError("clouds is no list")
@@ -247,4 +259,4 @@ def _table(part: dict[str, object], trained_on: str) -> FaultTypes:
     )
     if not clouds or any(np.linalg.eigvalsh(cloud.covariance).min() <= 0 for cloud in clouds):
         raise ValueError("every covariance must be positive definite")
-    return FaultTypes(float(str(part["after_s"])), clouds, trained_on)
+    return FaultTypes(float(str(part["after_s"])), clouds, trained_on, profiles, rate_hz)

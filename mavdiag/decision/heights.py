@@ -37,8 +37,9 @@ LEFT_ALONE: dict[Stage, tuple[Height, ...]] = {
     Stage.NOT_JUDGED: (Height.UNKNOWN,),
     Stage.QUIET: (Height.CALM, Height.HELD),
     Stage.SUSPECTED: (Height.HELD, Height.RAISED),
+    Stage.INSPECT: (Height.UNKNOWN, Height.CALM, Height.HELD, Height.RAISED),
 }
-"""Heights that leave a stage as it is, whatever came before them; a fault is looked at every time."""
+"""Heights that leave a stage as it is, whatever came before them; a fault is looked at every time it is seen."""
 
 
 def height_of(ratio: float, decides: bool) -> Height:

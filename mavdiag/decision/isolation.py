@@ -73,12 +73,13 @@ def isolate(readings: Sequence[RotorReading]) -> Isolation:
     (2, 0.998, None)
     """
     logits: list[float] = []
+    most = max((len(one.rotors) for one in readings), default=0)  # evidence on fewer rotors is of another layout
     observed = any(one.ratio > 1 and one.how.direct and _sure(one) for one in readings)
     for one in readings:
         gate = min(max((one.ratio - SILENT_BELOW) / (1.0 - SILENT_BELOW), 0.0), 1.0)
         if (observed and not one.how.direct) or gate == 0.0 or not all(math.isfinite(x) for x in one.rotors):
             continue
-        if not one.rotors:
+        if len(one.rotors) != most or not one.rotors:
             continue
         unit = one.how.weight * gate / (one.threshold if one.how.relative else 1.0)
         logits = [a + unit * b for a, b in zip(logits or [0.0] * len(one.rotors), one.rotors, strict=True)]

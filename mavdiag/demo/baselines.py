@@ -2,7 +2,9 @@
 
 import os
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import typer
@@ -17,11 +19,12 @@ from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
 from mavdiag.monitors.run_length import RunLengthSpec
 
-__all__ = ["cache_folder", "own_baselines", "thesis_monitors"]
+__all__ = ["cache_folder", "delete_unused", "own_baselines", "thesis_monitors"]
 
 HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
 FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0
+UNUSED_S = 30 * 86_400.0  # after which a baseline is deleted (our choice)
 
 
 def thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
@@ -33,15 +36,15 @@ def thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
 def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     """The demo's two baselines, of all monitors and of the thesis rule, learnt once from flights of the emulator.
 
-    They are kept in the user's cache, and learnt again after any change of the sources that make them.
+    They are kept in the user's cache, and learnt again after any change of the sources that make them. Those of other
+    versions, which may be running, are deleted when they were not used for a month.
     """
     cache, digest = cache_folder(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
     fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
     if _usable(fused) and _usable(thesis):
         return fused, thesis
     cache.mkdir(parents=True, exist_ok=True)
-    for stale in cache.glob("demo-*.json"):
-        stale.unlink(missing_ok=True)
+    delete_unused(cache, time.time())
     if not quiet:
         typer.echo(f"recording {HEALTHY_FLIGHTS} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
     with tempfile.TemporaryDirectory() as folder:
@@ -57,17 +60,28 @@ def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
     return fused, thesis
 
 
+def delete_unused(cache: Path, now_s: float) -> None:
+    """Delete the demo's baselines that were not used for UNUSED_S. now_s: unix time [s]."""
+    for kept in cache.glob("demo-*.json"):
+        with suppress(FileNotFoundError):  # another demo was quicker
+            if now_s - kept.stat().st_mtime > UNUSED_S:
+                kept.unlink()
+
+
 def cache_folder() -> Path:
     """Where the demo keeps what it made."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
 
 
 def _usable(path: Path) -> bool:
-    """Whether there is one, and it can be read."""
+    """Whether there is one, and it can be read; then it is marked as used now."""
     try:
-        return bool(thesis_monitors(Baseline.load(path)))
+        usable = bool(thesis_monitors(Baseline.load(path)))
     except BaselineError:
         return False
+    with suppress(OSError):
+        os.utime(path)
+    return usable
 
 
 def _record(folder: Path, first: int, count: int) -> None:

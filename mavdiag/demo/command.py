@@ -3,7 +3,6 @@
 import json
 import tempfile
 from dataclasses import asdict, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,6 @@ from mavdiag.decision.diagnosis import Change
 from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_monitors
 from mavdiag.demo.closed_loop import DemoResult, Flight, closed_loop
 from mavdiag.errors import UsageError
-from mavdiag.judging import judge
 from mavdiag.logs import read_log
 from mavdiag.storage import check_output
 from mavdiag.units import NS_PER_S
@@ -111,12 +109,9 @@ def _print_result(result: DemoResult, flight: Flight, thesis: Change | None) -> 
 
 
 def _print_report(record: Path, baseline: Path, page: Path) -> None:
-    """Judge the recorded flight once more, as a log, and draw its report where the extra `report` is installed."""
+    """Judge the recorded flight once more, as a log, and draw its report."""
     flown, log = Baseline.load(baseline), replace(read_log(record), name="the demo's flight")
-    if find_spec("matplotlib") is None:
-        verdict, where = judge(log, flown), "none, for matplotlib is not installed: pip install 'mavdiag[report]'"
-    else:
-        page.parent.mkdir(parents=True, exist_ok=True)
-        verdict, where = write_report(log, flown, baseline, page), str(page)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    verdict = write_report(log, flown, baseline, page)
     say(f"the recorded flight, judged as a log: {verdict}")
-    say(f"its report: {where}")
+    say(f"its report: {page}")

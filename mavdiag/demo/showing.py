@@ -20,8 +20,8 @@ def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
     changes: list[Change] = []
     events: list[Line] = []
 
-    def draw(width: int) -> Panel:
-        return picture(flight_view(loop.station, flight, events), width)
+    def draw(width: int, height: int) -> Panel:
+        return picture(flight_view(loop.station, flight, events), width, height)
 
     with Screen(quiet=quiet) as screen:
         running = True

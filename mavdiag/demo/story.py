@@ -15,6 +15,7 @@ __all__ = ["DETECTOR", "SPAN_S", "THESIS", "first_crossing", "flight_view"]
 
 DETECTOR, THESIS = "detector: ", "thesis rule: "
 SPAN_S = 12.0
+LEGEND = "white: measured, cyan: simulated, yellow: residual, red: margin"  # as `terminal.views` draws them
 
 
 def flight_view(station: GroundStation, flight: Flight, events: Sequence[Line]) -> View:
@@ -34,7 +35,7 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence[Line]) 
         strips=() if judge is None else rate_strips(judge, (Axis.ROLL,)),
         levels=figure_levels(station) if judge is None else levels(judge),
         events=tuple(events),
-        foot="" if judge is None else f"white: measured, blue: simulated, red: margin; {link_line(judge)}",
+        foot="" if judge is None else f"{LEGEND}; {link_line(judge)}",
     )
 
 

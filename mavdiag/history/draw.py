@@ -37,7 +37,9 @@ class Line:
 
 def lines_of(overview: Overview, width: int | None = None) -> tuple[Line, ...]:
     """What is said of an airframe. width: of the terminal; None for plain lines without drawings."""
-    lines = [Line(_headline(overview))]
+    lines = [Line(_headline(overview), overview.faulty)]
+    if unknown := sum(not one.started_ns for one in overview.flights):
+        lines.append(Line(f"  {unknown} without a clock in the log, placed by when they were added; --at tells when"))
     lines += [Line(f"  {_stretch(one, place)}") for place, one in enumerate(overview.stretches, 1) if one.began]
     few = [one.series.name for one in overview.found if one.review.trend is None]
     for one in (one for one in overview.found if one.review.trend is not None):

@@ -8,6 +8,7 @@ import numpy as np
 from mavdiag.history.records import FlightRecord, Mark
 from mavdiag.history.stretches import Series, Stretch, series_of, stretches_of
 from mavdiag.history.warn import POLICY, WARNS, Policy, Review, review
+from mavdiag.judging import Verdict
 
 __all__ = ["Found", "Overview", "overview_of"]
 
@@ -43,6 +44,12 @@ class Overview:
     def warned(self) -> tuple[Found, ...]:
         """The series that reach their threshold soon, or have."""
         return tuple(one for one in self.found if one.review.outlook in WARNS)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the last flight is a fault, and nothing was mended or changed since."""
+        last = self.stretches[-1].flights if self.stretches else ()
+        return bool(last) and last[-1].verdict is Verdict.FAULT
 
 
 def overview_of(

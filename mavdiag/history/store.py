@@ -1,7 +1,7 @@
 """Where histories are kept (edge): an SQLite file, or a PostgreSQL database for a fleet.
 
-A database is made, or brought to the newest schema, by Alembic when it is opened. All that SQLAlchemy reports comes
-out as UsageError in one line; a password in an address is never shown.
+A database is made, or brought to the newest schema, by Alembic when it is opened to write. All that SQLAlchemy
+reports comes out as UsageError in one line; a password in an address is never shown.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, IntegrityError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import InputError, UsageError, missing_extra
 from mavdiag.history.records import FlightRecord, Mark, MarkKind, SlotFigures
 from mavdiag.history.tables import AIRFRAME, FIGURE, FLIGHT, MARK, ROTOR, VERSION
 from mavdiag.judging import Verdict
@@ -124,25 +124,26 @@ class History:
 def open_history(database: str, *, create: bool = False, write: bool = False) -> Iterator[History]:
     """A history, by the path of its SQLite file or a URL such as postgresql://user@host/fleet.
 
-    create: make the SQLite file if there is none; an empty PostgreSQL database gets its tables in any case.
-    write: something will be kept, so that an SQLite file is locked from the begin of each transaction.
+    create: make the SQLite file if there is none.
+    write: something will be kept: the database gets its tables or the newest schema, and an SQLite file is locked from
+        the begin of each transaction. `create` implies it. A reader changes nothing.
     Raises UsageError if it cannot be used, also out of the block.
     """
     url = address_of(database)
-    shown = url.database if url.get_backend_name() == "sqlite" else url.render_as_string(hide_password=True)
+    shown = url.database or "" if url.get_backend_name() == "sqlite" else url.render_as_string(hide_password=True)
     if url.get_backend_name() == "sqlite":
         _check_file(Path(url.database or ""), create)
     try:
         engine = _engine(url, "BEGIN IMMEDIATE" if create or write else "BEGIN")
         try:
-            _bring_up(engine)
+            _bring_up(engine, shown, write=create or write)
             yield History(engine)
         finally:
             engine.dispose()
     except CommandError as error:
         raise UsageError(f"{shown}: made by a newer mavdiag ({error}); update this one") from error
     except ImportError as error:
-        raise UsageError(f"{shown}: a driver is missing ({error}); pip install 'mavdiag[history]'") from error
+        raise missing_extra(shown, f"a driver ({error})", "history") from error
     except SQLAlchemyError as error:
         raise UsageError(f"{shown}: the history cannot be used ({_first_line(error)})") from error
 
@@ -197,15 +198,21 @@ def _engine(url: URL, begin: str) -> Engine:
     return engine
 
 
-def _bring_up(engine: Engine) -> None:
-    """Migrate to the newest schema; an up-to-date one is only looked at, so that a reader needs no rights to write."""
+def _bring_up(engine: Engine, shown: str, *, write: bool) -> None:
+    """Migrate to the newest schema if it is opened to write. Raises UsageError for a reader of an older one."""
     config = Config()
     config.set_main_option("script_location", SCRIPTS)
     config.set_main_option("path_separator", "os")
-    newest = ScriptDirectory.from_config(config).get_heads()
+    scripts = ScriptDirectory.from_config(config)
     with engine.begin() as connection:
-        if _version(connection) == newest:
+        version = _version(connection)
+        if version == scripts.get_heads():
             return
+        for one in version:
+            scripts.get_revision(one)  # CommandError if a newer mavdiag made it
+        if not write:
+            what = "its tables are of an older mavdiag" if version else "there is no history in it yet"
+            raise UsageError(f"{shown}: {what}; `mavdiag history add` or `mark` bring it up to date")
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": UPGRADE_LOCK})
         config.attributes["connection"] = connection

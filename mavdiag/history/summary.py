@@ -12,19 +12,14 @@ from mavdiag.traces import SlotTrace, slot_traces
 __all__ = ["content_of", "record_of"]
 
 
-def record_of(
-    log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str, added_ns: int, vehicle: int | None = None
-) -> FlightRecord:
-    """What is kept of a flight.
-
-    added_ns: the present time, unix epoch [ns]. vehicle: system id, where the file holds several.
-    """
+def record_of(log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str, added_ns: int) -> FlightRecord:
+    """What is kept of a flight. added_ns: the present time, unix epoch [ns]."""
     traces = slot_traces(judged.chain, judged.pieces) if judged.chain is not None else ()
     verdict = judged.verdict
     return FlightRecord(
         airframe=airframe,
         log=log.name,
-        content=content_of(log, vehicle),
+        content=content_of(log),
         started_ns=log.started_ns,
         added_ns=added_ns,
         baseline=baseline.digest,
@@ -36,9 +31,9 @@ def record_of(
     )
 
 
-def content_of(log: Log, vehicle: int | None = None) -> str:
-    """What a flight is known by: the hash of its file, and which vehicle of several in it."""
-    return log.sha256 if vehicle is None else f"{log.sha256}:{vehicle}"
+def content_of(log: Log) -> str:
+    """What a flight is known by, whether its vehicle was named or not: the hash of its file, and the vehicle in it."""
+    return log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
 
 
 def _figures(trace: SlotTrace) -> SlotFigures:

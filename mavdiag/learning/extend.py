@@ -6,6 +6,7 @@ hover tells what these are now, and the old flights still tell how much they var
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,14 +18,14 @@ from mavdiag.errors import InputError
 from mavdiag.learning.flights import LearntFlight, airborne_of, sessions_of
 from mavdiag.learning.guards import repeated_of, upsets
 from mavdiag.learning.held import HeldLog, held
-from mavdiag.learning.learn import plain_scores, sources
+from mavdiag.learning.learn import assessed, plain_scores, sources
 from mavdiag.learning.teaching import refuse
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import Flights, LearnContext
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log
 from mavdiag.thresholds.envelope import Covered, covered_by
-from mavdiag.thresholds.heldout import Scores, pooled, score
+from mavdiag.thresholds.heldout import Scores, folds, pooled, score
 from mavdiag.thresholds.rule import threshold_of
 
 __all__ = ["extend"]
@@ -61,23 +62,23 @@ def _extended(
     known, rows = {one.session for one in old}, [one.rows for one in learnt]
     entries = []
     for entry in baseline.monitors:
-        moved = _moved(baseline, entry, rows) if new_propellers else entry
-        grown = _grown(moved, learnt, len(known | set(sessions)), len(old))
+        same_set = sum(one.propellers == propellers for one in old) + len(learnt)
+        moved, fresh = _moved(baseline, entry, rows) if new_propellers else (entry, _scores(entry.spec, rows))
+        grown = _grown(moved, fresh, len(known | set(sessions)), same_set)
         spec = grown.spec if new_propellers else monitor_of(grown.spec).extended(rows, len(known))
         entries.append(grown.model_copy(update={"spec": spec}))
     envelope = _joined(baseline.envelope, covered_by(one.rows for one in learnt))
     logs = (*old, *sources(learnt, sessions, propellers))
-    return sealed(
-        baseline.model_copy(
-            update={
-                "monitors": tuple(entries),
-                "envelope": envelope,
-                "fingerprint": _fingerprint(baseline, learnt, new_propellers),
-                "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
-                "provenance": baseline.provenance.model_copy(update={"logs": logs, "created": created}),
-            }
-        )
+    longer = baseline.model_copy(
+        update={
+            "monitors": tuple(entries),
+            "envelope": envelope,
+            "fingerprint": _fingerprint(baseline, learnt, new_propellers),
+            "healthy_hours": baseline.healthy_hours + sum(one.judged_s for one in learnt) / 3600,
+            "provenance": baseline.provenance.model_copy(update={"logs": logs, "created": created}),
+        }
     )
+    return sealed(assessed(longer, learnt))
 
 
 def _check(baseline: Baseline, flights: Sequence[HeldLog]) -> None:
@@ -103,16 +104,19 @@ def _sessions(baseline: Baseline, flights: Sequence[Log]) -> list[int]:
     return numbers
 
 
-def _grown(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int, before: int) -> MonitorEntry:
-    """The entry with the new flights' scores, and the threshold of all."""
+def _scores(spec: Any, flights: Flights) -> list[Scores]:
+    """Of flights that the fit has not seen."""
+    return [score(monitor_of(spec), flight) for flight in flights]
+
+
+def _grown(entry: MonitorEntry, fresh: Sequence[Scores], sessions: int, flights: int) -> MonitorEntry:
+    """The entry with the new flights' scores, and the threshold of all. flights: with the present propellers."""
     if entry.scores is None:
         return entry
-    monitor = monitor_of(entry.spec)
-    fresh = [score(monitor, one.rows) for one in flights]
     scores = pooled([Scores(np.array(entry.scores.maxima), np.array(entry.scores.spans_s)), *fresh])
     threshold = threshold_of(
         scores,
-        flights=before + len(flights),
+        flights=flights,
         sessions=sessions,
         budget_per_hour=entry.threshold.budget_per_hour,
         guard=by_name(entry.spec.kind).guard,
@@ -121,15 +125,23 @@ def _grown(entry: MonitorEntry, flights: Sequence[LearntFlight], sessions: int, 
     return MonitorEntry(spec=entry.spec, threshold=threshold, scores=plain_scores(scores))
 
 
-def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> MonitorEntry:
-    """The entry for new propellers: its healthy level is that of the new flights, and its scores move along."""
+def _moved(baseline: Baseline, entry: MonitorEntry, flights: Flights) -> tuple[MonitorEntry, list[Scores]]:
+    """The entry for new propellers, and the new flights' scores, each by a fit to the others or to its other pieces.
+
+    The healthy level is that of the new flights, and the old scores move along.
+    """
     if entry.scores is None:
-        return entry
+        return entry, []
     airframe = baseline.airframe
     context = LearnContext(airframe, airframe.imu_corner_hz, baseline.link.dt_s, baseline.window.samples)
-    spec, ratio = monitor_of(entry.spec).renewed(flights, context)
+    monitor = monitor_of(entry.spec)
+    spec, ratio = monitor.renewed(flights, context)
+    fresh = []
+    for left_out, rest in folds(flights):
+        held_out = spec if spec == entry.spec else monitor.renewed(rest, context)[0]
+        fresh += _scores(held_out, left_out)
     scores = HealthyScores(maxima=tuple(ratio * x for x in entry.scores.maxima), spans_s=entry.scores.spans_s)
-    return entry.model_copy(update={"spec": spec, "scores": scores})
+    return entry.model_copy(update={"spec": spec, "scores": scores}), fresh
 
 
 def _check_vehicle(baseline: Baseline, known: Fingerprint, flights: Sequence[LearntFlight]) -> None:

@@ -13,6 +13,8 @@ class Kind(StrEnum):
     UPSET = "upset"
     FAR = "far"
     GROUPS = "groups"
+    CHANGE = "change"
+    PHYSICS = "physics"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Healthy flights before anything is learnt: the link they came over, and their rows of flight."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,12 +11,12 @@ from mavdiag.learning.held import HeldLog, HeldRows, of_memory
 from mavdiag.logs import gate_for
 from mavdiag.rows.align import AlignSpec, Grid
 from mavdiag.rows.front import Front, Rows
-from mavdiag.rows.gate import Border, GateSpec
+from mavdiag.rows.gate import Border, GateSpec, shake
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.savgol import window_samples
 from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.storage import Shelf
-from mavdiag.telemetry import IntArray, Log, Telemetry
+from mavdiag.telemetry import IntArray, Log, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
 
 MIN_FLIGHT_S = 2.0  # less airborne flight than this teaches nothing (our choice)
 MAX_GAP_S = 0.035  # METHOD section 4: gaps up to 35 ms may be interpolated
+SHAKE_SHARE = 0.2  # of the usual noise of the gyro in flight; at rest it has a fiftieth (our choice)
 SLOW_SETPOINT_PERIODS = 2.5  # a set-point stream slower than the gyro has gaps by nature (our choice)
 
 
@@ -53,6 +54,17 @@ class LearntFlight:
         """The log with its signals."""
         return self.held.open()
 
+    @property
+    def spans_ns(self) -> list[tuple[int, int]]:
+        """First and last time of each span of flight that may be judged [ns]."""
+        spans: dict[int, tuple[int, int]] = {}
+        for block in (one.block for one in self.rows):
+            t_ns = block.t_ns[block.valid]
+            if len(t_ns):
+                first_ns, _ = spans.get(block.segment, (int(t_ns[0]), 0))
+                spans[block.segment] = first_ns, int(t_ns[-1])
+        return list(spans.values())
+
 
 def front_for(flights: Iterable[Log], window_s: float, gate: GateSpec | None = None) -> Front:
     """The front that suits all the flights. gate: what counts as flying, None for what their profile has.
@@ -71,7 +83,24 @@ def front_of_held(flights: Sequence[HeldLog], window_s: float, gate: GateSpec | 
     if odd is not None:
         raise InputError(f"{odd[1]}; learn from flights of one rate, or leave this log out with --robust")
     align = AlignSpec(dt_s, grid, max_gap_s=_gap_limit(flights))
-    return Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
+    front = Front(align, gate or gate_for(profiles[0]), RateSpec.of(dt_s, window_samples(dt_s, window_s)))
+    silent = [flight for flight in flights if Signal.THRUST_SETPOINT not in flight.signals]
+    if front.gate.min_thrust is None or len(silent) < len(flights):
+        return front
+    return replace(front, gate=replace(front.gate, least_shake=_least_shake(front, silent)))
+
+
+def _least_shake(front: Front, flights: Sequence[HeldLog]) -> float | None:
+    """What a gyro shakes in flight at least, where no thrust tells flight from ground [rad/s].
+
+    A fifth of what it does for most of the calmest flight: the motors' vibration makes tens of the noise at rest.
+    """
+    levels = []
+    for flight in flights:
+        noise = [shake(rows.block.rate, front.align.dt_s) for rows in rows_of(front, flight.open().telemetry)]
+        found = np.concatenate([np.empty(0), *noise])
+        levels += [float(np.quantile(found, 0.75))] if len(found) else []
+    return min(levels, default=0.0) * SHAKE_SHARE or None
 
 
 def odd_rate(flights: Sequence[HeldLog], window_s: float) -> tuple[int, str] | None:
@@ -117,7 +146,8 @@ def airborne_of(front: Front, flight: HeldLog, shelf: Shelf) -> LearntFlight:
 def _judged_s(front: Front, flight: Log, rows: Sequence[Rows]) -> float:
     judged_s = float(sum(int(one.rates.valid.sum()) for one in rows)) * front.align.dt_s
     if judged_s < MIN_FLIGHT_S:
-        raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight, too short to learn from")
+        never = "" if judged_s else " (never armed, or no thrust)"
+        raise InputError(f"{flight.name}: only {judged_s:.1f} s of airborne flight{never}, too short to learn from")
     return judged_s
 
 

@@ -8,18 +8,18 @@ from typing import Any
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import fingerprint_of
-from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline, sealed
 from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
+from mavdiag.learning.damage import grade_of, least_damage
 from mavdiag.learning.fits import fits
 from mavdiag.learning.flights import LearntFlight, sessions_of
+from mavdiag.learning.guards import courses, suspicions
 from mavdiag.learning.held import HeldLog, held
-from mavdiag.learning.rotors import with_rotors
-from mavdiag.learning.teaching import Taught, one_vehicle, taught_of
+from mavdiag.learning.rotors import of_log_kind, with_rotors
+from mavdiag.learning.teaching import Taught, believing, one_vehicle, taught_of
 from mavdiag.link.profiles import PROFILES
-from mavdiag.logs import airframe_name_for
 from mavdiag.monitors import BY_NAME, by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext
 from mavdiag.monitors.run_length import MarginRule, RunLength
@@ -33,6 +33,7 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule, threshold_of
 __all__ = ["ALL_MONITORS", "LearnOptions", "learn", "plain_scores", "sources", "thesis_options"]
 
 ALL_MONITORS = tuple(BY_NAME)
+MOST_SAID = 2  # findings that are told in full (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +111,8 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
     if not logs:
         raise InputError("no healthy flight to learn from")
     first = logs[0].label
-    airframe = _filtered(_airframe(options.airframe, first.profile), first)
-    found = taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust)
+    airframe = _filtered(of_log_kind(options.airframe, first.profile), first)
+    found = believing(taught_of(logs, options.window_s, airframe.gate, shelf, robust=options.robust), shelf)
     airframe, ordered = with_rotors(airframe, found.flights)
     found = replace(found, flights=tuple(ordered))
     if airframe.scope != "type":
@@ -124,36 +125,59 @@ def _learnt(logs: Sequence[HeldLog], options: LearnOptions, created: str, shelf:
     if not fitted:
         reasons = "; ".join(f"{one.monitor}: {one.reason}" for one in refusals)
         raise IdentificationError(f"no monitor can judge such flights ({reasons})")
-    return sealed(
-        Baseline(
-            airframe=airframe,
-            link=Link(
-                profile=first.profile,
-                dt_s=front.align.dt_s,
-                grid=front.align.grid,
-                max_gap_s=front.align.max_gap_s,
-                gate=front.gate,
-            ),
-            window=Window(samples=front.rates.window, order=2),
-            monitors=tuple(_entries(fitted, options, sessions)),
-            not_judgeable=tuple(refusals),
-            envelope=covered_by(rows),
-            healthy_hours=sum(one.judged_s for one in learnt) / 3600,
-            provenance=_provenance(found, sessions, created),
-            fingerprint=fingerprint_of(rows, airframe.layout),
-        )
+    entries = _entries(fitted, options, sessions)
+    baseline = Baseline(
+        airframe=airframe,
+        link=Link(
+            profile=first.profile,
+            dt_s=front.align.dt_s,
+            grid=front.align.grid,
+            max_gap_s=front.align.max_gap_s,
+            gate=front.gate,
+        ),
+        window=Window(samples=front.rates.window, order=2),
+        link_quality=front.align.quality,
+        monitors=tuple(entries),
+        not_judgeable=tuple(refusals),
+        envelope=covered_by(rows),
+        healthy_hours=sum(one.judged_s for one in learnt) / 3600,
+        provenance=_provenance(found, sessions, created),
+        fingerprint=fingerprint_of(rows, airframe.layout),
+    )
+    return sealed(assessed(baseline, learnt))
+
+
+def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
+    """The baseline with what these flights of it say of its worth, and without monitors that cannot alarm.
+
+    Raises IdentificationError if none is left.
+    """
+    found = courses([entry.spec for entry in baseline.monitors], flights)
+    limits = {entry.spec.kind: entry.threshold.value for entry in baseline.monitors}
+    least = least_damage(found, limits, baseline.airframe)
+    mute = [entry for entry in baseline.monitors if entry.threshold.value >= monitor_of(entry.spec).reach]
+    judging = tuple(entry for entry in baseline.monitors if entry not in mute)
+    refusals = tuple(_mute(entry) for entry in mute)
+    if not judging:
+        raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
+    said = [str(one) for one in suspicions(found, baseline.airframe)]
+    more = f" (and {len(said) - MOST_SAID} more such findings)" if len(said) > MOST_SAID else ""
+    weak = "; ".join(said[:MOST_SAID]) + more
+    return baseline.model_copy(
+        update={
+            "monitors": judging,
+            "not_judgeable": (*baseline.not_judgeable, *refusals),
+            "least_damage": least,
+            "weak": weak,
+            "grade": grade_of(least, weak=bool(weak), blind=[entry.spec.kind for entry in mute]),
+        }
     )
 
 
-def _airframe(told: Airframe, profile: str) -> Airframe:
-    """The airframe with what the kind of log says of it; a link says nothing."""
-    name = airframe_name_for(profile)
-    if name is None or told.layout is not None:
-        return told
-    known = airframe_named(name)
-    label = known.name if told.name == Airframe().name else told.name
-    basis = f"of every vehicle that writes such logs, {profile}"
-    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate, layout_basis=basis)
+def _mute(entry: MonitorEntry) -> Refusal:
+    monitor = monitor_of(entry.spec)
+    text = f"its threshold {entry.threshold.value:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most)"
+    return Refusal(monitor=monitor.name, reason=f"{text}; learn from calmer flights, or from more of them")
 
 
 def _filtered(airframe: Airframe, flight: Log) -> Airframe:

@@ -10,15 +10,28 @@ from dataclasses import replace
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.detect import MIN_LIKENESS, LayoutFinding, contradicts, detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
+from mavdiag.airframe.load import airframe_named
 from mavdiag.airframe.parameters import ParameterFinding, layout_from_parameters
 from mavdiag.learning.flights import LearntFlight
 from mavdiag.learning.held import HeldRows
+from mavdiag.logs import airframe_name_for
 from mavdiag.rows.block import Block
 from mavdiag.rows.outputs import in_rotor_order
 
-__all__ = ["with_rotors"]
+__all__ = ["of_log_kind", "with_rotors"]
 
 TOLD = "told"
+
+
+def of_log_kind(told: Airframe, profile: str) -> Airframe:
+    """The airframe with what the kind of log says of it; a link says nothing."""
+    name = airframe_name_for(profile)
+    if name is None or told.layout is not None:
+        return told
+    known = airframe_named(name)
+    label = known.name if told.name == Airframe().name else told.name
+    basis = f"of every vehicle that writes such logs, {profile}"
+    return replace(known, name=label, scope=told.scope, gate=told.gate or known.gate, layout_basis=basis)
 
 
 def with_rotors(told: Airframe, flights: Sequence[LearntFlight]) -> tuple[Airframe, list[LearntFlight]]:
@@ -70,7 +83,7 @@ def _from_flights(
 
 def _said(flights: Sequence[LearntFlight]) -> ParameterFinding:
     """What the parameters of all flights say; nothing, with a reason, where they differ."""
-    findings = [layout_from_parameters(one.label.parameters) for one in flights]
+    findings = [layout_from_parameters(one.label.parameters, one.label.mav_type) for one in flights]
     spoken = [one for one in findings if one.reason or one.outputs]
     if not spoken:
         return ParameterFinding()

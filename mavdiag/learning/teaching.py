@@ -13,11 +13,12 @@ from mavdiag.learning.guards import far_blocks, repeated_of, trim_groups, upsets
 from mavdiag.learning.held import HeldLog, held
 from mavdiag.rows.front import Front
 from mavdiag.rows.gate import GateSpec
+from mavdiag.rows.quality import learnt_quality
 from mavdiag.storage import Shelf
 from mavdiag.telemetry import Log, Series, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Taught", "one_vehicle", "refuse", "taught", "taught_of"]
+__all__ = ["Taught", "believing", "one_vehicle", "refuse", "taught", "taught_of"]
 
 MAX_ROUNDS = 5  # of cutting and looking again; what is far may hide what is less far (our choice)
 
@@ -67,6 +68,13 @@ def taught_of(logs: Sequence[HeldLog], window_s: float, gate: GateSpec | None, s
     if not flights:
         raise InputError(f"no healthy flight remains to learn from ({'; '.join(left_out)}); record others")
     return Taught(front, tuple(flights), tuple(left_out))
+
+
+def believing(found: Taught, shelf: Shelf) -> Taught:
+    """The flights with only those samples that they themselves, taken together, make believable, as in judging."""
+    quality = learnt_quality((one.flight.telemetry, one.spans_ns) for one in found.flights)
+    front = replace(found.front, align=replace(found.front.align, quality=quality))
+    return replace(found, front=front, flights=tuple(airborne_of(front, one.held, shelf) for one in found.flights))
 
 
 def one_vehicle(found: Taught, layout: RotorLayout | None, *, robust: bool) -> Taught:

@@ -24,6 +24,9 @@ __all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
 ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
+PULSE_US = 1000.0, 2000.0  # PWM for 0 and full output
+PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
+DSHOT_FULL = 2047.0  # the largest of its 11 bits
 ANGLES = 1 << 10  # quaternions at a time: what is made of them stays in the processor's cache
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
@@ -164,12 +167,23 @@ def _servo_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 
 def _actuator_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
-    raw = record["actuator"][:, :ACTUATORS]
-    return (Part(Signal.ACTUATOR, _share(profile, np.where(np.isnan(raw), profile.actuator_span[0], raw))),)
+    """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
+
+    Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
+    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
+    """
+    raw, number = record["actuator"][:, :ACTUATORS].astype(np.float64), record["active"][:, None]
+    used = np.isfinite(raw) & ((np.arange(ACTUATORS) < number) | (number < 1))
+    raw = np.where(np.isfinite(raw), raw, 0.0)
+    share = raw.max(axis=1) <= 1.0
+    pulses = ~share & (np.where(used, raw, PULSE_LEAST_US).min(axis=1) >= PULSE_LEAST_US)
+    low = np.where(pulses, PULSE_US[0], 0.0)
+    span = np.where(share, 1.0, np.where(pulses, PULSE_US[1] - PULSE_US[0], DSHOT_FULL))
+    return (Part(Signal.ACTUATOR, np.clip((raw - low[:, None]) / span[:, None], 0.0, 1.0), finite=True),)
 
 
 def _share(profile: Profile, raw: Record) -> FloatArray:
-    """Outputs as shares of the full one, 0..1; one that is not in use (0 us, or NaN) becomes 0."""
+    """Pulses as shares of the full output, 0..1; an output that is not in use (0 us) becomes 0."""
     low, high = profile.actuator_span
     share: FloatArray = (raw - low) * (1.0 / (high - low))
     return np.minimum(np.maximum(share, 0.0), 1.0)
@@ -251,7 +265,12 @@ SOURCES: tuple[Source, ...] = (
     source(_M.HEARTBEAT, _heartbeat, (Signal.ARMED,), (("type", 1), ("base_mode", 1))),
     source(_M.SERVO_OUTPUT_RAW, _servo_outputs, _ACTUATOR, _SERVOS, _USEC_32, _M.SERVO_OUTPUT_RAW),
     source(
-        _M.ACTUATOR_OUTPUT_STATUS, _actuator_outputs, _ACTUATOR, (("actuator", 32),), _USEC, _M.ACTUATOR_OUTPUT_STATUS
+        _M.ACTUATOR_OUTPUT_STATUS,
+        _actuator_outputs,
+        _ACTUATOR,
+        (("active", 1), ("actuator", 32)),
+        _USEC,
+        _M.ACTUATOR_OUTPUT_STATUS,
     ),
     source(_M.VIBRATION, _vibration, (Signal.VIBRATION,), (("vibration_x", 3),), _USEC, _M.VIBRATION),
     source(_M.ESC_STATUS, _esc_status, _SPEED, (*_RPM, ("index", 1)), _USEC, _M.ESC_STATUS),

@@ -1,5 +1,6 @@
 """What the frames of one vehicle show of the way it sends: its heartbeats, its messages, what it weighs in counts."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from mavdiag.link.codec import FieldValue, Frame, field_index, record_dtype
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.telemetry import FloatArray, IntArray
 
-__all__ = ["Evidence", "autopilots_of", "evidence_of", "is_autopilot_heartbeat"]
+__all__ = ["Evidence", "autopilots_of", "evidence_of", "is_autopilot_heartbeat", "mav_type_of", "mav_types_of"]
 
 _NAMES = ("type", "autopilot")
 _TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in _NAMES)
@@ -51,11 +52,29 @@ def _is_autopilot(kind: FieldValue, autopilot: FieldValue) -> bool:
     return autopilot != Autopilot.INVALID and kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER)
 
 
+def mav_type_of(heartbeat: Frame) -> int:
+    """The MAV_TYPE that a heartbeat tells."""
+    return int(str(heartbeat.fields[_TYPE]))
+
+
+def mav_types_of(batch: Batch) -> Counter[int]:
+    """How often the heartbeats of a vehicle's autopilot tell each MAV_TYPE; see `is_autopilot_heartbeat`."""
+    types = Counter[int]()
+    for (kind, _), count in _beats(batch).items():
+        types[kind] += count
+    return types
+
+
 def autopilots_of(batch: Batch) -> frozenset[int]:
     """What the heartbeats of a vehicle's autopilot name it, MAV_AUTOPILOT; see `is_autopilot_heartbeat`."""
+    return frozenset(autopilot for _, autopilot in _beats(batch))
+
+
+def _beats(batch: Batch) -> Counter[tuple[int, int]]:
+    """MAV_TYPE and MAV_AUTOPILOT of the heartbeats of a vehicle's autopilot, and how often they come."""
     found = [column.record(_HEARTBEAT) for column in batch.columns({MessageId.HEARTBEAT}).values()]
-    beats = {one for record in found for one in zip(*(record[name].tolist() for name in _NAMES), strict=True)}
-    return frozenset(autopilot for kind, autopilot in beats if _is_autopilot(kind, autopilot))
+    beats = Counter(one for record in found for one in zip(*(record[name].tolist() for name in _NAMES), strict=True))
+    return Counter({(kind, autopilot): n for (kind, autopilot), n in beats.items() if _is_autopilot(kind, autopilot)})
 
 
 def evidence_of(batches: Sequence[Batch]) -> Evidence:

@@ -169,6 +169,7 @@ class MavCmd(IntEnum):
     REQUEST_MESSAGE = 512
     REQUEST_PROTOCOL_VERSION = 519
     REQUEST_AUTOPILOT_CAPABILITIES = 520
+    USER_1 = 31010  # to the detector: the inspection of its vehicle is acknowledged
 
 
 class MavResult(IntEnum):

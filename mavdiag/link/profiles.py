@@ -79,7 +79,8 @@ class Profile:
     imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
     stamp: what the IMU message's own time means.
     vibration: whether its VIBRATION message carries acceleration per axis.
-    actuator_span: the actuator message's values for 0 and for full output.
+    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS has no fixed ones,
+        and is told by its values.
     gate: what counts as flying; the same live and in a .tlog.
     imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
     """

@@ -1,7 +1,8 @@
 """From the bytes of a link to its vehicles: one a system id, each with its own profile, clock and state.
 
-A vehicle enters with a heartbeat of its autopilot (component 1), once its frames show its profile. Ground stations,
-cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now` in, values out.
+A vehicle enters with a heartbeat of its autopilot (component 1) that says it is a multirotor, once its frames show its
+profile. Ground stations, cameras and other companions on the link are no vehicles. No clock, no socket: bytes and `now`
+in, values out.
 
 Made-up senders cost a bounded amount: of each one that has not entered the last 4,096 frames are kept, and 32,768 of
 all together. A careful decoder lets a vehicle enter only with two like heartbeats, a fraction of a second to some
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 from itertools import repeat
 from typing import TypeVar
 
+from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.link.addressed import (
     COMMANDS,
     PARAMETER_REQUESTS,
@@ -23,6 +25,7 @@ from mavdiag.link.addressed import (
     parameters_asked_in,
 )
 from mavdiag.link.codec import Decoder, Frame
+from mavdiag.link.evidence import mav_type_of
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
@@ -236,6 +239,9 @@ class LinkDecoder:
         if pending.checked_ns is not None and now_ns - pending.checked_ns < RECHECK_S * NS_PER_S:
             return []
         pending.checked_ns = now_ns
+        if refused := refusal(mav_type_of(pending.beat)):
+            pending.reason, pending.frames = refused, []
+            return []
         profile = self._profile
         if profile is None:
             recognised = detect_profile([pending.beat, *pending.frames], self._profiles)

@@ -9,6 +9,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError, UsageError
 from mavdiag.logs.csv_columns import ColumnMap
 from mavdiag.logs.csv_log import read_csv
@@ -49,7 +50,8 @@ def read_log(
         know their own.
     among: the kinds of logs, None for all.
     columns: the file is a CSV recording with these columns; None for any other log.
-    Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind.
+    Raises InputError, in one line, for a file that is absent, empty, damaged beyond use or of another kind, and for a
+    vehicle that is no multirotor.
     """
     if columns is not None:
         return read_csv(path, columns)
@@ -58,7 +60,10 @@ def read_log(
     if kind is None:
         names = ", ".join(k.name for k in known)
         raise InputError(f"{path}: not a flight log of a known kind ({names})")
-    return kind.read(path, vehicle, profile)
+    log = kind.read(path, vehicle, profile)
+    if refused := refusal(log.mav_type):
+        raise InputError(f"{path}: {refused}")
+    return log
 
 
 def is_log(path: Path) -> bool:

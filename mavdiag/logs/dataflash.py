@@ -6,6 +6,7 @@ decided from the file itself. What is damaged is skipped (see `mavdiag.logs.data
 
 import hashlib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -13,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_format import INTEGERS, Table
+from mavdiag.logs.dataflash_format import HEADER, INTEGERS, Table
 from mavdiag.logs.dataflash_walk import Walk
 from mavdiag.logs.log import RECORDED_GATE, LogKind, windows_of
 from mavdiag.logs.records import recorded
@@ -25,11 +27,11 @@ __all__ = ["KIND", "WANTED", "read_dataflash"]
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
+MIN_HEADERS = 8  # of records in the first 4096 bytes: no record is longer than 255 (our choice)
 CENTIDEGREE_OUTPUT = 4500.0  # full scale of ROut, POut, YOut up to Copter 3.3
 THROTTLE_PER_MILLE = 1e-3  # ThrOut up to Copter 3.3 is 0..1000
 CENTIVOLT = 0.01  # CURR.Volt where it is an integer
 PWM_ZERO_US, PWM_SPAN_US = 1000.0, 1000.0
-MOTOR_FUNCTIONS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)  # SERVOn_FUNCTION of motors 1 to 12
 MAX_CHANNELS = 14  # of RCOU
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 
@@ -66,7 +68,16 @@ _ROWS = (
     _Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
     _Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS"}
+WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG"}
+
+# What the firmware says at its start: "ArduCopter V4.5.6 (bbf0b066)", "APM:Copter V3.3", "Frame: QUAD/X".
+_FIRMWARE = re.compile(rb"(?:ardu|apm:|antenna)?(copter|plane|rover|sub|tracker|blimp)[0-9]? V\d", re.IGNORECASE)
+_FRAME = re.compile(rb"Frame: ([A-Z0-9_]+)")
+_FIRMWARE_TYPES = {b"plane": 1, b"tracker": 5, b"blimp": 7, b"rover": 10, b"sub": 12}  # MAV_TYPE
+_ROVER_BOAT, _BOAT = 2, 11  # FRAME_CLASS of a rover that is a boat, and its MAV_TYPE
+# MAV_TYPE of a Copter by its FRAME_CLASS (AP_Motors_Class.h), and by the name that older ones log in its place.
+_COPTER_TYPES = {1: 2, 2: 13, 3: 14, 4: 14, 5: 13, 6: 4, 7: 15, 8: 3, 9: 3, 11: 4, 12: 29, 13: 4, 14: 35}
+_FRAME_CLASSES = {b"QUAD": 1, b"HEXA": 2, b"OCTA": 3, b"OCTA_QUAD": 4, b"Y6": 5, b"HELI": 6, b"TRI": 7, b"SINGLE": 8}
 
 
 def read_dataflash(path: Path) -> Log:
@@ -83,16 +94,22 @@ def read_dataflash(path: Path) -> Log:
         walk.feed(window)
     tables, notes = walk.finish()
     parameters = _parameters(tables)
-    motors = _motor_channels(parameters)
-    series = _series(tables, motors)
+    functions = output_functions(parameters)
+    motors = _motor_channels(functions)
+    series = _series(tables, motors, [n for n in functions if not motors])
     if not series:
         raise InputError(f"{path}: not a usable DataFlash log: no record of a known signal; check that logging was on")
     started_ns = _started_ns(tables, series)
-    return Log(path.name, digest.hexdigest(), PROFILE, Telemetry(series), started_ns, notes, parameters, bool(motors))
+    named = (path.name, digest.hexdigest(), PROFILE)
+    kind = _mav_type(tables.get("MSG"), parameters)
+    return Log(*named, Telemetry(series), started_ns, notes, parameters, bool(motors), kind)
 
 
-def _series(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series, ...]:
-    """Every signal that the log carries. motors: output channels by motor; empty if they are not known."""
+def _series(tables: Mapping[str, Table], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
+    """Every signal that the log carries.
+
+    motors: output channels by motor; empty if they are not known. others: channels that are known to be no motors.
+    """
     found: dict[Signal, Series] = {}
     for row in _ROWS:
         table = tables.get(row.message)
@@ -104,7 +121,7 @@ def _series(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series,
     return (
         *found.values(),
         *_rate_loop(tables, found.get(Signal.BODY_RATE)),
-        *_actuator(tables, motors),
+        *_actuator(tables, motors, others),
         *_armed(tables),
     )
 
@@ -151,21 +168,22 @@ def _mean_size(values: FloatArray) -> float:
     return float(finite.mean()) if len(finite) else 0.0
 
 
-def _actuator(tables: Mapping[str, Table], motors: Sequence[int]) -> tuple[Series, ...]:
-    """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us, an idle output (0 us) counting as 0."""
+def _actuator(tables: Mapping[str, Table], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
+    """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us; 0 for an idle output (0 us) and for no motor's."""
     table = tables.get("RCOU")
     t_ns = table.t_ns() if table is not None else None
     if table is None or t_ns is None:
         return ()
     prefix = "Ch" if table.has(("Ch1",)) else "C"
     channels = [n for n in motors if table.has((f"{prefix}{n}",))]
-    if not channels:  # no parameters in the log: every channel up to the last that ever gave a pulse
+    if not channels:  # nothing says which are motors: every channel up to the last that moves, or gives a pulse
         present = [n for n in range(1, MAX_CHANNELS + 1) if table.has((f"{prefix}{n}",))]
-        used = [n for n in present if table.column(f"{prefix}{n}").any()]
-        channels = [n for n in present if n <= max(used, default=0)]
+        pulses = {n: table.column(f"{prefix}{n}") for n in present if n not in others}
+        moving = [n for n, pulse in pulses.items() if np.ptp(pulse)] or [n for n in pulses if pulses[n].any()]
+        channels = [n for n in present if n <= max(moving, default=0)]
     if not channels:
         return ()
-    pulse_us = table.columns([f"{prefix}{n}" for n in channels])
+    pulse_us = table.columns([f"{prefix}{n}" for n in channels]) * [n not in others for n in channels]
     return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
@@ -178,15 +196,26 @@ def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
     return {name: value for name, value in zip(names, table.column("Value").tolist(), strict=True) if isfinite(value)}
 
 
-def _motor_channels(parameters: Mapping[str, float]) -> list[int]:
-    """Output channels by motor number, from the SERVOn_FUNCTION parameters; empty where the log has none.
+def _mav_type(texts: Table | None, parameters: Mapping[str, float]) -> int | None:
+    """MAV_TYPE by the firmware's name and its frame; None where the log does not say."""
+    if texts is None or not texts.has(("Message",), "Z"):
+        return None
+    said = b"\n".join(texts.raw("Message").tolist())
+    firmware, frame = _FIRMWARE.search(said), _FRAME.search(said)
+    if firmware is None:
+        return None
+    name = firmware[1].lower()
+    logged = _FRAME_CLASSES.get(frame[1], 0) if frame is not None else 0
+    frame_class = int(parameters.get("FRAME_CLASS", logged))
+    if name == b"rover" and frame_class == _ROVER_BOAT:
+        return _BOAT
+    return _FIRMWARE_TYPES.get(name, _COPTER_TYPES.get(frame_class))
 
-    Of several outputs of one motor the first.
-    """
-    functions: dict[float, int] = {}
-    for n in range(1, MAX_CHANNELS + 1):
-        functions.setdefault(parameters.get(f"SERVO{n}_FUNCTION", 0.0), n)
-    return [functions[wanted] for wanted in MOTOR_FUNCTIONS if wanted in functions]
+
+def _motor_channels(functions: Mapping[int, int]) -> list[int]:
+    """Output channels by motor number; empty where no function is a motor's. Of several of one motor the first."""
+    first = {functions[n]: n for n in sorted(functions, reverse=True) if n <= MAX_CHANNELS}
+    return [first[wanted] for wanted in COPTER_MOTORS if wanted in first]
 
 
 def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
@@ -233,9 +262,18 @@ def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
     return fix_ns - int(boot_ns[fixed[0]]) + min(int(s.t_ns[0]) for s in series)
 
 
+def _recognise(head: bytes) -> bool:
+    """Whether it begins with the format record, or amid the records: a logger that wraps overwrites its beginning.
+
+    A telemetry log may carry such records as the content of its messages; its ninth byte begins one of those.
+    """
+    amid = head.count(HEADER) >= MIN_HEADERS and head[8:9] not in (b"\xfd", b"\xfe")
+    return head.startswith(SIGNATURE) or amid
+
+
 KIND = LogKind(
     "DataFlash",
-    lambda head: head.startswith(SIGNATURE),
+    _recognise,
     lambda path, vehicle, profile: read_dataflash(path),
     PROFILE,
     RECORDED_GATE,

@@ -69,6 +69,7 @@ class Walk:
         self._base = 0  # place in the file where the present piece starts
         self._carry = b""  # the end of the last piece, where a record may have begun
         self._sound_end = 0  # place in the file behind the last whole record of a known type
+        self._sound = 0  # bytes in such records so far
         self._lost = False  # whether anything but padding was behind it
 
     def feed(self, data: bytes) -> None:
@@ -97,7 +98,9 @@ class Walk:
                 found[form.name] = first_instance(Table(form, np.frombuffer(gathered.starts, np.int64), records))
         lost = self._base + len(self._carry) - self._sound_end
         cut = f"it ends within a record, {lost} bytes are lost: the recording was cut off"
-        return found, (cut,) if self._lost else ()
+        between = self._sound_end - self._sound
+        damaged = f"{between} bytes of it are no records of a known type and were skipped"
+        return found, tuple(note for note, told in ((damaged, between), (cut, self._lost)) if told)
 
     def _follow(self, data: bytes) -> int:
         """Follow the chain through a piece. Returns where a record may begin that it does not hold whole."""
@@ -131,6 +134,7 @@ class Walk:
                 break
             if length:
                 self._sound_end = self._base + position + length
+                self._sound += length
             left -= 1
             if kind == FMT_TYPE:
                 left = patience if self._learn(data, position) else left
@@ -162,6 +166,7 @@ class Walk:
         self._found.append((places[taken], kinds[taken]))
         sound = kept & (ends > places + 1)
         if sound.any():
+            self._sound += int((ends - places)[sound].sum())
             self._sound_end = self._base + int(ends[_last(sound)])
         return int(ends[_last(kept)]), new is not None
 

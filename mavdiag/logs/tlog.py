@@ -8,6 +8,7 @@ installed, large files by a compiled loop. What comes out is what `link.codec.De
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.batch import ColumnBatch, total
 from mavdiag.link.codec import Frame
 from mavdiag.link.columns import Decoded, decoded, known_ids
-from mavdiag.link.evidence import autopilots_of
+from mavdiag.link.evidence import mav_types_of
 from mavdiag.link.frame_loop import finder_for
 from mavdiag.link.frame_walk import LONGEST, STAMP_BYTES, Finder, Piece, dialect, walk
 from mavdiag.link.messages import MessageId
@@ -86,9 +88,16 @@ class TlogContent:
         return first
 
     @property
+    def mav_types(self) -> dict[int, int]:
+        """MAV_TYPE of each system id that has an autopilot, by most of its heartbeats."""
+        told = {one: sum((mav_types_of(piece.vehicle(one)) for piece in self.pieces), Counter()) for one in self.heard}
+        return {one: types.most_common(1)[0][0] for one, types in told.items() if types}
+
+    @property
     def flying(self) -> list[int]:
-        """System ids that have an autopilot, by its heartbeat."""
-        return [one for one in self.heard if any(autopilots_of(piece.vehicle(one)) for piece in self.pieces)]
+        """System ids of multirotors, by their autopilots' heartbeats; of any vehicles where there is no multirotor."""
+        types = self.mav_types
+        return [one for one, kind in types.items() if not refusal(kind)] or list(types)
 
     @property
     def span_ns(self) -> int:
@@ -178,9 +187,9 @@ def _with_last(windows: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
     """Read one vehicle's flight from a telemetry log.
 
-    vehicle: its system id; None takes the only one that has an autopilot. profile: name of the link profile; None
-    recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
-    vehicle or several, or does not show its profile; UsageError for an unknown profile.
+    vehicle: its system id; None takes the only multirotor that has an autopilot. profile: name of the link profile;
+    None recognises it by the messages. Raises InputError if the file is not such a log, is damaged beyond use, holds no
+    multirotor or several, or does not show its profile; UsageError for an unknown profile.
     """
 
     def chosen(content: TlogContent) -> list[int]:
@@ -200,9 +209,10 @@ def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None
 def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[VehicleLog]:
     """The flight of each vehicle in a telemetry log, one after the other, by rising system id; the file is read once.
 
-    A vehicle is what sends the heartbeats of an autopilot. The logs are as `read_tlog` gives them, but their names end
-    with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile of all; None
-    recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its turn comes.
+    A vehicle is what sends the heartbeats of a multirotor's autopilot. The logs are as `read_tlog` gives them, but
+    their names end with the vehicle where there are several: "flight.tlog vehicle 7". profile: name of the link profile
+    of all; None recognises that of each. Raises as `read_tlog` does; for a vehicle whose profile is not clear when its
+    turn comes.
     """
 
     path = Path(path)
@@ -218,7 +228,10 @@ def vehicle_stream(path: str | Path, profile: str | None = None) -> Iterator[Veh
 def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], list[int]]) -> Iterator[VehicleLog]:
     """The flights of the vehicles that are chosen. What was decoded is given up as the last one is converted."""
     content = _usable(path)
-    sysids, heard, pieces = choose(content), content.heard, list(content.pieces)
+    sysids, heard, types, pieces = choose(content), content.heard, content.mav_types, list(content.pieces)
+    if refused := next((text for one in sysids if (text := refusal(types.get(one)))), ""):
+        raise InputError(f"{path}: {refused}")
+    left_out = tuple(f"vehicle {one} is left out: {text}" for one, kind in types.items() if (text := refusal(kind)))
     named = [frame for piece in pieces for frame in piece.frames({MessageId.PARAM_VALUE})]
     content = replace(content, pieces=())
     for sysid in sysids:
@@ -232,7 +245,10 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         parameters = parameters_in((one for one in named if one.sysid == sysid), known.autopilot)
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         telemetry = _converted(batches, known)
-        log = Log(name, content.sha256, known.name, telemetry, heard[sysid], content.notes, parameters)
+        notes, kind = (*content.notes, *left_out), types.get(sysid)
+        log = Log(
+            name, content.sha256, known.name, telemetry, heard[sysid], notes, parameters, mav_type=kind, vehicle=sysid
+        )
         yield VehicleLog(sysid, log)
 
 

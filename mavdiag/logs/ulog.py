@@ -7,9 +7,11 @@ Damaged parts are skipped as pyulog skips them.
 
 import io
 import struct
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,7 @@ DEFINITIONS_END = (b"A", b"L", b"C")  # types of messages: subscription, text, t
 COMPARED_AT_ONCE = 32  # definitions that are compared in the time of reading a byte (our estimate)
 MAX_FIELDS = 65_535  # a ULog message is at most this many bytes (its length is a u16)
 MAX_NESTING = 16  # PX4 nests messages two deep
+BLOCK_BYTES, ZERO_BLOCKS = 4096, 18  # zeros longer than any message: so many blocks are left of them (our choice)
 
 # What pyulog lets through on damaged files besides its own errors.
 _PARSER_ERRORS = (
@@ -155,8 +158,8 @@ def read_ulog(path: Path) -> Log:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
     series = tuple(found.values())
     motors = Signal.ACTUATOR in found and "actuator_motors" in topics
-    started_ns = _started_ns(topics, series)
-    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors)
+    started_ns, kind = _started_ns(topics, series), _mav_type(topics, parameters)
+    return Log(path.name, sha256_of(data), PROFILE, Telemetry(series), started_ns, notes, parameters, motors, kind)
 
 
 class _Metered(io.BytesIO):
@@ -224,6 +227,7 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
 
     Raises InputError if pyulog cannot make sense of the file.
     """
+    data = _without_holes(data)
     try:
         with redirect_stdout(io.StringIO()):  # pyulog prints its warnings
             log = _Reading(data)
@@ -235,8 +239,24 @@ def _content(data: bytes) -> tuple[Mapping[str, ULog.Data], dict[str, float], tu
     damaged = "parts of it are damaged and were skipped" if log.file_corruption else ""
     cut = "it ends within a message: the recording was cut off" if _cut_short(data, log.since) else ""
     changed = {name: value for _, name, value in log.changed_parameters}
-    parameters = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    values = {name: float(value) for name, value in {**log.initial_parameters, **changed}.items()}
+    parameters = {name: value for name, value in values.items() if isfinite(value)}  # PX4 has NaN for "not set"
     return found, parameters, tuple(note for note in (damaged, cut) if note)
+
+
+def _without_holes(data: bytes) -> bytes:
+    """The file with its long runs of zeros shortened: a logger reserves space ahead, and pyulog goes byte by byte.
+
+    What is left of a run is longer than any message, so that none begins or ends elsewhere.
+    """
+    whole = len(data) // BLOCK_BYTES
+    filled = np.frombuffer(data, np.uint64, whole * BLOCK_BYTES // 8).reshape(whole, BLOCK_BYTES // 8).any(axis=1)
+    since = np.arange(whole) - np.maximum.accumulate(np.where(filled, np.arange(whole), -1))  # zero blocks up to here
+    kept = np.append(since <= ZERO_BLOCKS, [True])
+    if kept.all():
+        return data
+    edges = np.flatnonzero(np.diff(kept, prepend=False, append=False)) * BLOCK_BYTES
+    return b"".join(data[first:stop] for first, stop in edges.reshape(-1, 2).tolist())
 
 
 def _check_definitions(log: ULog) -> None:
@@ -293,6 +313,15 @@ def _sample_time_us(fields: Mapping[str, NDArray[np.number]], delay: str | None)
     if late is None or late.dtype.kind not in "iu":
         return time_us
     return np.where(late == NO_ACCELEROMETER, 0, time_us + late.astype(np.int64))
+
+
+def _mav_type(topics: Mapping[str, ULog.Data], parameters: Mapping[str, float]) -> int | None:
+    """MAV_TYPE as most of the vehicle's states tell it, or by its parameter; None where the log does not say."""
+    states = topics.get("vehicle_status")
+    told = None if states is None else states.data.get("system_type")
+    if told is not None and told.dtype.kind in "iu" and len(told):
+        return int(Counter(told.tolist()).most_common(1)[0][0])
+    return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
 
 
 def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> int:

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import FloatArray, Series, Signal, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry, Three
+from mavdiag.units import RPM
 
 __all__ = [
     "VIBRATION_HIGH",
@@ -22,6 +24,7 @@ __all__ = [
     "RotorLine",
     "Trim",
     "Vibration",
+    "motors_of",
     "output_loads",
     "rotor_line",
     "told_hz",
@@ -33,6 +36,9 @@ __all__ = [
 # above 30 there may be problems, above 60 there nearly always are.
 VIBRATION_USUAL, VIBRATION_HIGH = 30.0, 60.0
 FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
+MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
+HELD_S = 0.3  # or at a limit of the mixer: it stands still for so long, as no motor in flight does (our choice)
+AWAY = 0.5  # and by more than this share of the mean beside it (our choice)
 LEAST_S = 2.0  # of unbroken flight that a spectrum needs (our choice)
 SPECTRUM_S = 1.0  # of one of its windows, so 1 Hz wide lines (our choice)
 LINE_FROM_HZ = 25.0  # slower rotors fly nothing that this tool is for (our choice)
@@ -101,30 +107,56 @@ class RotorLine:
     reason: str = ""
 
 
-def told_hz(speeds: Series | None) -> float:
-    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not."""
-    turning = np.empty(0) if speeds is None else speeds.values[np.nan_to_num(speeds.values) > 0]
-    return float(turning.mean() / math.tau) if len(turning) else math.nan
+def told_hz(telemetry: Telemetry) -> float:
+    """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not.
+
+    PX4's simulator makes ESC_STATUS up, as 6000 rpm of full output: that tells nothing.
+    """
+    speeds, outputs = telemetry.get(Signal.ROTOR_SPEED), telemetry.get(Signal.ACTUATOR)
+    if speeds is None or not (np.nan_to_num(speeds.values) > 0).any():
+        return math.nan
+    told = speeds.values[np.nan_to_num(speeds.values) > 0]
+    if outputs is not None and len(outputs):
+        latest = np.maximum(np.searchsorted(outputs.t_ns, speeds.t_ns, side="right") - 1, 0)
+        both = min(speeds.values.shape[1], outputs.values.shape[1])
+        made_up = MADE_UP_RAD_S * outputs.values[latest, :both]
+        turning = made_up > MADE_UP_RAD_S * IDLE
+        if turning.any() and np.nanmedian(np.abs(speeds.values[:, :both][turning] / made_up[turning] - 1)) < 0.01:
+            return math.nan
+    return float(told.mean() / math.tau)
 
 
-def output_loads(flight: Sequence[Rows], rotors: int) -> tuple[OutputLoad, ...]:
-    """The load of each motor's output in flight; none where there are no outputs. rotors: how many there are."""
-    known = [_outputs(block, rotors) for block in joined(flight)]
-    outputs = np.concatenate([one for one in known if one.size] or [np.empty((0, rotors))])
-    if not len(outputs) or not rotors:
+def motors_of(flight: Sequence[Rows]) -> list[int]:
+    """Columns of the outputs that move in flight as motors may; what stands still or idles is none."""
+    return moving_outputs(Stretches([rows.block for rows in flight]))
+
+
+def output_loads(flight: Sequence[Rows], motors: Sequence[int]) -> tuple[OutputLoad, ...]:
+    """The load of each motor's output in flight; none where there are no outputs. motors: their columns, from 0."""
+    found = [(_outputs(block, motors), block.dt_s) for block in joined(flight)]
+    known = [(outputs, dt_s) for outputs, dt_s in found if outputs.size]
+    if not known:
         return ()
+    outputs = np.concatenate([one for one, _ in known])
+    still = np.concatenate([_standing(one, dt_s) for one, dt_s in known])
     means = outputs.mean(axis=0)
     level = float(means.mean())
+    full = (outputs >= FULL) | (still & (outputs > (1 + AWAY) * level))
+    idle = (outputs <= IDLE) | (still & (outputs < (1 - AWAY) * level))
     return tuple(
-        OutputLoad(
-            number,
-            float(mean),
-            float(mean / level - 1),
-            float((outputs[:, number - 1] >= FULL).mean()),
-            float((outputs[:, number - 1] <= IDLE).mean()),
-        )
-        for number, mean in enumerate(means, 1)
+        OutputLoad(motor + 1, float(mean), float(mean / level - 1), float(upper.mean()), float(lower.mean()))
+        for motor, mean, upper, lower in zip(motors, means, full.T, idle.T, strict=True)
     )
+
+
+def _standing(outputs: FloatArray, dt_s: float) -> BoolArray:
+    """(n, k) whether an output keeps its value for `HELD_S` or longer around this row."""
+    standing = np.zeros(outputs.shape, dtype=np.bool_)
+    for column, found in zip(outputs.T, standing.T, strict=True):
+        edges = np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan))
+        lengths = np.diff(edges)
+        found[:] = np.repeat(lengths * dt_s >= HELD_S, lengths)
+    return standing
 
 
 def trim(flight: Sequence[Rows], layout: RotorLayout) -> Trim | None:
@@ -181,12 +213,12 @@ def _because(none: RotorLine, reason: str) -> RotorLine:
     return RotorLine(none.hz, none.db, none.harmonics, none.told_hz, none.from_hz, none.to_hz, reason)
 
 
-def _outputs(block: Block, rotors: int) -> FloatArray:
-    """Outputs of the valid rows in which all motors turn, (n, rotors)."""
-    if block.actuator.shape[1] < rotors or not rotors:
-        return np.empty((0, rotors))
-    outputs = block.actuator[:, :rotors]
-    known = block.valid & block.known(Signal.ACTUATOR, slice(0, rotors))
+def _outputs(block: Block, motors: Sequence[int]) -> FloatArray:
+    """Outputs of the valid rows in which all motors turn, (n, motors)."""
+    if block.actuator.shape[1] <= max(motors, default=-1) or not motors:
+        return np.empty((0, len(motors)))
+    outputs = block.actuator[:, list(motors)]
+    known = block.valid & np.isfinite(outputs).all(axis=1)
     turning: FloatArray = outputs[known & (outputs.mean(axis=1) > MIN_OUTPUT)]
     return turning
 

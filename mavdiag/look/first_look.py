@@ -4,28 +4,26 @@ It never says that a vehicle is well: without a baseline there is nothing that c
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.errors import InputError
-from mavdiag.learning.flights import front_for, rows_of
+from mavdiag.learning.guards import upsets
 from mavdiag.link.profiles import PROFILES
 from mavdiag.look.figures import (
     OutputLoad,
     RotorLine,
     Trim,
     Vibration,
+    motors_of,
     output_loads,
     rotor_line,
     told_hz,
     trim,
     vibration,
 )
-from mavdiag.look.inspection import WINDOW_S, MonitorState, Summary, Units, monitor_states, rotors_of, summary, units_of
-from mavdiag.rows.front import Rows
+from mavdiag.look.inspection import MonitorState, Summary, Units, monitor_states, rotors_of, summary, units_of
 from mavdiag.telemetry import FloatArray, Log, Signal
 from mavdiag.units import NS_PER_S
 
@@ -40,6 +38,7 @@ class FirstLook:
 
     log: its name. profile: its link or kind. span_s: from its first to its last sample.
     flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
+    upset: when and how it fell or tumbled, one sentence; empty if it did not.
     signals: what it carries.
     gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
     rotors: what is known of the rotors' layout, one sentence.
@@ -54,6 +53,7 @@ class FirstLook:
     span_s: float
     flight_s: float
     no_flight: str
+    upset: str
     notes: tuple[str, ...]
     signals: tuple[Summary, ...]
     gyro_gaps: int
@@ -74,48 +74,32 @@ class FirstLook:
 
 def first_look(log: Log, told: Airframe) -> FirstLook:
     """Look at a log. told: what is known of its vehicle; `Airframe()` for nothing."""
-    airframe = rotors_of(log, told)
+    airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
-    flight, no_flight = _flight(log, airframe)
-    gaps = _gyro_gaps(log)
-    count = airframe.layout.rotors if airframe.layout is not None else _outputs(log)
+    flight, gaps = () if learnt is None else learnt.rows, _gyro_gaps(log)
+    motors = range(airframe.layout.rotors) if airframe.layout is not None else motors_of(flight)
     profile = PROFILES.get(log.profile)
     corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
-    speeds = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    speeds = told_hz(log.telemetry)
     return FirstLook(
         log=log.name,
         profile=log.profile,
         span_s=_span_s(log),
         flight_s=sum(float(np.count_nonzero(one.block.valid)) * one.block.dt_s for one in flight),
         no_flight=no_flight,
+        upset="" if learnt is None else "; ".join(one.text for one in upsets([learnt])),
         notes=log.notes,
         signals=signals,
         gyro_gaps=len(gaps),
         lost_s=float(sum(gaps)),
         units=units_of(log),
         rotors=airframe.layout_statement,
-        loads=output_loads(flight, count),
+        loads=output_loads(flight, motors),
         trim=None if airframe.layout is None else trim(flight, airframe.layout),
         vibration=vibration(flight),
         line=rotor_line(flight, corner_hz, speeds) if flight else None,
         monitors=monitor_states(log, signals, airframe),
     )
-
-
-def _flight(log: Log, airframe: Airframe) -> tuple[Sequence[Rows], str]:
-    """The rows of flight with outputs in the order of the rotors, and why there are none."""
-    try:
-        front = front_for([log], WINDOW_S, airframe.gate)
-    except InputError as error:
-        return (), str(error).removeprefix(f"{log.name}: ")
-    outputs = None if log.motor_order else airframe.outputs
-    rows = rows_of(replace(front, outputs=outputs), log.telemetry)
-    return rows, "" if any(len(one.block) for one in rows) else "it never counts as flying: not armed, or no thrust"
-
-
-def _outputs(log: Log) -> int:
-    found = log.telemetry.get(Signal.ACTUATOR)
-    return 0 if found is None else found.values.shape[1]
 
 
 def _gyro_gaps(log: Log) -> list[float]:

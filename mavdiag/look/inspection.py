@@ -11,8 +11,8 @@ from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.airframe.trim import SIGNALS
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import BaselineError, InputError
-from mavdiag.learning.flights import airborne, front_for
-from mavdiag.learning.rotors import with_rotors
+from mavdiag.learning.flights import LearntFlight, airborne, front_for
+from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.link.codec import message_name
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import CONTRARY, AxisCheck, gravity_of, gyro_checks
@@ -29,8 +29,9 @@ from mavdiag.monitors import (
 )
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.unbalance import corner_of
-from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
-from mavdiag.units import NS_PER_S
+from mavdiag.rows.grid import unbroken
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_MS, NS_PER_S
 
 __all__ = [
     "Clock",
@@ -68,7 +69,7 @@ class Summary:
 
     signal, unit: what it measures.
     samples: how many there are.
-    rate_hz: their mean rate, gaps included; None with fewer than two times.
+    rate_hz: their mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times.
     jitter_ms: standard deviation of the steps that are no gaps.
     longest_gap_s: the longest step.
     lowest, highest: of each column; None where a column holds no number.
@@ -86,11 +87,11 @@ class Summary:
 
 def summary(series: Series) -> Summary:
     """Figures of one signal, which has samples."""
-    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64) / NS_PER_S
+    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64)
     rate = jitter = gap = None
     if len(steps):
-        rate, gap = float(len(steps) / steps.sum()), float(steps.max())
-        jitter = 1e3 * float(steps[steps < USUAL * np.median(steps)].std())
+        rate, gap = float(NS_PER_S / unbroken(steps).mean()), float(steps.max()) / NS_PER_S
+        jitter = float(steps[steps < USUAL * np.median(steps)].std()) / NS_PER_MS
     known = [column[np.isfinite(column)] for column in series.values.T]
     lowest, highest = (tuple(float(of(column)) if len(column) else None for column in known) for of in (np.min, np.max))
     return Summary(series.signal, series.unit, len(series), rate, jitter, gap, lowest, highest)
@@ -119,9 +120,10 @@ def clock_of(telemetry: Telemetry) -> Clock | None:
         return None
     behind: FloatArray = (gyro.host_ns - gyro.t_ns) / NS_PER_S
     second = (gyro.t_ns - gyro.t_ns[0]) // NS_PER_S
-    least = np.array([behind[second == one].min() for one in np.unique(second)])
+    seconds, order, starts = _by_second(gyro.t_ns)
+    least = np.minimum.reduceat(behind[order], starts)
     known = len(least) >= DRIFT_S
-    slope, start = np.polyfit(np.arange(len(least)), least, 1) if known else (0.0, float(least.min()))
+    slope, start = np.polyfit(seconds, least, 1) if known else (0.0, float(least.min()))
     late = behind - (start + slope * second)
     others = (one for one in telemetry.series if len(one) >= 20 and one.signal is not Signal.BODY_RATE)
     signals = {
@@ -157,9 +159,17 @@ def units_of(log: Log) -> Units:
     checks = () if gyro is None or attitude is None else gyro_checks(gyro, attitude)
     if force is None or not len(force) or not np.isfinite(force.values).all():
         return Units(None, "no accelerometer along three axes", checks)
-    second = (force.t_ns - force.t_ns[0]) // NS_PER_S
-    felt = float(np.median([gravity_of(force.values[second == one]) for one in np.unique(second)]))
+    _, order, starts = _by_second(force.t_ns)
+    felt = float(np.median([gravity_of(part) for part in np.split(force.values[order], starts[1:])]))
     return Units(felt, _gravity(log.profile, felt), checks)
+
+
+def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """The seconds since the first sample that have any, the samples' order by second, and where each begins in it."""
+    second = (t_ns - t_ns[0]) // NS_PER_S
+    order = np.argsort(second, kind="stable")
+    seconds, starts = np.unique(second[order], return_index=True)
+    return seconds, order, starts
 
 
 def _gravity(profile: str, felt_g: float) -> str:
@@ -170,18 +180,23 @@ def _gravity(profile: str, felt_g: float) -> str:
     return f"wrong scale, or never at rest{remedy_of}"
 
 
-def rotors_of(log: Log, told: Airframe) -> Airframe:
-    """The airframe with its rotors: as told, by the vehicle's parameters, or by what the outputs do in flight."""
+def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, str]:
+    """The airframe with its rotors as `learn` finds them, the flight by rotor, and why there is none.
+
+    Its rotors are as told, as of every vehicle that writes such logs, by the vehicle's parameters, or by what the
+    outputs do in flight.
+    """
+    told = of_log_kind(told, log.profile)
     try:
-        flight = airborne(front_for([log], WINDOW_S, told.gate), log)
-        return with_rotors(told, [flight])[0]
+        airframe, flights = with_rotors(told, [airborne(front_for([log], WINDOW_S, told.gate), log)])
+        return airframe, flights[0], ""
     except InputError as error:
-        said = layout_from_parameters(log.parameters)
+        said, why = layout_from_parameters(log.parameters, log.mav_type), str(error).removeprefix(f"{log.name}: ")
         if told.layout is not None:
-            return replace(told, layout_basis="told")
+            return replace(told, layout_basis=told.layout_basis or "told"), None, why
         if said.layout is not None:
-            return replace(told, layout=said.layout, layout_basis=said.reason)
-        return replace(told, layout_basis=said.reason or str(error).removeprefix(f"{log.name}: "))
+            return replace(told, layout=said.layout, layout_basis=said.reason), None, why
+        return replace(told, layout_basis=said.reason or why), None, why
 
 
 @dataclass(frozen=True, slots=True)

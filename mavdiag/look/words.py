@@ -18,6 +18,7 @@ def in_full(look: FirstLook) -> list[str]:
     flight = f"{look.flight_s:.1f} s of flight that can be judged" if not look.no_flight else look.no_flight
     lines = [f"{look.log}: profile {look.profile}, {look.span_s:.1f} s long, {flight}"]
     lines += [f"  note: {note}" for note in look.notes]
+    lines += [f"  upset: {look.upset}"] if look.upset else []
     lines.append(f"  link: {_link(look)}")
     lines.append(f"  units: {_units(look)}")
     lines.append(f"  {look.rotors}")
@@ -39,7 +40,7 @@ def in_one_line(look: FirstLook) -> str:
     """The most that one line can say of a log."""
     if look.no_flight:
         return f"{look.log}: {look.profile}, {look.span_s:.0f} s, {look.no_flight}"
-    parts = [look.profile, f"{look.flight_s:.0f} s of flight", f"{_rate(look):.0f} Hz"]
+    parts = [look.profile, f"{look.flight_s:.0f} s of flight", f"{_rate(look):.0f} Hz", *filter(None, (look.upset,))]
     busiest = max(look.loads, key=lambda one: one.over_mean, default=None)
     if busiest is not None and busiest.over_mean >= NOTABLE:
         parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")

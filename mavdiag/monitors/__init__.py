@@ -43,8 +43,8 @@ NEED_LAYOUT = tuple(monitor.name for monitor in MONITORS if monitor.needs_layout
 def by_name(name: str) -> type[Monitor[Any, Any]]:
     """The monitor of that name. Raises UsageError, listing the names, if there is none.
 
-    >>> by_name("fsd").threshold_label
-    'FML '
+    >>> by_name("fsd").label
+    'FSD'
     """
     if name not in BY_NAME:
         raise UsageError(f"no monitor {name}; there are {', '.join(BY_NAME)}")

@@ -7,6 +7,7 @@ streams that the detector asks for, and the contract tests.
 """
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -149,7 +150,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     name: key in the baseline, the journal and the scan report.
     label: how a text for a pilot calls it, at most 10 characters.
-    statistic_label, threshold_label: how a text names the two figures, with a blank at the end ("FSD ", "FML ").
+    phrase: what a text for a pilot says of its alarm, with {times} its threshold or {lost} percent of thrust, if any.
     needs: every signal that its value may rest on; a value is not valid where one is unknown (see `signals`).
     depends: the conditions that raise its statistic in healthy flight; outside of what the healthy flights covered of
         them it does not judge (`thresholds.envelope`).
@@ -166,8 +167,7 @@ class Monitor(ABC, Generic[Spec, State]):
 
     name: ClassVar[str]
     label: ClassVar[str]
-    statistic_label: ClassVar[str] = ""
-    threshold_label: ClassVar[str] = ""
+    phrase: ClassVar[str] = ""
     needs: ClassVar[frozenset[Signal]]
     depends: ClassVar[frozenset[Condition]] = frozenset()
     decides: ClassVar[bool] = True
@@ -243,6 +243,11 @@ class Monitor(ABC, Generic[Spec, State]):
     def delay_s(self) -> float:
         """How much later than its time stamp a value is known [s]."""
         return 0.0
+
+    @property
+    def reach(self) -> float:
+        """What the statistic can come to, whatever breaks; a threshold at or above it would never be passed."""
+        return math.inf
 
     @property
     def memory_s(self) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
-from mavdiag.monitors.healthy import LIMIT, MEMORY_S, Three, cut_to_share, three, variance_law
+from mavdiag.monitors.healthy import MEMORY_S, MOST, Three, cut_to_share, parted, three, variance_law, whole
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
@@ -40,7 +40,10 @@ NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded 
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
 MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
+CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
+GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
+STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
 
 
@@ -119,7 +122,9 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
     least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
-    healthy flights had does not count. About 1 in healthy flight. `level` equals the statistic, `signal` is the
+    healthy flights had does not count. What z^2 is beyond 36 counts where more than 7 rows of the second have it, as a
+    glitch of three samples has not; and a row whose gyro is that of the three before is left out. About 1 in healthy
+    flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
     Warm-up: half an SG window, 4 rows and 1 s; after a gap of less than a second only the first two. Latency: half an
@@ -138,6 +143,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     name = "innovation"
     label = "innovation"
+    phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
     spec_type = InnovationSpec
@@ -163,6 +169,8 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
             rate_hz = 1 / context.dt_s
             raise InputError(f"the gyro comes at {rate_hz:.3g} Hz; a one-step prediction needs {MIN_RATE_HZ:.0f} Hz")
         pairs = _training_pairs(summaries)
+        if all((one.y == one.y[:1]).all() for one in pairs) and sum(len(one[2]) for one in summaries) >= MIN_ROWS:
+            raise IdentificationError(CONSTANT)
         rows = sum(int(one.valid.sum()) for one in pairs)
         if rows < MIN_ROWS:
             raise IdentificationError(f"only {rows} rows of healthy flight, {MIN_ROWS} are needed; fly longer")
@@ -172,7 +180,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
             a[axis], b[axis] = _identify(pairs, axis, float(mean[axis]))
         squares = np.concatenate([_errors(one.u, one.y - mean, a, b)[one.valid] ** 2 for one in pairs])
         if squares.mean(axis=0).min() == 0.0:
-            raise IdentificationError("the gyro is constant or noise-free; is it a real sensor?")
+            raise IdentificationError(CONSTANT)
         busy = np.concatenate([one.busy[one.valid] for one in pairs])
         k = [variance_law(squares[:, axis], busy[:, axis]) for axis in range(3)]
         spec = InnovationSpec(
@@ -201,6 +209,11 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         self._mean, self._a, self._b = np.array(spec.mean), np.array(spec.a), np.array(spec.b)
         self._k0, self._k1 = np.array(spec.k0), np.array(spec.k1)
 
+    @property
+    def reach(self) -> float:
+        """Where a normalised error is cut."""
+        return MOST
+
     def start(self) -> InnovationState:
         """No row yet."""
         return _fresh()
@@ -210,18 +223,16 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         spec, rates = self.spec, rows.rates
         state, pairs = _pair(state, rows, spec.memory_s)
         e = _errors(pairs.u, pairs.y - self._mean, self._a, self._b)
-        z = np.minimum(np.maximum(e / np.sqrt(self._k0 + self._k1 * pairs.busy), -LIMIT), LIMIT)
+        z = e / np.sqrt(self._k0 + self._k1 * pairs.busy)
         # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
         used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        squares = np.einsum("nk,nk->n", z, z)
+        squares, window = parted(z), window_rows(spec.window_s, rates.dt_s)
         kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
-        mean_state, mean, full = sliding_mean(
-            state.mean, kept[:, None], all_of_them, window_rows(spec.window_s, rates.dt_s)
-        )
-        level = np.sqrt(np.maximum(mean[:, 0] / 3, 0.0))
+        mean_state, mean, full = sliding_mean(state.mean, kept, all_of_them, window)
+        level = np.sqrt(np.maximum(whole(mean, window, GLITCH_ROWS) / 3, 0.0))
         if count < len(z):
-            some, whole, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
-            level[used], full[used] = some, whole
+            some, known, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
+            level[used], full[used] = some, known
         worst = row_max(np.abs(z))
         state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
         return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
@@ -230,7 +241,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 def _fresh() -> InnovationState:
     never = np.zeros(LAG, dtype=np.bool_)
     nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(1))
+    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(3))
 
 
 def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
@@ -253,11 +264,20 @@ def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[Innovati
         finite = np.isfinite(fresh)
         good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
     both = np.concatenate((state.past, fresh))
-    valid = np.concatenate((state.past_valid, good))
-    whole = window_all(valid, LAG + 1)
+    valid = np.concatenate((state.past_valid, good & ~_still(both[:, 3:])))
+    unbroken = window_all(valid, LAG + 1)
     busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
     state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
-    return state, _Pairs(both[:, :3], both[:, 3:], whole, trace)
+    return state, _Pairs(both[:, :3], both[:, 3:], unbroken, trace)
+
+
+def _still(y: FloatArray) -> BoolArray:
+    """(n,) whether a row is the same as the three before it, (LAG + n, 3)."""
+    changed = (y[1:] != y[:-1]).any(axis=1)[LAG - STILL_ROWS :]
+    stirred: BoolArray = np.logical_or.reduce(
+        [changed[i : len(changed) - STILL_ROWS + 1 + i] for i in range(STILL_ROWS)]
+    )
+    return ~stirred
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:

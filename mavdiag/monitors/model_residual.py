@@ -116,7 +116,7 @@ class ResidualState:
     level: (2,) running mean of acceleration and thrust.
     drift: (3,) running mean of the residuals.
     busy: (3,) running mean square of what was commanded.
-    thrust: the last one.
+    heave: (2,) the last acceleration and thrust that were known; they hold until the next ones.
     errors: what the correction of gain and speed needs.
     unrest: (3,) running mean square of n.
     """
@@ -127,7 +127,7 @@ class ResidualState:
     level: EmaState
     drift: EmaState
     busy: EmaState
-    thrust: float
+    heave: FloatArray
     errors: "_Errors"
     unrest: EmaState
 
@@ -168,7 +168,7 @@ class ModelResidual:
             level=start_ema(np.zeros(2)),
             drift=start_ema(np.zeros(3)),
             busy=start_ema(np.zeros(3)),
-            thrust=0.0,
+            heave=np.zeros(2),
             errors=_no_errors(),
             unrest=start_ema(np.ones(3)),
         )
@@ -180,15 +180,16 @@ class ModelResidual:
         if k == 0:
             empty = np.empty((0, 3))
             return replace(state, waiting=waiting), Residuals(samples.t_ns, empty, empty, empty, samples.valid)
-        u, y, heave = (_finite(part) for part in (samples.u, samples.y, samples.heave))
+        u, y, heave = _finite(samples.u), _finite(samples.y), held(samples.heave, state.heave)
         if not state.runs:
             state = self._begin(state, u, y, heave)
         level, mean = ema(state.level, heave, self._drift)
-        slope = _steps(heave[:, 1:], np.array([state.thrust])) / self.motion.period_s
+        slope = _steps(heave[:, 1:], state.heave[1:]) / self.motion.period_s
         runs, r, simulated = self._simulate(state, u, y, heave - mean)
         settled = np.arange(state.seen, state.seen + k) >= SETTLE_S / self.motion.period_s
-        if not settled[0]:
-            r[~settled] = 0.0
+        known = samples.valid & settled
+        if np.count_nonzero(known) < k:  # what is not known is not unexplained
+            r[~known] = 0.0
         drift, slow = ema(state.drift, r, self._drift)
         r -= slow
         errors = state.errors
@@ -197,9 +198,10 @@ class ModelResidual:
             r -= explained
         busy, trace = ema(state.busy, np.square(np.concatenate((u, slope), axis=1)), self._memory)
         unrest, n = without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
-        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, float(heave[-1, 1]), errors, unrest)
-        known = np.isfinite(samples.heave[:, 1]) if self.motion.uses_thrust else settled
-        return state, Residuals(samples.t_ns, r, n, trace, samples.valid & settled & known)
+        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, heave[-1], errors, unrest)
+        if self.motion.uses_thrust:
+            known = known & np.isfinite(samples.heave[:, 1])
+        return state, Residuals(samples.t_ns, r, n, trace, known)
 
     def _begin(self, state: ResidualState, u: FloatArray, y: FloatArray, heave: FloatArray) -> ResidualState:
         """Start the models from the first measured rates at rest in them, and the means from the first values."""
@@ -208,7 +210,7 @@ class ModelResidual:
             for i, model in enumerate(self._models[:2])
         ]
         runs = (*rates, freerun.start(self._models[2]))
-        return replace(state, runs=runs, level=start_ema(heave[0]), thrust=float(heave[0, 1]))
+        return replace(state, runs=runs, level=start_ema(heave[0]), heave=heave[0])
 
     def _simulate(
         self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
@@ -274,6 +276,19 @@ def _steps(x: FloatArray, before: FloatArray) -> FloatArray:
     out[0] = x[0] - before
     np.subtract(x[1:], x[:-1], out=out[1:])
     return out
+
+
+def held(x: FloatArray, before: FloatArray) -> FloatArray:
+    """x, (n, k), with the last known value where it is no number; before: (k,) the one before the first row.
+
+    >>> held(np.array([[np.nan], [2.0], [np.nan]]), np.array([1.0])).T.tolist()
+    [[1.0, 2.0, 2.0]]
+    """
+    if math.isfinite(float(np.add.reduce(x, axis=None))):
+        return x
+    both = np.concatenate((before[None], x))
+    at = np.maximum.accumulate(np.where(np.isfinite(both), np.arange(len(both))[:, None], 0), axis=0)
+    return np.take_along_axis(both, at, axis=0)[1:]
 
 
 def _finite(x: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ from mavdiag.monitors.model_residual import (
     SETTLE_S,
     SPEED_S,
     HealthyMotion,
+    held,
 )
 from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import forgetting
@@ -48,7 +49,7 @@ def gathered(flight: Sequence[Rows], motion: HealthyMotion) -> Summary:
     """The decimated samples of a flight: (n, 11) and their flags (n, 3)."""
     values, flags = [np.empty((0, COLUMNS))], [np.empty((0, FLAGS), dtype=np.bool_)]
     for one in _samples(flight, motion):
-        u, heave = (np.where(np.isfinite(part), part, 0.0) for part in (one.u, one.heave))
+        u, heave = np.where(np.isfinite(one.u), one.u, 0.0), held(one.heave, np.zeros(2))
         lift = heave - smoothed(heave, forgetting(DRIFT_S, motion.period_s), heave[0])
         slope = np.diff(heave[:, 1:], axis=0, prepend=heave[:1, 1:]) / motion.period_s
         busy = smoothed(np.square(np.concatenate((u, slope), axis=1)), forgetting(MEMORY_S, motion.period_s))
@@ -102,10 +103,10 @@ def _tried(values: FloatArray, flags: BoolArray, motion: HealthyMotion) -> _Trie
         at_rest = (np.full(len(model.b), command[0]), np.full(len(model.a), answer[0])) if i < 2 else (None, None)
         f[:, i] = model.simulate(command, *at_rest)
         r[:, i] = answer - f[:, i]
-    settled = np.arange(len(values)) >= SETTLE_S / motion.period_s
-    r[~settled] = 0.0
+    known = flags[:, 0] & (np.arange(len(values)) >= SETTLE_S / motion.period_s)
+    r[~known] = 0.0
     r -= smoothed(r, forgetting(DRIFT_S, motion.period_s))
-    return _Tried(r, f, finite[:, 8:11], flags[:, 0] & settled & (flags[:, 1] | (not motion.uses_thrust)))
+    return _Tried(r, f, finite[:, 8:11], known & (flags[:, 1] | (not motion.uses_thrust)))
 
 
 def _explained(one: _Tried, motion: HealthyMotion) -> FloatArray:

@@ -121,6 +121,7 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
 
     name = "rotor_signature"
     label = "signature"
+    phrase = "thrust unsteady {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT, Signal.SPECIFIC_FORCE, Signal.THRUST_SETPOINT})
     depends = frozenset(
         {Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION}

@@ -6,52 +6,59 @@ the centre or a damaged blade all shift the trim.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import SOURCES, Source, rises, source_among, sources_of, spread_from, tilt_of, trim_of
-from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.base import Feature, Flights, LearnContext, Summaries, Summary, segments
-from mavdiag.monitors.healthy import Three, joined_moments, moments, three
-from mavdiag.monitors.trim import WINDOW_S, TrimMonitor, TrimSpec
+from mavdiag.airframe.trim import SOURCES, rises, source_among, spread_from
+from mavdiag.errors import InputError
+from mavdiag.monitors.base import Feature, LearnContext, Summaries
+from mavdiag.monitors.healthy import Three, joined_moments, moments
+from mavdiag.monitors.trim import (
+    TickState,
+    TrimMonitor,
+    TrimSpec,
+    mean_of,
+    start_ticks,
+    tick_rows,
+    turn_of,
+    window_means,
+    window_ticks,
+    windows_of,
+)
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, row_max, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import FloatArray
+from mavdiag.rows.windows import row_max, unbroken
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["RotorTrim", "RotorTrimSpec"]
-
-NONE = np.empty((0, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RotorTrimSpec(TrimSpec):
     """Healthy trim.
 
-    mean, spread: of the 5 s means of roll, pitch and yaw trim [fraction of hover].
+    spread: of the 5 s means of roll, pitch and yaw trim about `mean` [fraction of hover].
     Raises InputError if they do not describe a vehicle.
     """
 
     kind: Literal["rotor_trim"] = "rotor_trim"
-    mean: Three
     spread: Three
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(x) for x in (*self.mean, *self.spread)) or min(*self.spread, self.window_s) <= 0:
-            raise InputError("rotor_trim: the healthy trim must be finite, its spread and the window positive")
+        if not all(map(math.isfinite, self.spread)) or min(*self.spread, self.window_s) <= 0:
+            raise InputError("rotor_trim: the spread of the healthy trim and the window must be positive")
         self.check()
 
 
-class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
+class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
         statistic = max_j a_j,    rotor = argmax_j a_j
+
+    m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
+    (`monitors.trim`), so that a few wild samples move nothing; ticks in which the nose begins or ends to turn are left
+    out, half of the ten at most.
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
@@ -72,12 +79,13 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
     >>> healthy = RotorTrimSpec(layout=x, source="actuator", mean=still, spread=(0.03, 0.03, 0.01))
     >>> monitor = RotorTrim(healthy)
     >>> _, found = monitor.step(monitor.start(), example_rows(1000, 0.01, actuator=outputs))
-    >>> float(found.value[-1].round(2)), int(found.rotors[-1].argmax()) + 1, found.valid[[498, 499]].tolist()
+    >>> float(found.value[-1].round(2)), int(found.rotors[-1].argmax()) + 1, found.valid[[8, 9]].tolist()
     (0.1, 2, [False, True])
     """
 
     name = "rotor_trim"
     label = "rotor trim"
+    phrase = "lost {lost}% thrust"
     # An estimate from subsets of the five healthy recorded flights of one airframe: few sessions do not show how the
     # trim changes from one to the next, 0.06 more with one session, nothing more from five on; and one flight's scale
     # does not show what the next flight of a session has, 12 scales more (a simulated vehicle has hardly any). And a
@@ -88,67 +96,39 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, MeanState]):
     doubt = "trim shift: propeller, payload or session"  # a trim alone tells no more
 
     @classmethod
-    def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Which sources show a trim, and for each of them the moments of the window means."""
-        layout, shown = context.layout, sources_of(flight, context.layout)
-        found = [_moments(flight, layout, source) if shown[i] else moments(NONE) for i, source in enumerate(SOURCES)]
-        return (shown, *found[0], *found[1])
-
-    @classmethod
     def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[RotorTrimSpec, ...]:
-        """Healthy trim: mean over flights of their means, spread of all their windows about it.
+        """What a turn takes; mean over flights of their means, spread of all their windows about it.
 
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
         layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
-        first = 1 + 3 * SOURCES.index(source)
-        found = [one[first : first + 3] for one in summaries]
-        mu = _mean(found)
-        spread = spread_from(joined_moments(found).about(mu))
-        return (RotorTrimSpec(layout=layout, source=source, mean=three(mu), spread=spread),)
+        spec = RotorTrimSpec(layout=layout, source=source, spread=(1.0, 1.0, 1.0))
+        flights, window = (
+            [one[1 + SOURCES.index(source)] for one in summaries],
+            window_ticks(spec.window_s, context.dt_s),
+        )
+        turn = turn_of(flights, window)
+        mean = mean_of(flights, turn, window)
+        found = joined_moments([moments(windows_of(ticks, turn, window)[:, :3]) for ticks in flights])
+        spread = spread_from(found.about(np.array(mean)))
+        return (RotorTrimSpec(layout=layout, source=source, mean=mean, turn=turn, spread=spread),)
 
-    def renewed(self, flights: Flights, context: LearnContext) -> tuple[RotorTrimSpec, float]:
-        """With the trim of the new propellers; how much it varies stays."""
-        mean = _mean([_moments(flight, self.spec.layout, self.spec.source) for flight in flights])
-        return replace(self.spec, mean=three(mean)), 1.0
+    def start(self) -> TickState:
+        """No row yet."""
+        return start_ticks()
 
-    def extended(self, flights: Flights, sessions: int) -> RotorTrimSpec:
-        """With the mean over sessions, the new one among them."""
-        mean = np.array(self.spec.mean)
-        fresh = _mean([_moments(flight, self.spec.layout, self.spec.source) for flight in flights])
-        return replace(self.spec, mean=three(mean + (fresh - mean) / (sessions + 1)))
-
-    def start(self) -> MeanState:
-        """An empty mean."""
-        return start_mean(5)
-
-    def step(self, state: MeanState, rows: Rows) -> tuple[MeanState, Statistic]:
-        """The best single-rotor rise at each of the next rows."""
-        spec, block = self.spec, rows.block
-        trim, known = trim_of(block, spec.layout, spec.source)
-        both = np.concatenate((trim, tilt_of(block)), axis=1)
-        state, mean, full = sliding_mean(state, both, known, window_rows(spec.window_s, block.dt_s))
-        shift = mean[:, :3] - spec.mean
+    def step(self, state: TickState, rows: Rows) -> tuple[TickState, Statistic]:
+        """The best single-rotor rise twice a second."""
+        spec, dt_s = self.spec, rows.block.dt_s
+        window = window_ticks(spec.window_s, dt_s)
+        state, t_ns, ticks, usable = self.taken(state, rows, 1)
+        count = len(t_ns)
+        valid, mean = unbroken(usable, window)[len(ticks) - count :], np.zeros((count, 5))
+        if valid.any():
+            means, enough = window_means(ticks, window)
+            fresh = min(count, len(means))
+            mean[count - fresh :], valid[count - fresh :] = means[-fresh:], valid[count - fresh :] & enough[-fresh:]
+        shift = np.where(valid[:, None], mean[:, :3] - spec.mean, 0.0)
         rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))
         rotors = rises(shift, spec.layout, spec.spread)
-        return state, Statistic(block.t_ns, block.dt_s, rise, full, rise, shift[:, 2], rotors)
-
-
-def _mean(flights: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """The mean over flights of their means, (3,), by their moments. Raises IdentificationError."""
-    means = [mean for count, mean, _ in flights if count[0]]
-    if not means:
-        raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
-    return np.asarray(np.mean(means, axis=0), dtype=np.float64)
-
-
-def _moments(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of the full window means of a flight."""
-    found = [NONE]
-    for segment in segments(flight):
-        state = start_mean(3)
-        for block in (rows.block for rows in segment):
-            trim, known = trim_of(block, layout, source)
-            state, mean, full = sliding_mean(state, trim, known, window_rows(WINDOW_S, block.dt_s))
-            found.append(mean[full])
-    return moments(np.concatenate(found))
+        return state, Statistic(t_ns, tick_rows(dt_s) * dt_s, rise, valid, rise, shift[:, 2], rotors)

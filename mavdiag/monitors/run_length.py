@@ -144,8 +144,7 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
 
     name = "fsd"
     label = "FSD"
-    statistic_label = "FSD "
-    threshold_label = "FML "
+    phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset(
         {Condition.YAW_RATE, Condition.HEIGHT, Condition.COMMANDED_RATE, Condition.COMMANDED_ACCELERATION}

@@ -89,6 +89,7 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
 
     name = "sensor_noise"
     label = "IMU noise"
+    phrase = "IMU noise {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     kind = FaultKind.SENSOR
     # Estimates: a simulated ArduCopter at 100 Hz, where the differences hold motion, reached 2.2 in healthy flight; and
@@ -129,6 +130,11 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         """The noise with the new propellers; the statistic is relative to it, so old scores hold as they are."""
         (new,) = self.fit(flights, context)
         return new, 1.0
+
+    @property
+    def reach(self) -> float:
+        """The logarithm of the power at which differences are cut: 3.58."""
+        return 2.0 * math.log(LIMIT)
 
     def start(self) -> SensorNoiseState:
         """No row yet."""

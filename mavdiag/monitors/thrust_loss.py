@@ -128,6 +128,11 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         sizes = np.linalg.norm(lost, axis=1)
         self._lost = (lost / np.where(sizes > 0, sizes, np.inf)[:, None]).T
 
+    @property
+    def reach(self) -> float:
+        """All of the thrust."""
+        return 1.0
+
     def start(self) -> ThrustLossState:
         """The command gives what it gave in health."""
         return ThrustLossState(start_ema(np.ones(1)), start_mean(COLUMNS))

@@ -168,6 +168,7 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     name = "unbalance"
     label = "unbalance"
+    phrase = "vibrates {times}x"
     needs = frozenset({Signal.BODY_RATE, Signal.SPECIFIC_FORCE})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     guard = Guard(few_sessions=0.2)  # an estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6)
@@ -239,8 +240,8 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
 
     @property
     def memory_s(self) -> float:
-        """Its window and its filter [s]."""
-        return self.spec.window_s + 2 * FILTER_S
+        """Its window, its filter, and the rows that wait for a value [s]."""
+        return self.spec.window_s + (len(self.spec.taps) + self.spec.tick) * self.spec.dt_s
 
     def start(self) -> UnbalanceState:
         """No row yet."""

@@ -65,6 +65,7 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
 
     name = "vibration_level"
     label = "vibration"
+    phrase = "vibrates {times}x"
     needs = frozenset({Signal.VIBRATION})
     depends = frozenset({Condition.THROTTLE, Condition.HEIGHT})
     # An estimate: a vehicle in a simulator or on a calm day hardly vibrates, so 0.5 m/s^2 more is asked for at least.
@@ -98,6 +99,11 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
     def memory_s(self) -> float:
         """Its window [s]."""
         return self.spec.window_s
+
+    @property
+    def reach(self) -> float:
+        """Where a value is cut [m/s^2]."""
+        return LIMIT_M_S2
 
     def start(self) -> MeanState:
         """An empty mean."""

@@ -111,7 +111,8 @@ def _severity(campaign: Campaign) -> Picture:
             axes.set(xlabel=f"severity\n(fitted terms x{scale:g})", ylim=(-3, 103), xlim=(0.6, 3.4))
             axes.set_xticks((1, 2, 3))
         several[0].set_ylabel("flights with an alarm [%]")
-        legend_above(several[-1], 3)
+        named = {label: line for axes in several for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        legend_above(several[-1], 3, named)
 
     found = sum(one.latency_s is not None for one in campaign.faulty)
     words = f"{found} of {len(campaign.faulty)} damaged flights had an alarm after the onset."

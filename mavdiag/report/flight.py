@@ -22,10 +22,9 @@ from mavdiag.report.spectrum import RotorLine, spectrum_picture
 from mavdiag.report.style import Picture
 from mavdiag.report.thinned import COLUMNS
 from mavdiag.report.windows import sweep_of, windows_picture
-from mavdiag.report.words import declared_s, named_rotor
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import Log, Signal
+from mavdiag.telemetry import Log
 from mavdiag.traces import Traces, traces_of
 
 __all__ = ["FlightReport", "Source", "flight_report", "unread_report"]
@@ -128,7 +127,7 @@ def _of_rotors(
     threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
     shift = None if layout is None else shift_of(blocks, layout, healthy, threshold)
     return (
-        airframe_picture(layout, shift, since_s, named_rotor(verdict)),
+        airframe_picture(layout, shift, since_s, verdict.rotor),
         bars_picture(shift, since_s),
         trim_picture(shift, columns),
     )
@@ -136,7 +135,7 @@ def _of_rotors(
 
 def _since_s(verdict: LogVerdict) -> float | None:
     """From when on a damaged propeller shows [s]; None for the whole flight: what follows a loss says nothing of it."""
-    return declared_s(verdict) if verdict.kind in (None, FaultKind.PROPELLER) else None
+    return verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
 
 
 def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
@@ -152,7 +151,7 @@ def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
 
 def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> RotorLine | None:
     """One per revolution: as the speed controllers report it, else of the airframe's hover, else as it is heard."""
-    told = told_hz(log.telemetry.get(Signal.ROTOR_SPEED))
+    told = told_hz(log.telemetry)
     if math.isfinite(told):
         return RotorLine(told, "the rotor speeds in the log")
     if airframe.hover_rad_s is not None:

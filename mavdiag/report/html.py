@@ -10,38 +10,47 @@ from mavdiag.report.style import Picture, embedded
 __all__ = ["escaped", "figure", "listed", "page", "paragraph", "table"]
 
 STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, "DejaVu Sans", Verdana, Arial, sans-serif; color: #111; background: #fff;
-  max-width: 60rem; margin: 0 auto; padding: 1rem 1.25rem 4rem; }
+/* Each chart is dark on white; the page around it follows the reader's choice. */
+:root { color-scheme: light dark; --text: #111; --soft: #333; --page: #fff; --box: #f4f4f4; --rule: #bbb;
+  --link: #00507d; }
+@media screen and (prefers-color-scheme: dark) { :root { --text: #e8e8e8; --soft: #c4c4c4; --page: #16181a;
+  --box: #24272a; --rule: #555; --link: #8cc8f0; } }
+body { font: 16px/1.5 system-ui, "DejaVu Sans", Verdana, Arial, sans-serif; color: var(--text);
+  background: var(--page); overflow-wrap: anywhere; max-width: 60rem; margin: 0 auto; padding: 1rem 1.25rem 4rem; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0.5rem 0; }
-h2 { font-size: 1.3rem; margin: 2.5rem 0 0.5rem; border-top: 3px solid #111;
-  padding-top: 0.75rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.3rem; margin: 2.5rem 0 0.5rem; border-top: 3px solid var(--text);
+  padding-top: 0.75rem; }
 h3, h2.part { font-size: 1.1rem; margin: 2rem 0 0.5rem; border: 0; padding: 0; }
-a { color: #00507d; }
-.verdict { border-left: 0.6rem solid #111; padding: 0.5rem 1rem; margin: 1rem 0; background: #f4f4f4; }
-.verdict p { margin: 0.3rem 0; overflow-wrap: anywhere; }
+a { color: var(--link); }
+.verdict { border-left: 0.6rem solid var(--text); padding: 0.5rem 1rem; margin: 1rem 0; background: var(--box); }
+.verdict p { margin: 0.3rem 0; }
 .verdict .said { font-size: 1.25rem; font-weight: 600; }
-.verdict.fault { border-color: #D55E00; } .verdict.healthy { border-color: #009E73; }
+.verdict.fault { border-color: #D55E00; } .verdict.suspected { border-color: #E69F00; }
+.verdict.healthy { border-color: #009E73; }
 .verdict.not_judgeable, .verdict.error { border-color: #767676; }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; margin: 0.5rem 0 1rem; font-size: 0.9rem; }
-caption { text-align: left; color: #333; padding-bottom: 0.3rem; }
-th, td { text-align: left; vertical-align: top; padding: 0.25rem 0.6rem 0.25rem 0; border-bottom: 1px solid #bbb; }
-.index tbody th { overflow-wrap: anywhere; }
+table { border-collapse: collapse; width: 100%; margin: 0.5rem 0 1rem; font-size: 0.9rem; overflow-wrap: normal; }
+caption { text-align: left; color: var(--soft); padding-bottom: 0.3rem; }
+th, td { text-align: left; vertical-align: top; padding: 0.25rem 0.6rem 0.25rem 0;
+  border-bottom: 1px solid var(--rule); }
+.index tbody th { min-width: 10rem; }
+tbody th, tbody td { overflow-wrap: break-word; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-thead th { border-bottom: 2px solid #111; }
+thead th { border-bottom: 2px solid var(--text); }
 tbody th { font-weight: 400; }
 tr.above th, tr.above td.number { font-weight: 700; }
-figure { margin: 1.5rem 0; break-inside: avoid; }
-figure > svg { width: 100%; height: auto; display: block; }
-figure#airframe > svg, figure[id$="-airframe"] > svg { max-width: 20rem; }
-figcaption { font-size: 0.95rem; color: #222; max-width: 52rem; }
-figcaption b { color: #111; }
-.missing { border: 1px dashed #767676; padding: 0.4rem 0.8rem; color: #333; }
-details > summary { cursor: pointer; }
+figure { margin: 1.5rem 0; break-inside: avoid; overflow-x: auto; }
+figure > svg { width: 100%; height: auto; display: block; background: #fff; }
+@media screen { figure > svg { min-width: 36rem; } } /* a phone scrolls a chart whose words can be read */
+figure#airframe > svg, figure[id$="-airframe"] > svg { min-width: 0; max-width: 20rem; }
+figcaption { font-size: 0.95rem; color: var(--soft); max-width: 52rem; }
+figcaption b { color: var(--text); }
+.missing { border: 1px dashed #767676; padding: 0.4rem 0.8rem; color: var(--soft); }
 code { font-size: 0.85em; overflow-wrap: anywhere; }
 @media print { body { font-size: 10pt; max-width: none; padding: 0; } h2 { break-before: page; }
-  h2.part, h2:first-of-type { break-before: auto; } details { display: block; }
+  h2.part, h2:first-of-type { break-before: auto; } h2, h3, caption { break-after: avoid; }
+  .scroll { overflow: visible; } table { font-size: 7.5pt; } tr { break-inside: avoid; }
+  th, td { overflow-wrap: anywhere; }
   a { color: inherit; text-decoration: none; } }
 """
 
@@ -111,9 +120,9 @@ def table(
 
 def figure(picture: Picture, prefix: str, number: int) -> str:
     """A picture with its caption, or the reason why there is none. prefix: of all ids in it."""
-    thesis = f" (thesis Fig {picture.thesis})" if picture.thesis else ""
-    name = f"<b>Figure {number}. {escaped(picture.title)}{thesis}.</b>"
-    place = f'id="{prefix}-{picture.key}"'
+    name = f"<b>Figure {number}. {escaped(picture.title)}.</b>"
+    thesis = f' data-thesis-figure="{escaped(picture.thesis)}"' if picture.thesis else ""  # a pilot need not see it
+    place = f'id="{prefix}-{picture.key}"{thesis}'
     if not picture.svg:
         reason = f"Not drawn: {escaped(picture.not_drawn)}."
         return f'<figure {place}><figcaption class="missing">{name} {reason}</figcaption></figure>'

@@ -3,6 +3,7 @@
 import datetime
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from mavdiag import __version__
 from mavdiag.baseline import Baseline
@@ -12,18 +13,19 @@ from mavdiag.link.wants import LABELS
 from mavdiag.report.flight import FlightReport
 from mavdiag.report.html import escaped, figure, listed, page, paragraph, table
 from mavdiag.report.quality import Quality
-from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline, named_rotor, unjudged
+from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline, unjudged
 from mavdiag.units import NS_PER_S
 
 __all__ = ["Made", "flights_page"]
 
 WORDS = {
     Verdict.FAULT: "fault",
+    Verdict.SUSPECTED: "suspected",
     Verdict.HEALTHY: "healthy",
     Verdict.NOT_JUDGEABLE: "not judgeable",
     Verdict.ERROR: "not readable",
 }
-ORDER = (Verdict.ERROR, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.HEALTHY)
+ORDER = (Verdict.ERROR, Verdict.FAULT, Verdict.SUSPECTED, Verdict.NOT_JUDGEABLE, Verdict.HEALTHY)
 EVENTS = 20  # alarms that a page lists of one flight; the rest is counted (our choice)
 SHORT = 60  # characters of a path that a heading shows
 
@@ -37,9 +39,10 @@ class Made:
 
 
 def flights_page(flights: Sequence[FlightReport], baseline: Baseline, made: Made) -> str:
-    """One page; of several flights it begins with a table of all."""
+    """One page; of several flights it begins with a table of all. What asks for attention comes first."""
     one = len(flights) == 1
-    title = f"Flight report: {flights[0].verdict.log}" if one else f"Flight reports: {len(flights)} logs"
+    flights = sorted(flights, key=lambda flight: ORDER.index(flight.verdict.verdict))
+    title = f"Flight report: {Path(flights[0].verdict.log).name}" if one else f"Flight reports: {len(flights)} logs"
     body = [
         "<header>",
         f"<h1>{escaped(title)}</h1>",
@@ -55,22 +58,22 @@ def flights_page(flights: Sequence[FlightReport], baseline: Baseline, made: Made
 
 
 def _index(flights: Sequence[FlightReport]) -> str:
-    """A row for each log, what asks for attention first."""
-    order = sorted(range(len(flights)), key=lambda i: ORDER.index(flights[i].verdict.verdict))
+    """A row for each log, in the order of the page."""
     rows, links, above = [], [], []
     names = _names([one.verdict.log for one in flights])
-    for place, number in enumerate(order):
-        verdict = flights[number].verdict
-        rotor = named_rotor(verdict)
+    for number, flight in enumerate(flights):
+        verdict = flight.verdict
+        rotor = verdict.rotor
         words = WORDS[verdict.verdict] if verdict.kind is None else str(verdict.kind)
         sentence = headline(verdict)
-        rows.append((names[number], words, "" if rotor is None else str(rotor), f"{verdict.judged_s:.1f}", sentence))
+        times = f"{verdict.judged_s:.1f}", f"{verdict.flown_s:.1f}"
+        rows.append((names[number], words, "" if rotor is None else str(rotor), *times, sentence))
         links.append(f"log-{number + 1}")
         if verdict.verdict in (Verdict.FAULT, Verdict.ERROR):
-            above.append(place)
+            above.append(number)
     counts = ", ".join(f"{n} {WORDS[one]}" for one in ORDER if (n := sum(f.verdict.verdict is one for f in flights)))
-    heads = ("log", "verdict", "rotor", "judged [s]", "in one sentence")
-    return table(f"All logs: {counts}.", heads, rows, numbers=(2, 3), above=above, links=links)
+    heads = ("log", "verdict", "rotor", "judged [s]", "flown [s]", "in one sentence")
+    return table(f"All logs: {counts}.", heads, rows, numbers=(2, 3, 4), above=above, links=links)
 
 
 def _flight(flight: FlightReport, number: int, alone: bool, lacking: Sequence[Refusal]) -> str:
@@ -113,7 +116,7 @@ def _unjudged(flight: FlightReport, lacking: Sequence[Refusal]) -> str:
     """What was not judged, and what must be known of the log."""
     verdict = flight.verdict
     told = unjudged(verdict) + tuple(f"{one.monitor}: not in this baseline, {one.reason}" for one in lacking)
-    nothing = paragraph("Every monitor judged all of the flight but its warm-up.")
+    nothing = paragraph("Every monitor judged nearly all of the judged flight; the table has the times.")
     parts = [f"<h3>What was not judged, and why</h3>{listed(told) or nothing}"] if verdict.monitors else []
     if verdict.notes:
         parts.append(f"<h3>What must be known of this log</h3>{listed(verdict.notes)}")
@@ -166,7 +169,7 @@ def _events(flight: FlightReport) -> str:
     more = f"; the first {EVENTS} are listed" if len(events) > EVENTS else ""
     heads = ("from [s]", "to [s]", "monitor", "highest", "threshold", "rotor")
     listing = table(f"Alarms of single monitors: {len(events)}{more}.", heads, rows, numbers=(0, 1, 3, 4, 5))
-    return f"<details><summary>Alarms ({len(events)})</summary>{listing}</details>" if rows else ""
+    return f"<h3>Alarms</h3>{listing}" if rows else ""
 
 
 def _link(link: Sequence[Quality]) -> str:

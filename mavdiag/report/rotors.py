@@ -1,9 +1,10 @@
 """What each rotor is commanded beside the others, over the flight and on a drawing of the airframe.
 
-    m: trim averaged over 5 s,    mu: the healthy one,    w = B (m - mu)
+    m: trim averaged over 5 s,    mu: the healthy one,    w = B (m - mu) / b
 
-w_j is by how much rotor j is commanded more than the mean of all, beyond what it was in health [fraction of hover]
-(`mavdiag.airframe.trim`). A rotor that lost thrust rises and the others fall by a third of it.
+b: the mean of the diagonal of B B^+. So w_j is the rise of rotor j, beyond what it was in health, if it alone rose
+[fraction of hover]: the scale of the rotor-trim monitor and of its threshold (`mavdiag.airframe.trim`). The others fall
+by a third of it then.
 """
 
 from collections.abc import Sequence
@@ -57,7 +58,7 @@ class RotorShift:
     """layout: whose rotors. t_s: (n,) vehicle time [s]. shift: (n, rotors) w [fraction of hover], nan where unknown.
 
     beyond_health: whether the healthy trim was taken off.
-    limit: shift of a rotor whose rise is the rotor-trim monitor's threshold [fraction of hover]; None without one.
+    limit: the rotor-trim monitor's threshold [fraction of hover]; None without one.
     """
 
     layout: RotorLayout
@@ -81,6 +82,7 @@ def shift_of(
 
     healthy: None if the baseline has no trim; then nothing is taken off. threshold: of the monitor [fraction of hover].
     """
+    own = float(np.diag(layout.mixing @ layout.unmixing).mean())  # what a rise of 1 of a rotor is beside the mean
     times, shifts, segment, state = [np.empty(0)], [np.empty((0, layout.rotors))], -1, start_mean(3)
     mu = np.zeros(3) if healthy is None else np.array(healthy.mean)
     for block in blocks:
@@ -88,13 +90,11 @@ def shift_of(
             segment, state = block.segment, start_mean(3)
         trim, known = shown_trim(block, layout)
         state, mean, full = sliding_mean(state, trim, known, window_rows(WINDOW_S, block.dt_s))
-        shift = (mean - mu) @ layout.mixing.T
+        shift = (mean - mu) @ layout.mixing.T / own
         shift[~full] = np.nan
         times.append(block.t_ns / NS_PER_S)
         shifts.append(shift)
-    own = float(np.diag(layout.mixing @ layout.unmixing).mean())  # what a rise of 1 of a rotor is beside the mean
-    limit = None if threshold is None else own * threshold
-    return RotorShift(layout, np.concatenate(times), np.concatenate(shifts), healthy is not None, limit)
+    return RotorShift(layout, np.concatenate(times), np.concatenate(shifts), healthy is not None, threshold)
 
 
 def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Picture:

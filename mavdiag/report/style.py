@@ -6,13 +6,12 @@ line has a stroke of its own as well, so a figure can be read in grey. Text stay
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from mavdiag.drawing import Colour
-from mavdiag.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +25,6 @@ __all__ = [
     "SIMULATED",
     "Line",
     "Picture",
-    "check_matplotlib",
     "drawn",
     "embedded",
     "legend_above",
@@ -123,20 +121,11 @@ class Picture:
     not_drawn: str = ""
 
 
-def check_matplotlib() -> None:
-    """Raises UsageError, with the remedy, if no figure can be drawn."""
-    try:
-        import matplotlib.backends.backend_svg  # noqa: F401  # whether it can be imported is the question
-    except ImportError as error:
-        raise UsageError("a report needs matplotlib, which is not installed: pip install 'mavdiag[report]'") from error
-
-
 def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
     """The SVG of what `plot` puts on an empty figure. title, description: for those who cannot see it.
 
-    The same values give the same bytes. Raises UsageError if matplotlib is not installed.
+    The same values give the same bytes.
     """
-    check_matplotlib()
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -171,9 +160,11 @@ def shaded(axes: "Axes", start: float, stop: float) -> None:
     axes.axvspan(start, stop, facecolor="none", edgecolor=Colour.FAULT, hatch="////", linewidth=0.0, alpha=0.7)
 
 
-def legend_above(axes: "Axes", columns: int = 4) -> None:
-    """A legend above the axes, where it hides nothing."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1, handlelength=2.6)
+def legend_above(axes: "Axes", columns: int = 4, named: Mapping[str, Any] | None = None) -> None:
+    """A legend above the axes, where it hides nothing. named: what it names, by label; None for what is in the axes."""
+    what = axes.get_legend_handles_labels() if named is None else (list(named.values()), list(named))
+    place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
+    axes.legend(*what, **place, ncols=columns, borderaxespad=0.1, handlelength=2.6)
 
 
 def embedded(svg: str, prefix: str) -> str:

@@ -4,9 +4,8 @@ from mavdiag.decision.alarm import Change, Stage
 from mavdiag.judging import LogVerdict, MonitorSummary, Verdict
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
-from mavdiag.units import NS_PER_S
 
-__all__ = ["OBSERVES", "advice", "declared_s", "evidence_sentence", "headline", "named_rotor", "own_reason", "unjudged"]
+__all__ = ["OBSERVES", "advice", "evidence_sentence", "headline", "own_reason", "unjudged"]
 
 #: What each monitor looks at, for a reader who meets its name for the first time.
 OBSERVES = {
@@ -22,6 +21,7 @@ OBSERVES = {
     "control_loss": "a body rate that nobody commanded",
     "thrust_loss": "thrust that is missing while the vehicle turns",
 }
+MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
 _TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
 
 
@@ -32,25 +32,31 @@ def headline(verdict: LogVerdict) -> str:
     if verdict.verdict is Verdict.NOT_JUDGEABLE:
         return f"This flight cannot be judged by this baseline: {own_reason(verdict)}."
     if verdict.verdict is Verdict.HEALTHY:
-        suspected = any(change.stage is Stage.SUSPECTED for change in verdict.changes)
-        doubt = "; the thesis's rule alone raised a suspicion, which decides nothing" if suspected else ""
-        return f"No fault was found in {verdict.judged_s:.0f} s of judged flight{doubt}."
+        return f"No fault was found; {_judged(verdict)}."
+    if verdict.verdict is Verdict.SUSPECTED:
+        return f"A fault is suspected, none was declared; {_judged(verdict)}."
     kind = verdict.kind or FaultKind.PROPELLER
     last = _last_fault(verdict)
-    rotor = named_rotor(verdict)
+    rotor = verdict.rotor
     near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
     where = f" {near} rotor {rotor}" if rotor is not None and near else ""
     graded = ""
     if kind is FaultKind.PROPELLER and last is not None and last.fault_type is not None:
         severity = "" if last.severity is None else f", severity {last.severity} of 3"
         graded = f", most like {_TYPES.get(last.fault_type, 'type')} ({last.fault_type}{severity})"
-    since = declared_s(verdict)
+    since = verdict.since_s
     at = "" if since is None else f", declared first at {since:.1f} s of the vehicle's clock"
-    return f"A {kind}{where} was found{graded}{at}."
+    return f"A {kind}{where} was found{graded}{at}; {_judged(verdict)}."
+
+
+def _judged(verdict: LogVerdict) -> str:
+    return f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
 
 
 def evidence_sentence(verdict: LogVerdict) -> str:
     """What the verdict rests on, one sentence; empty where nothing was judged."""
+    if verdict.verdict is Verdict.SUSPECTED:
+        return f"What was suspected: {own_reason(verdict)}."
     if verdict.verdict is Verdict.HEALTHY:
         nearest = max(_decided(verdict), key=_ratio, default=None)
         if nearest is None:
@@ -69,13 +75,15 @@ def evidence_sentence(verdict: LogVerdict) -> str:
 
 
 def unjudged(verdict: LogVerdict) -> tuple[str, ...]:
-    """What was not judged for the longest part of the flight, and why: one phrase each."""
-    return tuple(f"{one.name}: {one.not_judged}" for one in verdict.monitors if one.not_judged)
+    """The monitors that did not judge a good part of the flight, and why: one phrase each."""
+    enough = MOSTLY * verdict.judged_s
+    lacking = [one for one in verdict.monitors if one.not_judged and one.judged_s <= enough]
+    return tuple(f"{one.name}: {one.not_judged}" for one in lacking)
 
 
 def advice(verdict: LogVerdict) -> str:
     """What to do now, one sentence."""
-    rotor = named_rotor(verdict)
+    rotor = verdict.rotor
     if verdict.verdict is Verdict.FAULT:
         if verdict.kind in (None, FaultKind.PROPELLER):
             first = "the propellers" if rotor is None else f"the propeller of rotor {rotor} first, then the others"
@@ -85,23 +93,14 @@ def advice(verdict: LogVerdict) -> str:
         if verdict.kind is FaultKind.SENSOR:
             return "Before the next flight, check the inertial sensor and its mount; no propeller is blamed."
         return "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring."
+    if verdict.verdict is Verdict.SUSPECTED:
+        return "Look at the propellers and judge the next flight, too: it may be a manoeuvre that was not learnt."
     if verdict.verdict is Verdict.HEALTHY:
         return "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health."
     if verdict.verdict is Verdict.NOT_JUDGEABLE:
         missing = "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing"
         return f"{missing}, and `mavdiag look LOG` what the log shows by itself."
     return "Check the file; the other logs of this page are not affected."
-
-
-def declared_s(verdict: LogVerdict) -> float | None:
-    """When the decision first came to a fault [s of the vehicle's clock]; None if it did not."""
-    return next((change.t_ns / NS_PER_S for change in verdict.changes if change.stage is Stage.FAULT), None)
-
-
-def named_rotor(verdict: LogVerdict) -> int | None:
-    """The rotor that was named last, from 1; None without one."""
-    faults = [one for one in verdict.changes if one.stage is Stage.FAULT and one.kind is verdict.kind]
-    return next((one.rotor for one in reversed(faults) if one.rotor is not None), None)
 
 
 def own_reason(verdict: LogVerdict) -> str:

@@ -6,11 +6,12 @@ stays uniform without ever slipping against the vehicle's clock. On a *resampled
 signals are interpolated to a fixed period. Which one a link needs is measured by `measure_grid` and kept in the
 baseline.
 
-What is invented is never judged. A row inside a gyro gap longer than `max_gap_s`, and `settle_gap_s` after it, is
-marked invalid; a gap longer than `break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to
-35 ms may be interpolated at 100 Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The
-set-point has the same limits and a mark of its own. Every other signal is nan where it is unknown: where no two samples
-within its limit surround the row, or where the last value is older than its limit.
+What is not believed never comes so far (`rows.quality`), and what is invented is never judged. A row inside a gyro gap
+longer than `max_gap_s`, or than a glitch leaves, and `settle_gap_s` after it, is marked invalid; a gap longer than
+`break_s` starts a new segment, whose first `settle_start_s` are invalid. Gaps up to 35 ms may be interpolated at 100
+Hz, longer ones plus 0.3 s are blanked, start-up takes 1 s (METHOD section 4). The set-point has the same limits and a
+mark of its own. Every other signal is nan where it is unknown: where no two samples within its limit surround the row,
+or where the last value is older than its limit.
 
 Samples may arrive out of order by up to `reorder_s`; later ones and duplicates are dropped. A row waits that long for
 its samples, and for the next sample of an interpolated signal until that sample could not be used any more. So the
@@ -34,6 +35,7 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.grid import Grid, measure_grid
 from mavdiag.rows.order import ORDER_NS, calm_from_ns
 from mavdiag.rows.places import pieces, uneven_places
+from mavdiag.rows.quality import GLITCH_S, MOST_LOST, LinkQuality, Memories, believed
 from mavdiag.rows.stream import NEVER_NS, Stream
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -55,7 +57,7 @@ HELD = {
     Signal.HEIGHT: 2.0,
     Signal.VOLTAGE: 10.0,
     Signal.ARMED: math.inf,
-    Signal.VIBRATION: 2.0,
+    Signal.VIBRATION: 1.0,
     Signal.ACTUATOR: 1.0,
 }
 WIDTHS = {Signal.VIBRATION: 3, Signal.ACTUATOR: 0}  # columns of a held signal that was never sent, if not 1
@@ -63,7 +65,6 @@ MAIN = (Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT)
 BETWEEN = (Signal.ATTITUDE_SETPOINT, *LINEAR)  # interpolated to the gyro's times
 USED = frozenset((*MAIN, *LINEAR, *HELD))
 ANGLES = (Signal.ATTITUDE_SETPOINT, Signal.ATTITUDE)  # read without jumps of 2 pi
-FINITE = (*MAIN, Signal.ATTITUDE)
 
 Streams: TypeAlias = dict[Signal, Stream]
 
@@ -73,6 +74,7 @@ class AlignState:
     """All that the aligner remembers between chunks."""
 
     streams: Streams = field(default_factory=dict)
+    memories: Memories = field(default_factory=dict)
     segment: int = -1
     last_ns: int | None = None  # time of the last row placed
     done_ns: int = -NEVER_NS  # gyro samples up to here are dealt with
@@ -92,6 +94,7 @@ class AlignSpec:
     settle_start_s: what is not used after a start or a break.
     break_s: longest gap within a segment; how long a row waits for a set-point.
     reorder_s: how late a sample may come.
+    quality: what healthy flights showed of the link; samples that do not fit it are not believed (`rows.quality`).
     """
 
     dt_s: float
@@ -101,10 +104,16 @@ class AlignSpec:
     settle_start_s: float = 1.0
     break_s: float = 1.0
     reorder_s: float = 0.05
+    quality: LinkQuality = field(default_factory=LinkQuality)
 
     def __post_init__(self) -> None:
         if not 0 < self.dt_s < self.break_s:
             raise InputError(f"sample time {self.dt_s} s must lie between 0 and {self.break_s} s")
+
+    @property
+    def usable_gap_s(self) -> float:
+        """Longest gap of gyro and set-point that is interpolated and used: a glitch leaves none that is longer."""
+        return max(self.max_gap_s, (min(MOST_LOST, GLITCH_S / self.dt_s) + 1.2) * self.dt_s)
 
     def start(self) -> AlignState:
         """A fresh state: no sample yet."""
@@ -112,6 +121,8 @@ class AlignSpec:
 
     def step(self, state: AlignState, telemetry: Telemetry) -> tuple[AlignState, tuple[Block, ...]]:
         """Take in a chunk, return the rows that it completes, one block a segment."""
+        memories, telemetry = believed(self.quality, state.memories, telemetry)
+        state = replace(state, memories=memories)
         calm_ns = calm_from_ns(state.calm_ns, state.streams.get(Signal.BODY_RATE), telemetry, USED)
         streams = _merged(self, state.streams, telemetry)
         return _emit(self, state, streams, _horizon(self, streams, calm_ns), calm_ns)
@@ -125,7 +136,7 @@ class AlignSpec:
 
         One block is made at a time, so that a long log takes no more memory than its telemetry and a block.
         """
-        merged = _merged(self, {}, telemetry)
+        merged = _merged(self, {}, believed(self.quality, {}, telemetry)[1])
         streams = {signal: stream.unwrapped() for signal, stream in merged.items()}
         gyro, state = streams.get(Signal.BODY_RATE), self.start()
         stretches = [] if gyro is None else pieces(gyro.t, None, _ns(self.break_s))
@@ -161,7 +172,7 @@ def _ns(span_s: float) -> int:
 
 def _limit_ns(spec: AlignSpec, signal: Signal) -> int:
     """Two samples farther apart than this are not interpolated."""
-    return _ns(spec.break_s if signal in MAIN else max(LINEAR[signal], spec.max_gap_s))
+    return _ns(spec.break_s if signal in MAIN else max(LINEAR[signal], spec.usable_gap_s))
 
 
 def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
@@ -170,10 +181,6 @@ def _merged(spec: AlignSpec, streams: Streams, telemetry: Telemetry) -> Streams:
         signal, t, v = series.signal, series.t_ns, series.values
         if signal not in USED:
             continue
-        # A sample that is no number is a lost sample.
-        if signal in FINITE and not math.isfinite(float(np.add.reduce(v, axis=None))):
-            finite = np.isfinite(v).all(axis=1)
-            t, v = t[finite], v[finite]
         old = streams.get(signal)
         if len(t):
             old = old or Stream(t[:0], v[:0], angle=signal in ANGLES)
@@ -231,7 +238,8 @@ def _emit(
             blocks.append(block)
     kept = _bounded(spec, streams, state.last_ns)
     blank_ns, setpoint_blank_ns = state.blank_until_ns, state.setpoint_blank_ns
-    state = AlignState(kept, state.segment, state.last_ns, done_ns, calm_ns, blank_ns, setpoint_blank_ns)
+    told = (state.segment, state.last_ns, done_ns, calm_ns, blank_ns, setpoint_blank_ns)
+    state = AlignState(kept, state.memories, *told)
     return state, tuple(blocks)
 
 
@@ -255,7 +263,10 @@ def _place(spec: AlignSpec, last_ns: int | None, fresh: IntArray) -> IntArray:
 
 
 def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) -> tuple[AlignState, Block]:
-    rate, gap = streams[Signal.BODY_RATE].interpolated(rows, _ns(spec.break_s))
+    gyro, gap = streams[Signal.BODY_RATE].interpolated(rows, _ns(spec.break_s))
+    rate, doubt = gyro[:, :3], np.ceil(gyro[:, 3])
+    if np.count_nonzero(doubt):  # what must settle after a doubt is as after a gap
+        gap = np.where(doubt > 0, np.maximum(gap, _ns(spec.usable_gap_s) + 1), gap)
     valid, blank_ns = _usable(spec, rows, gap, state.blank_until_ns)
     setpoint, gap = _setpoint(spec, streams, rows)
     setpoint_valid, setpoint_blank_ns = _usable(spec, rows, gap, state.setpoint_blank_ns)
@@ -279,18 +290,19 @@ def _fill(spec: AlignSpec, state: AlignState, streams: Streams, rows: IntArray) 
         actuator=np.asfortranarray(actuator),
         valid=valid,
         setpoint_valid=setpoint_valid,
+        doubt=doubt,
     )
-    last_ns = int(rows[-1])
-    state = AlignState(streams, state.segment, last_ns, state.done_ns, state.calm_ns, blank_ns, setpoint_blank_ns)
-    return state, block
+    told = (state.segment, int(rows[-1]), state.done_ns, state.calm_ns, blank_ns, setpoint_blank_ns)
+    return AlignState(streams, state.memories, *told), block
 
 
 def _usable(spec: AlignSpec, rows: IntArray, gap: IntArray, until_ns: int) -> tuple[BoolArray, int]:
     """(n,) rows outside of gaps and of what must settle after them, and until when the last one blanks."""
-    if np.maximum.reduce(gap) <= spec.max_gap_s * NS_PER_S:
+    most_ns = _ns(spec.usable_gap_s)
+    if np.maximum.reduce(gap) <= most_ns:
         return rows > until_ns, until_ns
     settle = np.where(gap > _ns(spec.break_s), _ns(spec.settle_start_s), _ns(spec.settle_gap_s))
-    reach = np.where(gap > spec.max_gap_s * NS_PER_S, rows + settle, until_ns)
+    reach = np.where(gap > most_ns, rows + settle, until_ns)
     reach = np.maximum.accumulate(np.maximum(reach, until_ns))
     return rows > reach, int(reach[-1])
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mavdiag.rows.quality import DOUBTS
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 
 __all__ = ["ALL", "COLUMNS", "Block"]
@@ -40,6 +41,8 @@ class Block:
     actuator: (n, outputs) 0..1; (n, 0) while the vehicle has sent none.
     valid: (n,) the gyro may be judged: it is there, settled and airborne.
     setpoint_valid: (n,) the set-point may be used: it is there and settled.
+    doubt: (n,) why the gyro, though it is there, must not be judged: a place in `rows.quality.DOUBTS`, 0 for none.
+    settled_ns: rows before it are of a take-off, or of the start of the data, which nobody judges.
     answers: what was found in the rows so far (`once`), so that each monitor need not look again.
     """
 
@@ -60,6 +63,8 @@ class Block:
     actuator: FloatArray
     valid: BoolArray
     setpoint_valid: BoolArray
+    doubt: FloatArray
+    settled_ns: int = field(default=0, kw_only=True)
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -69,7 +74,7 @@ class Block:
         """Rows [first, stop) as a block of their own, of another segment if asked."""
         cut = slice(first, stop)
         columns = (getattr(self, name)[cut] for name in COLUMNS)
-        return Block(self.segment if segment is None else segment, self.dt_s, *columns)
+        return Block(self.segment if segment is None else segment, self.dt_s, *columns, settled_ns=self.settled_ns)
 
     def known(self, signal: Signal, columns: slice = ALL) -> BoolArray:
         """(n,) where the row carries this signal; nowhere if rows have no column for it.
@@ -82,6 +87,13 @@ class Block:
         if signal is Signal.ATTITUDE_SETPOINT:
             return self.setpoint_valid
         return self.once((signal, columns.start, columns.stop), lambda: self._finite(signal, columns))
+
+    def doubted_s(self) -> dict[str, float]:
+        """For how long the gyro must not be judged though it is there, by reason [s]."""
+        if not np.count_nonzero(self.doubt):
+            return {}
+        codes, counts = np.unique(self.doubt[self.doubt > 0], return_counts=True)
+        return {str(DOUBTS[int(code)]): int(count) * self.dt_s for code, count in zip(codes, counts, strict=True)}
 
     def once(self, key: Hashable, find: Callable[[], Found]) -> Found:
         """What `find` gives, and the same for the same key later on; do not write to it."""
@@ -107,7 +119,7 @@ class Block:
         return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
-COLUMNS = tuple(column.name for column in fields(Block))[2:-1]  # arrays of rows, in the order of the fields
+COLUMNS = tuple(column.name for column in fields(Block))[2:-2]  # arrays of rows, in the order of the fields
 _SIGNALS = {
     Signal.BODY_RATE: "rate",
     Signal.SPECIFIC_FORCE: "force",

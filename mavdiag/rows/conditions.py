@@ -28,12 +28,10 @@ class Condition(StrEnum):
 
     TILT = "tilt"  # rad, of the mean commanded roll and pitch of 5 s: steady wind, or a steady acceleration
     THROTTLE = "throttle"  # 0..1, mean collective set-point
-    VOLTAGE = "battery voltage"  # V, mean
     COMMANDED_RATE = "commanded rate"  # rad/s, largest of roll and pitch
     COMMANDED_ACCELERATION = "commanded angular acceleration"  # rad/s^2, of roll and pitch, over 0.1 s
     YAW_RATE = "yaw rate"  # rad/s, of the commanded heading over 0.1 s; where none is known the mean measured one
     HEIGHT = "height"  # m above take-off, least
-    CLIMB_RATE = "climb rate"  # m/s, up or down, over 0.1 s
 
 
 COUNT = len(Condition)
@@ -51,11 +49,11 @@ class Conditions:
 class ConditionState:
     """Memory.
 
-    block_ns, block: (h,) and (7, h) rows of an unfinished bin: roll and pitch set-point, thrust, voltage, measured yaw
-        rate, height and yaw set-point.
+    block_ns, block: (h,) and (6, h) rows of an unfinished bin: roll and pitch set-point, thrust, measured yaw rate,
+        height and yaw set-point.
     rates_ns, rates: (h,) and (2, h) commanded roll and pitch rate.
     tilt: (w, 2) mean set-points of the last bins.
-    last: (4,) commanded roll and pitch rate, height and yaw set-point at the end of the last bin.
+    last: (3,) commanded roll and pitch rate and yaw set-point at the end of the last bin.
     """
 
     block_ns: IntArray
@@ -69,7 +67,7 @@ class ConditionState:
 def start_conditions() -> ConditionState:
     """Before the first row of a segment."""
     never = np.empty(0, dtype=np.int64)
-    return ConditionState(never, np.empty((7, 0)), never, np.empty((2, 0)), np.empty((0, 2)), np.full(4, np.nan))
+    return ConditionState(never, np.empty((6, 0)), never, np.empty((2, 0)), np.empty((0, 2)), np.full(3, np.nan))
 
 
 def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditions]:
@@ -85,22 +83,22 @@ def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditio
     end_ns, starts = _bins(rates_ns[:m])
     # A bin of the rates has rows of the block too, since each rate row is one of theirs, half a window earlier.
     at = block_ns[:n].searchsorted(end_ns - _BIN_NS)
-    mean = _means(block[:5, :n], at).T
+    mean = _means(block[:4, :n], at).T
     tilt = np.concatenate((state.tilt, mean[:, :2]))
     values = np.full((len(end_ns), COUNT), np.nan)
     values[:, 0] = _tilt(tilt, len(end_ns))
-    values[:, 1:3] = mean[:, 2:4]
-    values[:, 3] = np.fmax.reduceat(np.abs(rates[:, :m]), starts, axis=1).max(axis=0)
-    values[:, 6] = np.fmin.reduceat(block[5, :n], at)
-    edge = np.empty((len(end_ns), 4))
+    values[:, 1] = mean[:, 2]
+    values[:, 2] = np.fmax.reduceat(np.abs(rates[:, :m]), starts, axis=1).max(axis=0)
+    values[:, 5] = np.fmin.reduceat(block[4, :n], at)
+    edge = np.empty((len(end_ns), 3))
     edge[:-1, :2], edge[-1, :2] = rates[:, starts[1:] - 1].T, rates[:, m - 1]
-    edge[:-1, 2:], edge[-1, 2:] = block[5:, at[1:] - 1].T, block[5:, n - 1]
+    edge[:-1, 2], edge[-1, 2] = block[5, at[1:] - 1], block[5, n - 1]
     steps = edge.copy()
     steps[0] -= state.last
     steps[1:] -= edge[:-1]
     steps = np.abs(steps) / BIN_S
-    values[:, 4], values[:, 7] = np.fmax(steps[:, 0], steps[:, 1]), steps[:, 2]
-    values[:, 5] = np.where(np.isfinite(steps[:, 3]), steps[:, 3], np.abs(mean[:, 4]))
+    values[:, 3] = np.fmax(steps[:, 0], steps[:, 1])
+    values[:, 4] = np.where(np.isfinite(steps[:, 2]), steps[:, 2], np.abs(mean[:, 3]))
     state = ConditionState(block_ns[n:], block[:, n:], rates_ns[m:], rates[:, m:], tilt[-TILT_BINS:], edge[-1])
     return state, Conditions(end_ns, values)
 
@@ -110,12 +108,12 @@ _NOTHING = Conditions(np.empty(0, dtype=np.int64), np.empty((0, COUNT)))
 
 def _block(rows: Rows) -> FloatArray:
     block = rows.block
-    out = np.empty((7, len(block)))
-    out[:2], out[6] = block.setpoint.T[:2], block.setpoint[:, 2]
-    out[2], out[3], out[4], out[5] = block.thrust, block.voltage, block.rate[:, 2], block.height
+    out = np.empty((6, len(block)))
+    out[:2], out[5] = block.setpoint.T[:2], block.setpoint[:, 2]
+    out[2], out[3], out[4] = block.thrust, block.rate[:, 2], block.height
     if np.count_nonzero(block.setpoint_valid) < len(block):
         unknown = ~block.setpoint_valid
-        out[:2, unknown], out[6, unknown] = np.nan, np.nan
+        out[:2, unknown], out[5, unknown] = np.nan, np.nan
     if np.count_nonzero(block.valid) < len(block):
         out[:, ~block.valid] = np.nan
     return out

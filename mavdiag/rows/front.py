@@ -1,24 +1,39 @@
 """Telemetry to rows of flight and their rates: alignment, gate and rate filters in a row, for judging and learning."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
 
 from mavdiag.rows.align import AlignSpec, AlignState
 from mavdiag.rows.block import Block
 from mavdiag.rows.gate import Border, GateSpec, GateState
 from mavdiag.rows.outputs import in_rotor_order
 from mavdiag.rows.rates import RateBlock, RateSpec, RateState
-from mavdiag.telemetry import Telemetry
+from mavdiag.telemetry import BoolArray, IntArray, Telemetry
 
-__all__ = ["Front", "FrontState", "Rows"]
+__all__ = ["Covered", "Front", "FrontState", "Rows", "everywhere"]
+
+Covered: TypeAlias = Callable[[frozenset[str], float, IntArray], BoolArray]
+
+
+def everywhere(conditions: frozenset[str], memory_s: float, t_ns: IntArray) -> BoolArray:
+    """All of the times: nothing was learnt yet that they could be outside of."""
+    return np.ones(len(t_ns), dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later)."""
+    """The next aligned rows of one segment, and the filtered rates that they complete (half a window later).
+
+    covered: at which of some times (n,) [ns] the vehicle flew as the baseline's envelope covers it, of these conditions
+        and over so many seconds before; everywhere while a baseline is learnt.
+    """
 
     block: Block
     rates: RateBlock
+    covered: Covered = everywhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +73,11 @@ class Front:
         gated, parts = self.gate.step(state.gate, blocks)
         gated, rest = self.gate.finish(gated)
         return self._rows(aligned, gated, state.rates, (*parts, *rest))
+
+    def settle(self, state: FrontState) -> tuple[FrontState, tuple[Rows | Border, ...]]:
+        """Nothing more comes for now: the rows that the gate held back. Rows may go on later, as another span."""
+        gated, rest = self.gate.finish(state.gate)
+        return self._rows(state.align, gated, state.rates, rest)
 
     def whole(self, telemetry: Telemetry) -> tuple[Rows | Border, ...]:
         """All that a whole flight gives."""

@@ -4,17 +4,43 @@ Take-off, touch-down and the ground are no healthy reference: a landing gives gy
 fault's trace (8-11 rad/s, METHOD section 5). Every flying span becomes a segment of its own, and a `Border` follows it.
 Its first `trim_start_s` are marked invalid; its last `trim_end_s` are dropped, which needs the rows to be held back by
 that long, so it is zero where the alert must not wait.
+
+A vehicle in the air lands by disarming or by quiet, never by a dip of its thrust. While thrust or height is below its
+limit (*low*) the rows are held back until the matter is decided:
+
+    disarmed, or QUIET_S without a loud row     it was the landing: the rows are dropped and the span ends
+    thrust and height back for BACK_S           it was flight: the rows come out and are judged
+    loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
+
+A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S was flight.
+
+What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import BoolArray, IntArray
+from mavdiag.rows.windows import window_mean, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Border", "GateSpec", "GateState"]
+__all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_rows", "shake"]
+
+QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
+QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
+BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
+LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
+START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
+DISARMED, LOW, UP = 0, 1, 2  # what a row is
+SHAKE_S = 0.5  # of one figure of the noise (our choice)
+HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
+HIDDEN_BIN_NS = NS_PER_S // 2
+FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
+HELD_BINS = 2  # for so long the last thrust and outputs hold
+IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,26 +57,46 @@ class Border:
 class GateState:
     """The rows held back, and the present flying span."""
 
-    held: tuple[Block, ...] = ()
+    held: tuple[Block, ...] = ()  # flight, held back by `trim_end_s`
     source: int = -1  # segment of the rows before the gate
+    source_ns: int = 0  # its first row
     airborne: bool = False
+    resumes: bool = False  # the data broke off in the air: what flies next has not taken off
     span: int = -1  # number of the flying span
-    begun_ns: int = 0
+    blank_ns: int = 0  # until then rows are invalid
+    settled_ns: int = 0  # until then it takes off, or the data begin
     last_ns: int = 0  # time of the last row that flew
+    low: "_Low | None" = None  # since thrust or height is low
+    tail: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # gyro of the last SHAKE_S, for `least_shake`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Low:
+    """A vehicle in the air with low thrust or height."""
+
+    begun_ns: int
+    loud_ns: int  # time of the last loud row, or of the first low one
+    up_ns: int | None = None  # since when they are back, but not for BACK_S
+    rows: tuple[Block, ...] = ()  # undecided
+    loud: int = 0  # loud rows
+    late: int = 0  # those later than QUIET_S
+    tumbles: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. So a
-    vehicle that is armed on the ground and stops sending its thrust counts as flying.
+    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. In
+    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that sends
+    neither thrust nor height takes off when its gyro begins to shake.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
     need_armed: HEARTBEAT says armed.
     trim_start_s: start of a span that is marked invalid.
     trim_end_s: end of a span that is dropped.
+    least_shake: where thrust and height are not known a take-off begins with this gyro noise (`shake`) [rad/s].
     """
 
     min_height_m: float | None = None
@@ -58,6 +104,7 @@ class GateSpec:
     need_armed: bool = True
     trim_start_s: float = 0.0
     trim_end_s: float = 0.0
+    least_shake: float | None = None
 
     def start(self) -> GateState:
         """A fresh state: nothing flies yet."""
@@ -68,70 +115,175 @@ class GateSpec:
         out: list[Block | Border] = []
         for block in blocks:
             if block.segment != state.source:
-                state, done = _land(self, state)
-                out += done
-                state = replace(state, source=block.segment)
-            up = self.flying(block)
-            for first, stop in _runs(up):
-                if up[first]:
+                flew = state.airborne
+                state, rest = _break_off(state)
+                out += [*rest, Border(state.last_ns)] if flew else []
+                state = replace(state, source=block.segment, source_ns=int(block.t_ns[0]), tail=state.tail[:0])
+            kinds = self._kinds(block)
+            state, shakes = self._shakes(state, block)
+            for first, stop in _runs(kinds):
+                if kinds[first] == UP and not state.airborne and not state.resumes:
+                    first += _first(shakes[first:stop])
+                    if first == stop:
+                        continue
+                if kinds[first] == UP:
                     state = _fly(self, state, block, first, stop)
-                else:
+                elif not state.airborne:
+                    state = replace(state, resumes=False) if state.resumes else state
+                elif kinds[first] == DISARMED:
                     state, done = _land(self, state)
+                    out += done
+                else:
+                    state, done = _sink(self, state, block, first, stop)
                     out += done
             state, released = _release(self, state)
             out += released
         return state, tuple(out)
 
     def finish(self, state: GateState) -> tuple[GateState, tuple[Block, ...]]:
-        """The end of a log. What is held back was still flying, so it is judged."""
-        return replace(state, held=(), airborne=False), state.held
+        """The end of the data. What was held back was still flying, so it is judged, but for a landing that began."""
+        if state.low is not None and not _flew(state.low):
+            state, done = _land(self, state)
+            return replace(state, resumes=True), tuple(part for part in done if isinstance(part, Block))
+        return _break_off(state)
 
     def flying(self, block: Block) -> BoolArray:
-        """(n,) True for the rows that count as flying."""
+        """(n,) True for the rows that count as flying, as far as each row tells alone."""
+        return np.asarray(self._kinds(block) == UP, dtype=np.bool_)
+
+    def _shakes(self, state: GateState, block: Block) -> tuple[GateState, BoolArray]:
+        """(n,) the rows that tell of flight: by thrust, height or the shaking of the gyro in the half second before."""
+        if self.least_shake is None:
+            return state, np.ones(len(block), dtype=np.bool_)
+        told = np.isfinite(block.thrust)
+        if self.min_height_m is not None:
+            told |= np.isfinite(block.height)
+        rates = np.concatenate((state.tail, block.rate))
+        noise = shake(rates, block.dt_s)
+        known = min(len(noise), len(block))
+        told[len(block) - known :] |= noise[len(noise) - known :] >= self.least_shake
+        return replace(state, tail=rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]), told
+
+    def _kinds(self, block: Block) -> IntArray:
+        """(n,) DISARMED, LOW or UP."""
         up = np.ones(len(block), dtype=np.bool_)
         if self.min_height_m is not None:
             up &= ~(block.height < self.min_height_m)
         if self.min_thrust is not None:
-            up &= ~(block.thrust < self.min_thrust)
+            up &= ~(block.thrust < self.min_thrust) & ~idle_rows(block)
+        kinds = np.where(up, UP, LOW)
         if self.need_armed:
-            up &= ~(block.armed < 0.5)
-        return up
+            kinds[block.armed < 0.5] = DISARMED
+        return kinds
 
 
-def _runs(up: BoolArray) -> list[tuple[int, int]]:
+def idle_rows(block: Block) -> BoolArray:
+    """(n,) where no thrust set-point is known and all outputs idle: a vehicle on the ground that sends none."""
+    if block.actuator.shape[1] == 0 or np.isfinite(block.thrust).all():
+        return np.zeros(len(block), dtype=np.bool_)
+    return np.asarray(np.isnan(block.thrust) & (block.actuator.max(axis=1) <= IDLE_OUTPUT), dtype=np.bool_)
+
+
+def shake(rate: FloatArray, dt_s: float) -> FloatArray:
+    """Noise of the gyro in each half second: rms of its second differences, (n, 3) -> (m,) [rad/s]; 0 if unknown."""
+    squares = np.nan_to_num(np.square(np.diff(rate, n=2, axis=0)).mean(axis=1))
+    return np.sqrt(np.maximum(window_mean(squares[:, None], window_rows(SHAKE_S, dt_s))[:, 0], 0.0))
+
+
+def _runs(kinds: IntArray) -> list[tuple[int, int]]:
     """Spans [first, stop) of equal values."""
-    if np.count_nonzero(up) == len(up):
-        return [(0, len(up))]
-    edges: IntArray = np.flatnonzero(np.diff(up)) + 1
+    edges: IntArray = np.flatnonzero(kinds[1:] != kinds[:-1]) + 1
     starts = [0, *edges.tolist()]
-    return list(zip(starts, [*edges.tolist(), len(up)], strict=True))
+    return list(zip(starts, [*edges.tolist(), len(kinds)], strict=True))
 
 
 def _fly(spec: GateSpec, state: GateState, block: Block, first: int, stop: int) -> GateState:
     if not state.airborne:
-        state = replace(state, airborne=True, span=state.span + 1, begun_ns=int(block.t_ns[first]))
-    whole = first == 0 and stop == len(block) and block.segment == state.span
-    rows = block if whole else block.rows(first, stop, state.span)
-    settled_ns = state.begun_ns + round(spec.trim_start_s * NS_PER_S)
-    if rows.t_ns[0] < settled_ns:
-        rows = replace(rows, valid=rows.valid & (rows.t_ns >= settled_ns))
-    held = (*state.held, rows)
-    return GateState(held, state.source, state.airborne, state.span, state.begun_ns, int(rows.t_ns[-1]))
+        blank_ns = settled_ns = int(block.t_ns[first])
+        if not state.resumes:
+            blank_ns += round(spec.trim_start_s * NS_PER_S)
+            settled_ns = max(state.source_ns + START_NS, blank_ns)
+        state = replace(state, airborne=True, resumes=False, span=state.span + 1)
+        state = replace(state, blank_ns=blank_ns, settled_ns=settled_ns)
+    low = state.low
+    if low is None:
+        return _keep(state, _cut(state, block, first, stop))
+    up_ns = int(block.t_ns[first]) if low.up_ns is None else low.up_ns
+    back = first + _first(block.t_ns[first:stop] - up_ns >= BACK_S * NS_PER_S)
+    if back < stop:
+        return _keep(replace(state, low=None), *low.rows, _cut(state, block, first, stop))
+    return _hold(state, replace(low, up_ns=up_ns), block, first, stop)
+
+
+def _sink(
+    spec: GateSpec, state: GateState, block: Block, first: int, stop: int
+) -> tuple[GateState, list[Block | Border]]:
+    """Low rows of a vehicle in the air: hold them back, let them out or end the span."""
+    t_ns = block.t_ns[first:stop]
+    low = state.low or _Low(int(t_ns[0]), int(t_ns[0]))
+    loud_ns = np.maximum.accumulate(np.where(_loud(block, first, stop), t_ns, low.loud_ns))
+    over = _first(t_ns - loud_ns >= QUIET_S * NS_PER_S)
+    state = _hold(state, replace(low, up_ns=None), block, first, first + over) if over else replace(state, low=low)
+    return _land(spec, state) if over < len(t_ns) else (state, [])
+
+
+def _hold(state: GateState, low: _Low, block: Block, first: int, stop: int) -> GateState:
+    """With more undecided rows; all of them come out as soon as it tumbles."""
+    t_ns, loud = block.t_ns[first:stop], _loud(block, first, stop)
+    late = low.late + int(np.count_nonzero(loud & (t_ns - low.begun_ns > QUIET_S * NS_PER_S)))
+    count = low.loud + int(np.count_nonzero(loud))
+    loud_ns = int(t_ns[loud][-1]) if loud.any() else low.loud_ns
+    rows, tumbles = (*low.rows, _cut(state, block, first, stop)), low.tumbles or late * block.dt_s >= LOUD_S
+    state = _keep(state, *rows) if tumbles else state
+    return replace(state, low=_Low(low.begun_ns, loud_ns, low.up_ns, () if tumbles else rows, count, late, tumbles))
+
+
+def _loud(block: Block, first: int, stop: int) -> BoolArray:
+    return np.asarray(np.maximum.reduce(np.abs(block.rate[first:stop]), axis=1) > QUIET_RAD_S, dtype=np.bool_)
+
+
+def _first(flags: BoolArray) -> int:
+    """Place of the first that is True; their number if none is."""
+    return int(flags.argmax()) if flags.any() else len(flags)
+
+
+def _cut(state: GateState, block: Block, first: int, stop: int) -> Block:
+    """Rows of the present span, invalid while it takes off."""
+    rows = replace(block.rows(first, stop, state.span), settled_ns=state.settled_ns)
+    if rows.t_ns[0] < state.blank_ns:
+        rows = replace(rows, valid=rows.valid & (rows.t_ns >= state.blank_ns))
+    return rows
+
+
+def _keep(state: GateState, *rows: Block) -> GateState:
+    """With rows that flew."""
+    return replace(state, held=(*state.held, *rows), last_ns=int(rows[-1].t_ns[-1])) if rows else state
 
 
 def _land(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block | Border]]:
-    """The span is over: its last `trim_end_s` are dropped."""
-    if not state.airborne:
-        return state, []
-    state, done = _release(spec, state)
+    """The span is over: its last `trim_end_s` are dropped, and what was held back undecided."""
+    state, done = _release(spec, replace(state, low=None))
     return replace(state, held=(), airborne=False), [*done, Border(state.last_ns)]
+
+
+def _break_off(state: GateState) -> tuple[GateState, tuple[Block, ...]]:
+    """The data end, or break off: all that flew comes out."""
+    if not state.airborne:
+        return state, ()
+    if state.low is not None and _flew(state.low):
+        state = _keep(state, *state.low.rows)
+    return replace(state, held=(), low=None, airborne=False, resumes=True), state.held
+
+
+def _flew(low: _Low) -> bool:
+    """Whether undecided rows that nothing follows were flight."""
+    return low.tumbles or low.up_ns is not None or (bool(low.rows) and low.loud * low.rows[0].dt_s >= LOUD_S)
 
 
 def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
     """Let go of the rows that are `trim_end_s` older than the newest."""
     if not state.held or spec.trim_end_s == 0:
-        flown = GateState((), state.source, state.airborne, state.span, state.begun_ns, state.last_ns)
-        return flown, list(state.held)
+        return (replace(state, held=()), list(state.held)) if state.held else (state, [])
     safe_ns = int(state.held[-1].t_ns[-1]) - round(spec.trim_end_s * NS_PER_S)
     done: list[Block] = []
     kept: list[Block] = []
@@ -140,3 +292,97 @@ def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
         done += [block.rows(0, stop)] if stop else []
         kept += [block.rows(stop, len(block))] if stop < len(block) else []
     return replace(state, held=tuple(kept)), done
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """A part of a log in which the vehicle flew and nobody could judge it. begin_s, end_s: of the vehicle's clock."""
+
+    begin_s: float
+    end_s: float
+    reason: str
+
+    @property
+    def span_s(self) -> float:
+        """How long it is [s]."""
+        return self.end_s - self.begin_s
+
+
+def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[int, int]]) -> tuple[Hidden, ...]:
+    """Where a vehicle that had taken off flew on though the gate passed no rows, in order of time.
+
+    The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
+    (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
+    up and it moves. spans: first and last row of what flew [ns].
+    """
+    series = [one for one in telemetry.series if len(one)]
+    bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one.t_ns // HIDDEN_BIN_NS for one in series)]))
+    bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
+    if not len(bins):
+        return ()
+    flown = np.zeros(len(bins), dtype=np.bool_)
+    for first, last in spans:
+        flown |= (bins >= first // HIDDEN_BIN_NS) & (bins <= last // HIDDEN_BIN_NS)
+    thrust = _held(_mean(telemetry.get(Signal.THRUST_SETPOINT), bins), HELD_BINS)
+    outputs = _held(_mean(telemetry.get(Signal.ACTUATOR), bins), HELD_BINS)
+    height = _held(_mean(telemetry.get(Signal.HEIGHT), bins), HELD_BINS)
+    armed = _held(_mean(telemetry.get(Signal.ARMED), bins), len(bins))
+    motion = _motion(telemetry.get(Signal.BODY_RATE), bins)
+    dead, moves = ~np.isfinite(motion), motion >= FLIES * _median(motion[flown])
+    down = outputs < FLIES * _median(outputs[flown])
+    low = thrust < (gate.min_thrust or 0.0)
+    off = (armed < 0.5) & gate.need_armed
+    driven = np.where(np.isfinite(outputs), ~down, moves)
+    reasons = {
+        "it reads disarmed while its thrust says that it flies": off & (thrust > 0) & ~low & ~down & (moves | dead),
+        "no gyro": ~off & dead & ~low & ~down & ~(height < (gate.min_height_m or -np.inf)),
+        "its thrust reads 0 while it flies": ~off & ~dead & low & driven,
+    }
+    found = []
+    for reason, where in reasons.items():
+        at = bins[where & ~flown]
+        for part in np.split(at, np.flatnonzero(np.diff(at) > HELD_BINS) + 1):
+            if len(part) and (part[-1] + 1 - part[0]) * HIDDEN_BIN_NS >= HIDDEN_S * NS_PER_S:
+                begin_ns, end_ns = int(part[0]) * HIDDEN_BIN_NS, int(part[-1] + 1) * HIDDEN_BIN_NS
+                before = [last for _, last in spans if 0 < begin_ns - last < HELD_BINS * HIDDEN_BIN_NS]
+                found.append(Hidden(max(before, default=begin_ns) / NS_PER_S, end_ns / NS_PER_S, reason))
+    return tuple(sorted(found, key=lambda one: one.begin_s))
+
+
+def _mean(series: Series | None, bins: IntArray) -> FloatArray:
+    """(bins,) mean of the finite values, nan where there is none."""
+    if series is None:
+        return np.full(len(bins), np.nan)
+    known = np.isfinite(series.values)
+    at = series.t_ns // HIDDEN_BIN_NS
+    place = bins.searchsorted(at).clip(0, len(bins) - 1)
+    inside = bins[place] == at
+    sums = np.bincount(place[inside], np.where(known, series.values, 0.0).sum(axis=1)[inside], len(bins))
+    count = np.bincount(place[inside], known.sum(axis=1)[inside], len(bins))
+    means: FloatArray = np.divide(sums, count, out=np.full(len(bins), np.nan), where=count > 0)
+    return means
+
+
+def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:
+    """(bins,) standard deviation of the body rates, nan where the gyro has no two stamps [rad/s]."""
+    if gyro is None:
+        return np.full(len(bins), np.nan)
+    t_ns, first = np.unique(gyro.t_ns, return_index=True)
+    once = Series(gyro.signal, t_ns, gyro.host_ns[first], gyro.values[first])
+    mean = np.stack([_mean(replace(once, values=column[:, None]), bins) for column in once.values.T])
+    square = _mean(replace(once, values=np.square(once.values)), bins)
+    several = np.bincount(bins.searchsorted(t_ns // HIDDEN_BIN_NS), minlength=len(bins) + 1)[: len(bins)] > 1
+    spread = np.sqrt(np.maximum(square - np.square(mean).mean(axis=0), 0.0))
+    return np.asarray(np.where(several, spread, np.nan), dtype=np.float64)
+
+
+def _held(values: FloatArray, most: int) -> FloatArray:
+    """The last known value, for so many bins."""
+    place = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    recent = (place >= 0) & (np.arange(len(values)) - place <= most)
+    return np.asarray(np.where(recent, values[place], np.nan), dtype=np.float64)
+
+
+def _median(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan

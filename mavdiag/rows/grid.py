@@ -5,14 +5,16 @@ from enum import StrEnum
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid"]
+__all__ = ["NATIVE_TOLERANCE", "Grid", "measure_grid", "unbroken"]
 
 NATIVE_TOLERANCE = 0.25  # of a period: a sample this near to its place counts as uniform (our choice)
 NATIVE_SHARE = 0.99  # of the steps that must be uniform for a native grid (our choice)
-PAUSE_NS = NS_PER_S  # a longer step is a pause and says nothing of the rate (our choice)
+LEAST_SAMPLES = 20  # that a rate is measured by (our choice)
+PAUSE_NS = NS_PER_S  # a longer step is a pause, as between two flights, and says nothing of the rate (our choice)
+SLOW = 3.0  # nor does one of so many medians, in a stream that is slower than that (our choice)
 
 
 class Grid(StrEnum):
@@ -20,6 +22,11 @@ class Grid(StrEnum):
 
     NATIVE = "native"  # one row a gyro sample
     RESAMPLED = "resampled"  # fixed period, linear interpolation
+
+
+def unbroken(steps_ns: FloatArray) -> FloatArray:
+    """The steps between samples [ns] without the pauses: what a rate is measured by."""
+    return steps_ns[steps_ns <= max(PAUSE_NS, SLOW * float(np.median(steps_ns)))]
 
 
 def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
@@ -31,8 +38,8 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     t = telemetry.need(Signal.BODY_RATE).t_ns
     if np.count_nonzero(t[1:] > t[:-1]) < len(t) - 1:
         t = np.unique(t)
-    if len(t) < 20:
-        raise InputError(f"only {len(t)} gyro samples: at least 20 are needed to measure the rate")
+    if len(t) < LEAST_SAMPLES:
+        raise InputError(f"only {len(t)} gyro samples: at least {LEAST_SAMPLES} are needed to measure the rate")
     steps = np.diff(t).astype(np.float64)
     median = float(np.median(steps))
     usual = steps[np.abs(steps - median) <= NATIVE_TOLERANCE * median]
@@ -41,4 +48,4 @@ def measure_grid(telemetry: Telemetry) -> tuple[float, Grid]:
     uniform = np.abs(steps - places * dt_ns) <= NATIVE_TOLERANCE * dt_ns
     if float(np.mean(uniform)) >= NATIVE_SHARE:
         return dt_ns / NS_PER_S, Grid.NATIVE
-    return float(np.mean(steps[steps <= max(PAUSE_NS, median)])) / NS_PER_S, Grid.RESAMPLED
+    return float(np.mean(unbroken(steps))) / NS_PER_S, Grid.RESAMPLED

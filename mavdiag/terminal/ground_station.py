@@ -41,9 +41,8 @@ class GroundStation:
     speak: send heartbeats, so that autopilots pass on texts to this link.
     vehicle: the system id that is listened to; None for all.
     signing: lets only genuine frames pass; None passes all.
-    t_s: the vehicle's time [s].
-    texts: of the detector, in order; the last ten thousand.
-    figures: the detector's latest NAMED_VALUE_FLOATs by name.
+    texts: of the detectors, in order, each with the time of its own vehicle; the last ten thousand.
+    figures: the latest NAMED_VALUE_FLOATs of the detector of the vehicle that is shown, by name.
     """
 
     endpoint: Endpoint
@@ -51,8 +50,8 @@ class GroundStation:
     speak: bool = True
     vehicle: int | None = None
     signing: Signing | None = None
-    t_s: float = 0.0
     texts: list[ReceivedText] = field(default_factory=list)
+    _times: dict[int, float] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
     _decoder: Decoder = field(init=False)
     _encoder: Encoder = field(default_factory=lambda: Encoder(GCS_SYSID, Component.MISSIONPLANNER))
@@ -86,17 +85,29 @@ class GroundStation:
         """Whether any sound frame has come."""
         return bool(self._decoder.senders)
 
+    @property
+    def shown(self) -> int | None:
+        """The vehicle whose time and figures are told: the one that was asked for, or the first that was heard."""
+        return next(iter(self._times), None) if self.vehicle is None else self.vehicle
+
+    @property
+    def t_s(self) -> float:
+        """The time of the vehicle that is shown [s]; 0 before it is heard."""
+        return 0.0 if self.shown is None else self._times.get(self.shown, 0.0)
+
     def _take(self, frame: Frame, fresh: list[ReceivedText | Change]) -> None:
         if self.vehicle not in (None, frame.sysid):
             return
-        if frame.msgid == MessageId.ATTITUDE:
-            self.t_s = float(str(frame.fields[_BOOT_MS])) / 1e3
+        if frame.compid == Component.AUTOPILOT1 and frame.msgid == MessageId.ATTITUDE:
+            self._times[frame.sysid] = float(str(frame.fields[_BOOT_MS])) / 1e3
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.STATUSTEXT:
             text = decode_statustext(frame)
-            fresh.append(received := ReceivedText(text.severity, printable(text.text), self.t_s))
+            fresh.append(
+                received := ReceivedText(text.severity, printable(text.text), self._times.get(frame.sysid, 0.0))
+            )
             self.texts.append(received)
             del self.texts[:-TEXTS]
         elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.NAMED_VALUE_FLOAT:
             name, value = frame.fields[_NAME], frame.fields[_VALUE]
-            if isinstance(name, bytes) and isinstance(value, float):
+            if isinstance(name, bytes) and isinstance(value, float) and self.shown in (None, frame.sysid):
                 self.figures[name.rstrip(b"\0").decode(errors="replace")] = value

@@ -1,9 +1,9 @@
 """A vehicle on a link judged as it comes, with the last seconds kept for a display."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from mavdiag.baseline import Baseline, check_link
+from mavdiag.baseline import Baseline
 from mavdiag.chain import Chain, ChainState, Gauge, Piece, chain_of
 from mavdiag.decision.alarm import Change
 from mavdiag.decision.diagnosis import Diagnosis
@@ -62,15 +62,14 @@ class LiveJudge:
             if len(known) > 1:
                 raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
             (self.vehicle,) = known
-            profile = self._decoder.vehicles[self.vehicle].profile.name
-            try:
-                check_link(self.baseline, profile=profile, dt_s=self.baseline.link.dt_s)
-            except BaselineError as error:
-                raise BaselineError(f"the vehicle's link is not the baseline's: {error}") from error
+        if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
+            self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
         found = None if self.vehicle is None else received.get(self.vehicle)
         if found is None or not found.telemetry.series:
             return ()
         self._state, output = self.chain.step(self._state, found.telemetry)
+        if self._state.refused:
+            raise BaselineError(self._state.refused)
         self._gauges.update({(one.monitor, one.axis): one for one in output.gauges})
         self.pieces = _latest((*self.pieces, *output.pieces), self.span_s)
         return output.changes

@@ -22,6 +22,7 @@ class Screen:
         self._quiet = quiet
         live = self._console.is_terminal and not quiet
         self._live = Live(console=self._console, auto_refresh=False) if live else None
+        self._size = self._console.size
         self._until = 0.0
 
     def __enter__(self) -> Self:
@@ -35,10 +36,10 @@ class Screen:
         if self._live is not None:
             self._live.stop()
 
-    def show(self, draw: Callable[[int], RenderableType], fresh: Sequence[Line], *, last: bool = False) -> None:
+    def show(self, draw: Callable[[int, int], RenderableType], fresh: Sequence[Line], *, last: bool = False) -> None:
         """Bring it up to date, at most ten times a second.
 
-        draw: gives the picture for a width; it is called only where there is a terminal.
+        draw: gives the picture for a width and a height; it is called only where there is a terminal.
         fresh: what happened since the last call; it is printed where there is no terminal.
         last: draw in any case.
         """
@@ -51,4 +52,15 @@ class Screen:
         now = self._console.get_time()
         if last or now >= self._until:
             self._until = now + 1 / PER_S
-            self._live.update(draw(self._console.width), refresh=True)
+            if self._console.size != self._size:
+                self._begin_anew()
+            self._live.update(draw(self._size.width, self._size.height - 1), refresh=True)
+
+    def _begin_anew(self) -> None:
+        """After a change of the terminal's size: what was drawn for the old one would stay in part."""
+        if self._live is not None:
+            self._live.stop()
+            self._console.clear()
+            self._size = self._console.size
+            self._live = Live(console=self._console, auto_refresh=False)
+            self._live.start()

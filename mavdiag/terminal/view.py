@@ -3,6 +3,7 @@
 `View` says what is shown, `picture` lays it out within the width of the terminal. Nothing is read or judged here.
 """
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ NARROWEST = 40
 NAME_WIDTH = 16
 FIGURES_WIDTH = 30
 EVENTS = 8
+LEAST_EVENTS = 6  # lines of them that stay where there is little room (our choice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,28 +81,66 @@ class View:
     foot: str = ""
 
 
-def picture(view: View, width: int) -> Panel:
-    """The picture, `width` characters wide."""
+def picture(view: View, width: int, height: int | None = None) -> Panel:
+    """The picture, `width` characters wide and at most `height` lines high; None for any height.
+
+    Where there is little room the newest events stay, then the monitors, then the strips.
+    """
     inner = max(width - FRAME, NARROWEST)
-    headline = Text(printable(view.headline), style="bold red" if view.alert else "bold green")
-    parts: list[RenderableType] = [headline]
-    for one in view.strips:
+    style = "bold red" if view.alert else "bold green"
+    parts: list[RenderableType] = [*_lines("", view.headline, style, inner)]
+    foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
+    strips, levels, events = _fitted(view, inner, None if height is None else height - 2 - len(parts) - len(foot))
+    for one in strips:
         parts += _strip(one, view, inner)
-    if view.levels:
-        parts.append(_levels(view.levels, inner))
-    parts += [line_of(one, inner) for one in view.events[-EVENTS:]]
-    if view.foot:
-        parts.append(Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis"))
-    return Panel(Group(*parts), title=Text(printable(view.title)), width=inner + FRAME)
+    if levels:
+        parts.append(_levels(levels, inner))
+    return Panel(Group(*parts, *events, *foot), title=Text(printable(view.title)), width=inner + FRAME)
 
 
-def line_of(one: Line, width: int | None = None) -> Text:
-    """An event as one line, cut to the width if there is one."""
-    style = "bold red" if one.severity <= Severity.CRITICAL else "yellow" if one.severity <= Severity.WARNING else ""
-    line = Text(f"{one.t_s:8.2f} s  {one.severity.name:<8} {printable(one.text)}", style=style, no_wrap=True)
-    if width is not None:
-        line.truncate(width, overflow="ellipsis")
-    return line
+def line_of(one: Line) -> Text:
+    """An event as one line, however long."""
+    return Text(_when(one) + printable(one.text), style=_style(one), no_wrap=True)
+
+
+def _fitted(view: View, width: int, room: int | None) -> tuple[Sequence[StripView], Sequence[Level], list[Text]]:
+    """The strips, levels and lines of events that so many lines have room for; None for all."""
+    told = [_lines(_when(one), one.text, _style(one), width) for one in view.events[-EVENTS:]]
+    if room is None:
+        return view.strips, view.levels, [line for lines in told for line in lines]
+    events: list[Text] = []
+    most = max(room - len(view.levels) - sum(one.rows for one in view.strips), min(room, LEAST_EVENTS))
+    for lines in reversed(told):
+        if events and len(events) + len(lines) > most:
+            break
+        events = [*lines, *events]
+    levels = view.levels[: max(room - len(events), 0)]
+    left, strips = room - len(events) - len(levels), list[StripView]()
+    for one in view.strips:
+        left -= one.rows
+        if left >= 0:
+            strips.append(one)
+    return strips, levels, events
+
+
+def _when(one: Line) -> str:
+    return f"{one.t_s:8.2f} s  {one.severity.name:<8} "
+
+
+def _style(one: Line) -> str:
+    return "bold red" if one.severity <= Severity.CRITICAL else "yellow" if one.severity <= Severity.WARNING else ""
+
+
+def _lines(head: str, text: str, style: str, width: int) -> list[Text]:
+    """A text of any length as lines of the width, the later ones indented as far as the head goes."""
+    parts = textwrap.wrap(printable(text), max(width - len(head), 1)) or [""]
+    lines = [
+        Text((head if not number else " " * len(head)) + part, style=style, no_wrap=True)
+        for number, part in enumerate(parts)
+    ]
+    for line in lines:
+        line.truncate(width, overflow="ellipsis")  # of characters that are two cells wide
+    return lines
 
 
 def _strip(one: StripView, view: View, width: int) -> list[Text]:

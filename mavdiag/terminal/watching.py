@@ -29,8 +29,8 @@ def listen(station: GroundStation, address: str, axis: Axis, span_s: float, ende
     whose = ("", "") if station.judge is None else ("detector: ", "here: ")
     events: list[Line] = []
 
-    def draw(width: int) -> Panel:
-        return picture(_view(station, address, axis, span_s, events), width)
+    def draw(width: int, height: int) -> Panel:
+        return picture(_view(station, address, axis, span_s, events), width, height)
 
     with Screen() as screen:
         last = False
@@ -68,8 +68,8 @@ def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> 
     """Show what a journal tells until `ended`. vehicle: the only one of interest; None for all."""
     events: list[Line] = []
 
-    def draw(width: int) -> Panel:
-        return picture(_journal_view(journal, vehicle, events), width)
+    def draw(width: int, height: int) -> Panel:
+        return picture(_journal_view(journal, vehicle, events), width, height)
 
     with Screen() as screen:
         last = False

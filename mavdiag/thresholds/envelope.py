@@ -7,8 +7,10 @@ what counts as nothing, if that is more), and e = (c - C)/(R C):
     0 < e <= 1     near: the threshold times 1 + R e = c/C; what a linear model leaves grows no faster than its input
     e > 1          outside, from (1 + R) C on: not judged
 
-R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A condition that no
-healthy flight told of, or that the link does not carry now, restricts nothing.
+R is the room of the condition. It counts what was flown in the memory of the monitor's statistic. A statistic that is a
+time (FSD) does not grow so: near, its threshold stays as it was learnt. A value that was reached once and lies far
+beyond all others was no manoeuvre: a wrong sample widens nothing. A condition that no healthy flight told of, or that
+the link does not carry now, restricts nothing.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,6 +29,8 @@ from mavdiag.units import NS_PER_S
 __all__ = ["Covered", "Dependence", "Envelope", "EnvelopeState", "Outside", "covered_by"]
 
 ORDER = tuple(Condition)
+OUTLIER = 2.0  # times as far from the median as the next largest: a wrong sample, and no manoeuvre (our choice)
+EVENT_BINS = 50  # on each side of the largest; the longest memory of a condition is 5 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +55,10 @@ class _Rule:
 RULES: dict[Condition, _Rule] = {
     Condition.TILT: _Rule("upper", 0.2, "rad", "fly in steady wind"),
     Condition.THROTTLE: _Rule("both", 0.25, "", "fly with payload, and with a battery that empties"),
-    Condition.VOLTAGE: _Rule("both", 0.05, "V", "fly a battery from full to empty"),
     Condition.COMMANDED_RATE: _Rule("upper", 0.3, "rad/s", "fly sharper turns and stops", 1.0),
     Condition.COMMANDED_ACCELERATION: _Rule("upper", 5.0, "rad/s^2", "fly sharper turns and stops", 1.0),
     Condition.YAW_RATE: _Rule("upper", 0.15, "rad/s", "turn the nose, steadily and along the path"),
     Condition.HEIGHT: _Rule("lower", 0.5, "m", "fly as low as it is to be judged"),
-    Condition.CLIMB_RATE: _Rule("upper", 0.3, "m/s", "climb and descend"),
 }
 
 
@@ -153,11 +155,18 @@ def covered_by(flights: Iterable[Sequence[Rows]]) -> tuple[Covered, ...]:
             found.append(bins.values)
     values = np.concatenate(found)
     known = np.isfinite(values)
-    return tuple(
-        Covered(condition, float(values[known[:, i], i].min()), float(values[known[:, i], i].max()))
-        for i, condition in enumerate(ORDER)
-        if known[:, i].any()
-    )
+    columns = {condition: values[known[:, i], i] for i, condition in enumerate(ORDER) if known[:, i].any()}
+    return tuple(Covered(condition, -_end(-column), _end(column)) for condition, column in columns.items())
+
+
+def _end(values: FloatArray) -> float:
+    """The largest value, in order of time; the largest of any other five seconds where that is an outlier."""
+    if len(values) < 4 * EVENT_BINS:
+        return float(values.max())
+    top, middle = int(values.argmax()), float(np.median(values))
+    others = np.delete(values, slice(max(0, top - EVENT_BINS), top + EVENT_BINS + 1))
+    largest, following = float(values[top]), float(others.max())
+    return following if largest - middle > OUTLIER * (following - middle) else largest
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +175,12 @@ class Dependence:
 
     conditions: those that raise it in healthy flight.
     memory_s: how long what was flown stays in it [s].
+    grows: it grows with a condition as an amplitude does; a time does not.
     """
 
     conditions: frozenset[Condition]
     memory_s: float
+    grows: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,9 +269,17 @@ class Envelope:
                 value = float(state.values[far.place[farthest], column])
                 reasons[self.covered[column].condition] = Outside(span_s, value, float(far.excess[farthest]))
         rooms = np.array([RULES[one.condition].room for one in self.covered])
-        grown = np.repeat(1.0 + rooms[far.column] * np.minimum(far.excess, 1.0), far.counts)
+        grown = 1.0 if not slot.grows else np.repeat(1.0 + rooms[far.column] * np.minimum(far.excess, 1.0), far.counts)
         valid = found.valid & ~np.repeat(outside, far.counts) if reasons else found.valid
         return replace(found, value=found.value / grown, valid=valid), reasons
+
+    def covers(self, state: EnvelopeState, conditions: frozenset[str], memory_s: float, t_ns: IntArray) -> BoolArray:
+        """At which times (n,) none of these conditions was outside in the last so many seconds."""
+        columns = [i for i, one in enumerate(self.covered) if one.condition in conditions]
+        if len(t_ns) == 0 or not columns or not np.count_nonzero(state.excess[:, columns]):
+            return np.ones(len(t_ns), dtype=np.bool_)
+        far = _farthest(state, columns, t_ns, memory_s, self.delay_s + BIN_S)
+        return np.repeat(far.excess <= 1.0, far.counts)
 
     def sentence(self, condition: Condition, value: float) -> str:
         """Why a slot does not judge."""

@@ -39,7 +39,6 @@ __all__ = [
     "false_alarms_per_flight",
     "flights_for_guarantee",
     "flights_for_maximum",
-    "more_flights",
     "poisson_upper",
     "threshold_of",
 ]
@@ -49,6 +48,7 @@ EULER_GAMMA = 0.5772156649015329
 GUMBEL_SCALE = math.sqrt(6.0) / math.pi  # beta over standard deviation
 ONE_SIDED_95 = 1.645  # quantile of the normal law
 ENOUGH_BLOCKS = 20  # from here on the floor on beta fades (our choice)
+WORTH_SAYING_PER_HOUR = 1.0  # a limit on the alarms that is above it tells nobody anything (our choice)
 NO_GUARD = Guard()
 
 
@@ -110,9 +110,11 @@ class Threshold:
     def statement(self) -> str:
         """One sentence: what is asked for, and what is shown."""
         sessions = f"{self.sessions} session{'' if self.sessions == 1 else 's'}"
-        flights = f"{self.flights} flights in {sessions} ({self.hours:.3g} h)"
+        flights = f"{self.flights} flight{'' if self.flights == 1 else 's'} in {sessions} ({self.hours:.3g} h)"
         basis = f"{self.blocks} healthy blocks of {self.block_s:g} s from {flights}"
-        shown = f"they exclude more than {self.demonstrated_per_hour:.3g} alarms/h at 95 %"
+        shown = f"{self.exceeding or 'none'} of them above it"
+        if self.demonstrated_per_hour < WORTH_SAYING_PER_HOUR:
+            shown += f", so at 95 % fewer than {self.demonstrated_per_hour:.2g} alarms/h"
         if self.rule is ThresholdRule.MAXIMUM:
             price = f"an equal healthy flight alarms with probability {self.false_alarms_per_flight:.3g}"
             return f"largest maximum of {basis}: {price}; {shown}"
@@ -191,16 +193,6 @@ def poisson_upper(events: int, confidence: float = 0.95) -> float:
     from scipy.special import gammaincinv  # half the chi-squared quantile of 2 events + 2 degrees of freedom
 
     return float(gammaincinv(events + 1, confidence))
-
-
-def more_flights(threshold: Threshold, budget_per_hour: float | None = None) -> int:
-    """How many more healthy flights of the same mean length, all without an alarm, would demonstrate a budget.
-
-    budget_per_hour: None for the threshold's own.
-    """
-    needed_hours = poisson_upper(threshold.exceeding) / (budget_per_hour or threshold.budget_per_hour)
-    missing = (needed_hours - threshold.hours) / (threshold.hours / threshold.flights)
-    return max(0, math.ceil(missing - 1e-9))
 
 
 def flights_for_maximum(false_alarms: float) -> int:

@@ -41,6 +41,7 @@ class Dialect:
     firmware: how it takes commands.
     parameters: those of the autopilot besides its firmware's and the emulator's own.
     streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
+    sysid: system id of the vehicle, 1 to 255.
     """
 
     profile: Profile
@@ -54,6 +55,7 @@ class Dialect:
     unasked: Mapping[int, float] = field(default_factory=dict)
     whole_ms: bool = False
     attained_hz: float | None = None
+    sysid: int = 1
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
@@ -85,7 +87,8 @@ class Dialect:
     def parameters_of(self, vehicle: Vehicle) -> tuple[Parameter, ...]:
         """The parameters of a vehicle: the dialect's, its geometry as the autopilot has it, those that can be set."""
         geometry = _px4_rotors(vehicle) if self.firmware is PX4 else _copter_frame(vehicle)
-        return (*self.parameters, *geometry, *self.firmware.parameters, *OWN_PARAMETERS)
+        own = Parameter("MAV_SYS_ID" if self.firmware is PX4 else "SYSID_THISMAV", self.sysid, Kind.INT16)
+        return (own, *self.parameters, *geometry, *self.firmware.parameters, *OWN_PARAMETERS)
 
 
 def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
@@ -154,7 +157,6 @@ _STREAMS: Mapping[int, tuple[int, ...]] = {
     ),
 }
 
-_SYSID = (Parameter("SYSID_THISMAV", 1, Kind.INT16),)
 _PX4_UNASKED: Mapping[int, float] = {  # PX4, mavlink_main.cpp, MAVLINK_MODE_NORMAL; as far as carried here
     MessageId.HEARTBEAT: 1.0,
     MessageId.ATTITUDE: 15.0,
@@ -181,7 +183,6 @@ _ALL = (
             others=_messages(profile, MessageId.HIGHRES_IMU),
             ceiling_hz=1000.0,
             firmware=GENERIC,
-            parameters=_SYSID,
             streams=_STREAMS,
         )
         for profile in (_QDRONE2, _SPEC)
@@ -195,7 +196,6 @@ _ALL = (
         firmware=COPTER,
         send_delay_s=0.0025,  # one loop
         parameters=(
-            *_SYSID,
             Parameter("INS_GYRO_FILTER", 20, Kind.INT16),
             Parameter("INS_ACCEL_FILTER", 20, Kind.INT16),
             Parameter("SCHED_LOOP_RATE", 400, Kind.INT16),
@@ -212,7 +212,6 @@ _ALL = (
         ceiling_hz=250.0,  # estimate
         firmware=PX4,
         parameters=(
-            Parameter("MAV_SYS_ID", 1, Kind.INT32),
             Parameter("IMU_GYRO_CUTOFF", 40.0),
             Parameter("IMU_ACCEL_CUTOFF", 30.0),
             *(Parameter(f"CAL_{sensor}0_ID", 1, Kind.INT32) for sensor in ("GYRO", "ACC", "MAG")),

@@ -91,10 +91,16 @@ def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
 ) -> "Summary":
     # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+    from mavdiag.archive.tables import check_parquet
     from sitl_plant.campaign.runner import Journal, dask_executor, local_executor, run_campaign
     from sitl_plant.campaign.summary import summarise
+    from sitl_plant.physics.jit import check_numba
 
     plan = make_plan(design)
+    if parquet is not None:
+        check_parquet()
+    if scheduler is None:
+        check_numba()
     chosen = dask_executor(scheduler) if scheduler is not None else local_executor(workers)
     with chosen as executor, closing(Journal(output, fresh)) as journal, _progress() as report:
         results = run_campaign(plan, journal, executor, report)
@@ -129,11 +135,9 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
 def _write_parquet(path: Path, results: "Results") -> None:
     """One row a flight; the monitors' alarms as a column each."""
-    try:
-        from pyarrow import Table
-        from pyarrow.parquet import write_table
-    except ImportError as error:
-        raise UsageError("--parquet needs pyarrow: install mavdiag[fleet]") from error
+    from pyarrow import Table
+    from pyarrow.parquet import write_table
+
     rows = [_row(flight) for flight in results.flights]
     names = dict.fromkeys(name for row in rows for name in row)  # pyarrow takes the first row's names for all
     try:

@@ -256,7 +256,7 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         verdict=verdict.verdict.value,
         reason=verdict.reason,
         judged_s=round(verdict.judged_s, 3),
-        healthy_s=round(max(0.0, verdict.judged_s - (0.0 if onset_s is None else max(0.0, flown_s - onset_s))), 3),
+        healthy_s=round(verdict.judged_s if onset_s is None else _judged_s(judged, onset_s), 3),
         onset_s=onset_s,
         episodes=_episodes(before),
         latency_s=_latency(after, border_s),
@@ -289,6 +289,15 @@ def _score(judged: JudgedFlight, from_s: float, to_s: float) -> float | None:
             if slot.of_propellers and use.any():
                 highest.append(float(found.value[use].max()) / slot.threshold)
     return round(max(highest), 6) if highest else None
+
+
+def _judged_s(judged: JudgedFlight, to_s: float) -> float:
+    """Time before that at which any monitor judged [s], to one period of the slowest."""
+    found = [one for piece in judged.pieces for one in piece.found]
+    tick_ns = max((round(one.period_s * NS_PER_S) for one in found), default=1)
+    ticks = {tick for one in found for tick in np.unique(one.t_ns[one.valid] // tick_ns).tolist()}
+    count = sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks)
+    return float(count * tick_ns) / NS_PER_S
 
 
 def _declared_s(changes: Sequence[Change]) -> list[float]:

@@ -4,7 +4,7 @@
 
 ArduPilot sends a frame, waits for the answer, and sends the frame again if none came within about a second. So every
 frame is one span of 1/frame_rate, and the same number a second time is the same span: its answer is sent again. A
-number that falls means that ArduPilot was started anew: so is the plant, on the ground.
+number that falls, or another address, means that ArduPilot was started anew: so is the plant, on the ground.
 """
 
 import json
@@ -12,6 +12,7 @@ import struct
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from mavdiag.units import NS_PER_S
 from sitl_plant.hil.outputs import OutputMap
 from sitl_plant.hil.simulation import Simulation
 from sitl_plant.plant import PlantSamples
@@ -44,10 +45,10 @@ def servo_frame(data: bytes) -> ServoFrame | None:
     return ServoFrame(rate_hz, count, struct.unpack_from(f"<{channels}H", data, _head.size))
 
 
-def answer(row: PlantSamples) -> bytes:
+def answer(row: PlantSamples, current_a: float) -> bytes:
     """What the sensors measured, and where the vehicle is. ArduPilot's parser wants no blanks, and a line end before.
 
-    row: samples of length 1.
+    row: samples of length 1. current_a: drawn from the battery [A].
     """
     line = {
         "timestamp": row.t_ns[0].item() * 1e-9,
@@ -55,6 +56,7 @@ def answer(row: PlantSamples) -> bytes:
         "position": row.position[0].tolist(),
         "quaternion": row.quaternion[0].tolist(),
         "velocity": row.velocity[0].tolist(),
+        "battery": {"voltage": row.battery_v[0].item(), "current": current_a},
     }
     return b"\n" + json.dumps(line, separators=(",", ":")).encode() + b"\n"
 
@@ -85,6 +87,7 @@ class Lockstep:
         self._heard_s = 0.0
         self._count: int | None = None
         self._answer = b""
+        self._current_a = 0.0
 
     def feed(self, data: bytes, peer: Hashable, now_s: float) -> bytes | None:
         """The answer to a datagram of `peer`; None for no answer. now_s: any clock that only goes on."""
@@ -107,9 +110,14 @@ class Lockstep:
         if frame.count == self._count and not fresh:
             self.counts.resent += 1
             return self._answer
-        if self._count is not None and frame.count <= self._count:
+        if self._count is not None and (fresh or frame.count <= self._count):
             self.counts.restarts += 1
             self._simulation.restart()
         self._count = frame.count
         self.counts.frames += 1
-        return answer(self._simulation.step(self._outputs.from_pwm(frame.pwm), 1.0 / frame.rate_hz))
+        before = self._simulation.now
+        row = self._simulation.step(self._outputs.from_pwm(frame.pwm), 1.0 / frame.rate_hz)
+        drawn_as, span_ns = 3600.0 * (row.charge_ah[0] - before.charge_ah[0]), row.t_ns[0] - before.t_ns[0]
+        if span_ns > 0:  # else no step of the plant was due
+            self._current_a = float(drawn_as / span_ns * NS_PER_S)
+        return answer(row, self._current_a)

@@ -12,6 +12,7 @@ from typing import Annotated, get_args
 import typer
 
 from mavdiag import commandline
+from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.config import PlantConfig, fault_injection
@@ -22,8 +23,9 @@ from sitl_plant.hil.parameters import parameter_file
 from sitl_plant.hil.px4 import Bridge
 from sitl_plant.hil.serve import serve_frames, serve_json
 from sitl_plant.hil.simulation import FLYING_M, HilPlan, Simulation
-from sitl_plant.options import TruthFile, VehicleName, parse_speed, with_options
+from sitl_plant.options import STARTING, TruthFile, VehicleName, parse_speed, with_options
 from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.jit import check_numba
 from sitl_plant.truth_file import TruthWriter, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
@@ -54,8 +56,11 @@ class HilOptions:
     @contextmanager
     def simulation(self, name: str, rate_hz: float) -> Iterator[Simulation]:
         """The simulation, with its truth file open. name, rate_hz: of the link, for the truth file."""
+        check_numba()
         with truth_file(self.truth) as lines:
-            yield Simulation(self.plan, TruthWriter(lines, self.plan.config, name, rate_hz, None).write)
+            with working(STARTING):
+                simulation = Simulation(self.plan, TruthWriter(lines, self.plan.config, name, rate_hz, None).write)
+            yield simulation
 
     def announce(self, autopilot: str, address: str, outputs: OutputMap) -> None:
         """One line: who may connect where, and what will happen."""

@@ -29,12 +29,14 @@ class Datagrams:
         self.address = f"{address.rpartition(':')[0]}:{self._socket.getsockname()[1]}"
 
     def receive(self, timeout_s: float) -> tuple[bytes, SocketAddress] | None:
-        """The next datagram and its sender; None if none came in time."""
-        self._socket.settimeout(timeout_s)
+        """The next datagram and its sender; None if none came in time. Raises LinkError if the port is gone."""
         try:
+            self._socket.settimeout(timeout_s)
             data, peer = self._socket.recvfrom(LONGEST)
-        except OSError:  # nothing came, or an earlier answer found nobody
+        except (TimeoutError, BlockingIOError, ConnectionError):  # nothing came, or an earlier answer found nobody
             return None
+        except OSError as error:
+            raise link_error(self.address, error) from error
         return data, peer
 
     def send(self, data: bytes, peer: SocketAddress) -> None:

@@ -16,14 +16,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NoReturn, ParamSpec, TypeVar, cast
 
-from mavdiag.errors import UsageError
+from mavdiag.errors import UsageError, missing_extra
 
 try:
     import numba
 except ImportError:
     numba = None  # type: ignore[assignment]  # a module or None: every use below asks
 
-__all__ = ["allocating", "cached", "inline", "jit", "source_digest"]
+__all__ = ["allocating", "cached", "check_numba", "inline", "jit", "source_digest"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -74,6 +74,12 @@ def _compiled(function: Callable[P, R], inline: Literal["never", "always"], coun
     return cast(Callable[P, R], numba.njit(**options)(function))
 
 
+def check_numba() -> None:
+    """Raise UsageError, saying what to install, if nothing can be compiled. Commands ask before they make a file."""
+    if numba is None:
+        _unavailable()
+
+
 def _unavailable(*_arguments: object) -> NoReturn:
     """Stands in for every compiled function where numba is absent."""
-    raise UsageError("the plant needs numba: install mavdiag[plant]")
+    raise missing_extra("the plant", "numba", "plant")

@@ -85,6 +85,8 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
     assert 0.3 * 12 <= crack.onset_s <= 0.5 * 12
     assert gone.onset_s is not None
     assert gone.onset_s < gone.flown_s < gone.onset_s + 2.0  # it falls
+    for one in (crack, gone):  # as in the healthy flight; what was judged after the onset is not in it
+        assert one.healthy_s == pytest.approx(max(0.0, (one.onset_s or 0.0) - 5.1), abs=0.15)
     assert gone.latency_s is not None
     assert gone.latency_s > 0.0
     assert summarise(results).flights == 4
@@ -231,7 +233,7 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
 
 def test_dask_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
-    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
+    with pytest.raises(UsageError, match=r"pip install .mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
         pass
 
 

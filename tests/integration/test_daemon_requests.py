@@ -134,7 +134,8 @@ def test_a_larger_scale_silences_a_small_fault_and_the_journal_says_who_set_what
         texts = [decode_statustext(one).text for one in of(received(bench.far), MessageId.STATUSTEXT)]
         assert any("FAULT" in text for text in texts) == alerts
         if alerts:
-            assert any("FML 1.20s" in text for text in texts)
+            lines = [json.loads(line) for line in path.read_text().splitlines()]
+            assert {one["threshold"] for one in lines if one["kind"] == "opened"} == {1.2}
     notes = [one["text"] for one in map(json.loads, path.read_text().splitlines()) if one["kind"] == "note"]
     assert "MD_THR_SCALE set from 1 to 4" in notes
 
@@ -225,6 +226,14 @@ def test_vehicles_beyond_the_bound_are_not_watched_and_that_is_said_once(benches
     assert set(bench.daemon.fleet.vehicles) == {1, 2}
     words = [line for line in bench.host.lines if "vehicle 3" in line]
     assert words == ["vehicle 3: not watched: there are 2 vehicles already (max_vehicles)"]
+
+
+def test_a_boat_is_not_watched_and_that_is_said_once(benches: Benches) -> None:
+    bench = benches(judging(), MadeVehicle(1), MadeVehicle(2, kind=11), baseline=baseline_for())
+    bench.run(8.0)
+    assert set(bench.daemon.fleet.vehicles) == {1}
+    words = [line for line in bench.host.lines if "vehicle 2" in line]
+    assert words == ["vehicle 2: not watched: a boat (MAV_TYPE 11): mavdiag judges multirotors only"]
 
 
 def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches) -> None:

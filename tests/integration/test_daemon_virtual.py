@@ -230,7 +230,7 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     said = [decode_statustext(frame) for frame in of(frames, MessageId.STATUSTEXT)]
     # This baseline has no monitor of sensors, so nothing is waited for.
     assert [one.severity for one in said] == [Severity.CRITICAL]
-    assert said[0].text.startswith("PROP FAULT roll FSD 0.")
+    assert said[0].text == "PROP FAULT roll attitude unlike the model"
     assert {one.chunk_id for one in said} == {0}
     figures = dict(figure(frame) for frame in of(frames, MessageId.NAMED_VALUE_FLOAT))
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}

@@ -61,5 +61,6 @@ def test_mavsdk_behind_the_detector_meets_the_vehicle_and_gets_the_alert(baselin
         finally:
             detector.terminate()
             detector.communicate(timeout=20.0)
-    assert re.fullmatch(r"PROP FAULT (((r|motor )1|roll|pitch) )?(F[123](/SV[123])? )?(.+>.+|weak \d+%)", text)
+    what = r"vibrates [\d.]+x|thrust unsteady [\d.]+x|lost \d+% thrust|attitude unlike the model"
+    assert re.fullmatch(rf"PROP FAULT (motor 1 |rotor unknown: |roll |pitch )?({what})(, F[123](/SV[123])?)?", text)
     assert detector.returncode == 0

@@ -17,7 +17,7 @@ from detector.config import load_settings
 from mavdiag.link.ports import open_endpoint
 
 UDP = ("--connect", "udpin:127.0.0.1:0")
-LEARNING = ("--learn", "50", *UDP)
+LEARNING = ("--learn", "50", "--save", "b.json", *UDP)
 
 
 @pytest.fixture
@@ -55,13 +55,13 @@ def test_check_tells_what_a_start_would_do_and_opens_nothing(baseline: Path, tmp
     ("options", "words"),
     [
         (("--baseline", "absent.json"), "absent.json: no such file"),
-        (("--learn", "9", "--connect", "/dev/absent,57600"), "no such device"),
-        (("--learn", "9", "--connect", "udpout:no.such.host.invalid:14550"), "unknown host"),
-        (("--learn", "9", "--forward", "udpout:no.such.host.invalid:1"), "unknown host"),
-        (("--learn", "9", "--journal", "absent/j"), "there is no folder absent"),
-        (("--learn", "9", "--record", "."), "is a folder"),
+        (("--learn", "9", "--save", "b.json", "--connect", "/dev/absent,57600"), "no such device"),
+        (("--learn", "9", "--save", "b.json", "--connect", "udpout:no.such.host.invalid:14550"), "unknown host"),
+        (("--learn", "9", "--save", "b.json", "--forward", "udpout:no.such.host.invalid:1"), "unknown host"),
+        (("--learn", "9", "--save", "b.json", "--journal", "absent/j"), "there is no folder absent"),
+        (("--learn", "9", "--save", "b.json", "--record", "."), "is a folder"),
         (("--learn", "9", "--save", "absent/b.json"), "there is no folder absent"),
-        (("--learn", "9", "--airframe", "absent.toml"), "absent.toml"),
+        (("--learn", "9", "--save", "b.json", "--airframe", "absent.toml"), "absent.toml"),
     ],
 )
 def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words: str) -> None:
@@ -79,7 +79,11 @@ def test_the_printed_configuration_is_one_that_it_takes(tmp_path: Path) -> None:
 
 
 def test_the_environment_is_read(tmp_path: Path) -> None:
-    environ = {"MAVDIAG_DETECTOR_LEARN": "77", "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0"}
+    environ = {
+        "MAVDIAG_DETECTOR_LEARN": "77",
+        "MAVDIAG_DETECTOR_SAVE": "b.json",
+        "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0",
+    }
     with running(environ=environ) as (_, first):
         assert first.startswith("ready: tcpin:127.0.0.1:")
         assert "learning from 77 s" in first
@@ -105,15 +109,15 @@ def test_health_tells_a_daemon_that_works_from_one_that_hangs_or_is_gone() -> No
     metrics = ("--metrics", str(free_port()))
     with running(*LEARNING, *metrics) as (child, _):
         give_up = time.monotonic() + PATIENCE_S
-        while (run := ran("--health", *metrics)).returncode and time.monotonic() < give_up:
+        while (run := ran("--working", *metrics)).returncode and time.monotonic() < give_up:
             pass
-        assert (run.returncode, run.stdout) == (0, "healthy\n")
+        assert (run.returncode, run.stdout) == (0, "working\n")
         child.send_signal(signal.SIGSTOP)
-        run = ran("--health", *metrics)
+        run = ran("--working", *metrics)
         child.send_signal(signal.SIGCONT)
         assert run.returncode == 1
         assert "does not answer (timed out)" in run.stdout
-    run = ran("--health", *metrics)
+    run = ran("--working", *metrics)
     assert run.returncode == 1
     assert "Connection refused" in run.stdout
 

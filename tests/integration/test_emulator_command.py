@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from mavdiag.link.ports import open_endpoint
 from mavdiag.logs.tlog import read_tlog
 from mavdiag.telemetry import Signal
 from sitl_plant.__main__ import main
+from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.vehicle import vehicle_named
 
 PATIENCE_S = 90.0
 
@@ -159,3 +162,24 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert flight.returncode == 0
     assert json.loads(output)["event"] == "landed"
     assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
+
+
+@pytest.mark.parametrize("command", ["record", "campaign"])
+def test_without_numba_no_empty_file_is_left(command: str, tmp_path: Path) -> None:
+    code = "import sys; sys.modules['numba'] = None; from sitl_plant.__main__ import main; main()"
+    run = [sys.executable, "-c", code, command, "-o", str(tmp_path / "file")]
+    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    told = "sitl-plant: the plant needs numba, which is not installed: pip install 'mavdiag[plant]'"
+    assert done.stderr.splitlines() == [told]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_vehicles_have_the_system_id_that_is_asked_for(tmp_path: Path) -> None:
+    for number in (1, 7):
+        path = tmp_path / f"{number}.tlog"
+        assert sitl_plant("record", "-o", str(path), "--duration", "2", "--system-id", str(number)).returncode == 0
+        assert read_tlog(path).vehicle == number
+    for profile, name in (("ardupilot", "SYSID_THISMAV"), ("px4", "MAV_SYS_ID"), ("qdrone2", "SYSID_THISMAV")):
+        rows = replace(dialect_named(profile), sysid=7).parameters_of(vehicle_named("qdrone2"))
+        assert [row.value for row in rows if row.name == name] == [7]

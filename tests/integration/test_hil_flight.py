@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -264,15 +264,29 @@ def binary(name: str) -> str:
     return found
 
 
+@contextmanager
+def connected(port: int) -> Iterator[socket.socket]:
+    """A client of a program that has just been started; what it sends is not read."""
+    for _ in range(300):
+        with suppress(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), timeout=1.0) as client:
+            yield client
+            return
+        time.sleep(0.1)
+    pytest.fail(f"nobody listens on TCP {port}")
+
+
 def test_a_real_arducopter_reads_the_plant(tmp_path: Path) -> None:
-    """It needs ten seconds of frames, each answered, to boot; MAVLink stays unused here."""
+    """It needs ten seconds of frames, each answered, to boot; MAVLink stays unused here.
+
+    Its first serial port is "tcp:0:wait" by default: it sends no frame before a client has come to TCP 5760.
+    """
     program = binary("MAVDIAG_ARDUCOPTER")
     parameters = tmp_path / "plant.param"
     made = [sys.executable, "-m", "sitl_plant", "serve-ardupilot", "--print-parameters", "ardupilot"]
     parameters.write_text(subprocess.run(made, capture_output=True, text=True, check=True, timeout=60).stdout)
     with serving("serve-ardupilot", "--listen", "udpin:127.0.0.1:9002", "--duration", "20") as (_, plant):
         start = [program, "--model", "JSON:127.0.0.1", "--defaults", str(parameters), "-w", "--home=47.4,8.5,488,0"]
-        with process(start, cwd=tmp_path):
+        with process(start, cwd=tmp_path), connected(5760):
             assert plant.wait(120.0) == 0
         assert plant.stdout is not None
         said = plant.stdout.read()

@@ -7,6 +7,7 @@ import os
 import pty
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from made_history import DAY_NS, START_NS, records
 
 from mavdiag import cli
 from mavdiag.demo.subprocesses import run_child
+from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
 
@@ -63,6 +65,8 @@ def test_flights_are_judged_kept_once_and_listed(mavdiag: Any, tmp_path: Path, m
     assert said[2].startswith("damaged.tlog: error, ")
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--airframe", "drone 2")
     assert (code, out) == (0, f"{logs[2]}: is there already, of drone 1\n")
+    code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--vehicle", 1)
+    assert (code, out) == (0, f"{logs[2]}: is there already, of drone 1\n")  # its only vehicle, named or not
     code, out, _ = mavdiag("history", "add", logs[2], "--baseline", "b.json", "--again")
     assert (code, f"{logs[2]}: judged again, healthy" in out) == (0, True)
     code, out, _ = mavdiag("history", "list", "--json")
@@ -98,13 +102,31 @@ def test_a_wearing_airframe_is_warned_of_until_its_propellers_are_new(mavdiag: A
     assert "new propellers after the last flight: no trend yet" in out
 
 
-def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Path) -> None:
-    code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--csv", "--database", wearing)
-    rows = list(csv.DictReader(io.StringIO(out)))
-    assert (code, len(rows)) == (0, 60 * 8)
+def test_a_fault_of_the_last_flight_asks_for_action(mavdiag: Any, tmp_path: Path) -> None:
+    """As from logs without a clock, and with too few flights for a trend."""
+    path = tmp_path / "h.sqlite"
+    timeless = [replace(one, started_ns=0) for one in records([0.5, 0.6])]
+    with open_history(str(path), create=True) as history:
+        history.add(timeless[0])
+        assert mavdiag("history", "--database", path)[0] == 0
+        history.add(replace(timeless[1], verdict=Verdict.FAULT))
+    code, out, _ = mavdiag("history", "--database", path)
+    assert code == 1
+    assert "the last one fault" in out.splitlines()[0]
+    assert out.splitlines()[1].startswith("  2 without a clock in the log, placed by when they were added")
+    told = ("--airframe", "one", "--database", path, "--repair")
+    assert mavdiag("history", "mark", *told)[0] == 0
+    assert mavdiag("history", "--database", path)[0] == 0  # mended since
+
+
+def test_csv_has_a_row_for_each_monitor_and_each_trend(mavdiag: Any, wearing: Path, tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    code, out, _ = mavdiag("history", "list", "--airframe", "calm", "--csv", table, "--database", wearing)
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    assert (code, len(rows), len(out.splitlines())) == (0, 60 * 8, 60)
     assert {row["monitor"] for row in rows} >= {"fsd", "unbalance", "trim of rotor 4"}
-    code, out, _ = mavdiag("history", "--csv", "--database", wearing)
-    rows = list(csv.DictReader(io.StringIO(out)))
+    code, out, _ = mavdiag("history", "--csv", table, "--database", wearing)
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert code == 1
     assert {(row["airframe"], row["outlook"]) for row in rows if row["monitor"] == "unbalance"} == {
         ("calm", "steady"),
@@ -138,7 +160,7 @@ def test_a_terminal_gets_a_drawing_in_its_width(wearing: Path, width: int) -> No
     ("arguments", "words"),
     [
         ((), "no history there; make one with `mavdiag history add`"),
-        (("list", "--json", "--csv"), "two formats"),
+        (("list", "--csv"), "'--csv' requires an argument"),
         (("--airframe", "x", "list"), "options belong behind the command"),
         (("mark", "--airframe", "x"), "say what was done"),
         (("mark", "--airframe", "x", "--repair", "--at", "yesterday"), "write it like 2026-03-01"),

@@ -2,7 +2,9 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +17,11 @@ from typer.testing import CliRunner
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_named
 from mavdiag.baseline import Baseline
-from mavdiag.cli import app
+from mavdiag.cli import app, main
+from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import read_log
 from mavdiag.look.first_look import first_look
+from mavdiag.look.inspection import clock_of, units_of
 from mavdiag.look.words import in_full, in_one_line
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
@@ -106,12 +110,12 @@ def test_a_folder_gives_a_line_each_and_a_bad_file_loses_nothing(tmp_path: Path)
         recording(tmp_path / f"{seed}.csv", seed, 6.0)
     (tmp_path / "bad.csv").write_text("no,columns\n1,2\n")
     (tmp_path / "map.toml").write_text(MAP)
-    done = RUN.invoke(app, ["look", str(tmp_path), "--csv", str(tmp_path / "map.toml")])
+    done = RUN.invoke(app, ["look", str(tmp_path), "--columns", str(tmp_path / "map.toml")])
     assert done.exit_code == 2
     lines = done.stdout.splitlines()
     assert [line.split(":")[0].rpartition("/")[2] for line in lines[:3]] == ["1.csv", "2.csv", "bad.csv"]
     assert "no column" in lines[2]
-    as_json = RUN.invoke(app, ["look", str(tmp_path / "1.csv"), "--csv", str(tmp_path / "map.toml"), "--json"])
+    as_json = RUN.invoke(app, ["look", str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), "--json"])
     content = json.loads(as_json.stdout)
     assert content["profile"] == "csv"
     assert content["loads"] == []
@@ -143,3 +147,137 @@ def test_gyro_and_accelerometer_alone_are_enough_to_find_an_unbalance(csv_folder
     first, second = (json.loads(line) for line in judged.stdout.splitlines())
     assert (first["verdict"], second["verdict"]) == ("healthy", "fault"), judged.output
     assert min(one["t_s"] for one in second["events"]) > 3.5
+
+
+def two_flights(pause_s: float, rate_hz: int = 25) -> Log:
+    """Two flights of 30 s in one log, with every sample at a low rate."""
+    every = 100 // rate_hz
+    parts = []
+    for number, seed in enumerate((3, 4)):
+        shift_ns = number * round((30.0 + pause_s) * 1e9)
+        parts.append(
+            {one.signal: (one.t_ns[::every] + shift_ns, one.values[::every]) for one in flying(3000, seed=seed)}
+        )
+    series = tuple(
+        Series(signal, t_ns, t_ns, np.concatenate([part[signal][1] for part in parts]))
+        for signal in parts[0]
+        for t_ns in [np.concatenate([part[signal][0] for part in parts])]
+    )
+    return Log("two", "", "px4", Telemetry(series))
+
+
+def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
+    """A pause as long as both flights once made 11.7 Hz of 25 Hz, and monitors were denied."""
+    alone = first_look(logged(flying(3000, seed=3)), Airframe())
+    for pause_s in (5.0, 60.0, 600.0):
+        look = first_look(two_flights(pause_s), Airframe())
+        rates = {one.signal: one.rate_hz for one in look.signals}
+        assert rates["body_rate"] == pytest.approx(25.0, rel=0.01)
+        assert look.works == first_look(two_flights(5.0), Airframe()).works
+    assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
+
+
+def test_a_slow_signal_has_its_own_rate() -> None:
+    log = logged(flying(3000, seed=3))
+    slow = Series(Signal.VOLTAGE, *(log[Signal.ARMED].t_ns[::5],) * 2, log[Signal.ARMED].values[::5])
+    look = first_look(Log("log", "", "px4", Telemetry((*log.telemetry.series, slow))), Airframe())
+    assert {one.signal: one.rate_hz for one in look.signals}["voltage"] == pytest.approx(0.2, rel=0.01)
+
+
+class Counted(np.ndarray):
+    """Counts the elements that ufuncs of it go through."""
+
+    elements = 0
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        plain = [one.view(np.ndarray) if isinstance(one, Counted) else one for one in inputs]
+        options.pop("out", None)
+        found = getattr(ufunc, method)(*plain, **options)
+        Counted.elements += max(np.size(one) for one in plain)
+        return found.view(Counted) if isinstance(found, np.ndarray) else found
+
+
+@pytest.mark.parametrize("question", [clock_of, units_of])
+def test_the_time_that_it_takes_is_proportional_to_the_log(question: Callable[[Any], object]) -> None:
+    """Counted in elements that are compared: a log of twice the seconds costs twice as much, not four times."""
+    work = []
+    for seconds in (200, 400):
+        t_ns = (np.arange(50 * seconds) * 20_000_000).astype(np.int64).view(Counted)
+        gyro = Series(Signal.BODY_RATE, t_ns, t_ns + 1_000_000, np.zeros((len(t_ns), 3)))
+        force = Series(Signal.SPECIFIC_FORCE, t_ns, t_ns, np.tile([0.0, 0.0, -9.81], (len(t_ns), 1)).view(Counted))
+        log = Log("log", "", "px4", Telemetry((gyro, force)))
+        Counted.elements = 0
+        assert question(log.telemetry if question is clock_of else log) is not None
+        work.append(Counted.elements)
+    assert work[1] < 2.5 * work[0]
+
+
+def test_the_rotors_of_a_crazyflie_are_known_to_look_and_inspect() -> None:
+    path = shared("data/crazypad/normal_flight/E8_log00")
+    for command in ("look", "inspect"):
+        shown = " ".join(RUN.invoke(app, [command, str(path)]).stdout.split())
+        assert "rotor layout crazyflie (of every vehicle that writes such logs, crazyflie)" in shown
+        assert "give --layout" not in shown
+
+
+def test_look_and_identify_name_the_same_rotors() -> None:
+    log = logged(flying(3000, seed=3))
+    baseline = learn([log], LearnOptions(), created="2026-01-01T00:00:00+00:00")
+    assert first_look(log, Airframe()).rotors == baseline.airframe.layout_statement
+
+
+def test_a_layout_can_be_told_to_look(tmp_path: Path) -> None:
+    recording(tmp_path / "1.csv", 1, 6.0)
+    (tmp_path / "map.toml").write_text(MAP)
+    command = ["look", str(tmp_path / "1.csv"), "--csv", str(tmp_path / "map.toml"), "--layout", "hexa-x"]
+    assert "rotor layout hexa-x" in RUN.invoke(app, command).stdout
+
+
+@pytest.mark.parametrize("command", ["inspect", "watch"])
+def test_an_address_that_is_badly_written_is_an_address_all_the_same(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["mavdiag", command, "udp:127.0.0.1:14550"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "malformed address 'udp:127.0.0.1:14550': write udpin:HOST:PORT" in line
+
+
+def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
+    path = shared("data/ardupilot_real/log171.bin")
+    look = first_look(read_log(path), Airframe())
+    assert look.upset == "the flight ends in an upset, at 238.8 s: it turns at 22.5 rad/s"
+    text = "\n".join(in_full(look))
+    assert "upset: the flight ends in an upset, at 238.8 s" in text
+    assert "2 at its upper end for" in text
+    assert "upset" in in_one_line(look)
+    assert look.rotors.startswith("rotor layout x (the vehicle's parameter FRAME 1 of a quad)")
+    earlier = RUN.invoke(app, ["look", str(path), "--to", "230"]).stdout
+    assert "upset" not in earlier
+    assert "no output reached an end" in earlier
+
+
+def test_a_motor_that_stands_at_a_limit_of_the_mixer_is_at_its_end() -> None:
+    """The limit is 0.85, as MOT_SPIN_MAX and the like make it; a set-point that stands at its own mean is none."""
+    log = logged(flying(3000, seed=3))
+    outputs = log[Signal.ACTUATOR].values.copy()
+    outputs[-300:, 2] = 0.85
+    outputs[-300:, 3] = 0.12
+    outputs[:300] = 0.5
+    loads = first_look(changed(log, Signal.ACTUATOR, outputs), Airframe()).loads
+    ends = [(one.full_share > 0.1, one.idle_share > 0.1) for one in loads]
+    assert ends == [(False, False), (False, False), (True, False), (False, True)]
+
+
+def test_outputs_that_are_no_motors_are_not_told_as_such() -> None:
+    """An output at zero, one that stands still and one that idles beside four motors whose layout is not known."""
+    log = logged(flying(3000, seed=3))
+    motors = log[Signal.ACTUATOR].values
+    still = np.tile([0.0, 0.9], (len(motors), 1))
+    wobble = 0.01 + 0.005 * np.sin(np.arange(len(motors)))[:, None]
+    odd = np.hstack((motors[:, [3, 2]] * [1.0, 0.5], still, motors[:, :1], wobble))  # no layout has these three
+    look = first_look(changed(log, Signal.ACTUATOR, odd), Airframe())
+    assert look.rotors.startswith("rotor layout unknown")
+    assert [one.number for one in look.loads] == [1, 2, 5]

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from made_telemetry import ROUNDING
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
@@ -58,7 +59,7 @@ def test_times_and_values_are_those_of_the_wire(profile: str, rate_hz: float | N
         untimed = signal is Signal.VOLTAGE or (signal is Signal.ROTOR_SPEED and profile == "ardupilot")
         if not untimed:
             np.testing.assert_array_equal(ours.t_ns, theirs.t_ns, err_msg=signal)
-        np.testing.assert_array_equal(ours.values[-len(theirs) :], theirs.values, err_msg=signal)  # the same bytes
+        np.testing.assert_allclose(ours.values[-len(theirs) :], theirs.values, rtol=0.0, atol=ROUNDING, err_msg=signal)
         assert len(ours) - len(theirs) in ((0, 1) if untimed else (0,))
 
 

@@ -178,6 +178,21 @@ def test_a_thousand_events_are_shown_in_a_bounded_list_at_once(chromium: Any, pr
     assert complaints(chromium, process) == []
 
 
+def test_alarms_that_decide_nothing_are_folded_away(chromium: Any, process: ServerProcess) -> None:
+    open_page(chromium, process)
+    assert "Send the vehicle's MAVLink to" in text(chromium, "#sentence")
+    give(process, fleet(1), about(1))
+    wait_for(lambda: chromium.execute_script("return mavdiag.about !== null"))
+    figures = {"utc": "2026-05-01T10:00:00.000Z", "vehicle": 1, "axis": "", "statistic": 2.0, "threshold": 1.0}
+    for number, monitor in enumerate(("fsd", "rotor_trim", "fsd"), 1):
+        give(process, f"J {number} {json.dumps({'kind': 'opened', 'monitor': monitor, **figures})}")
+    wait_for(lambda: "2 of monitors that do not decide" in text(chromium, "#events-count"))
+    assert rows(chromium) == [2]
+    chromium.execute_script("document.querySelector('#every-monitor').click()")
+    wait_for(lambda: rows(chromium) == [3, 2, 1])
+    assert complaints(chromium, process) == []
+
+
 def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
     """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
     feed, nobody = Feed(process, host_now()), Fleet(SessionSpec, profile=None, only=None, datagrams=True)

@@ -16,7 +16,7 @@ from mavdiag.errors import LinkError
 from mavdiag.telemetry import Instant
 
 pytestmark = pytest.mark.realtime
-LEARNING = ("--learn", "50", "--connect", "udpin:127.0.0.1:0")
+LEARNING = ("--learn", "50", "--save", "b.json", "--connect", "udpin:127.0.0.1:0")
 TOKEN = "a-token-of-24-characters"
 
 

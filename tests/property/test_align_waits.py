@@ -204,7 +204,7 @@ def test_after_a_late_sample_rows_wait_for_ten_seconds_and_no_longer() -> None:
     telemetry = Telemetry(
         (
             Series(Signal.BODY_RATE, t, t, np.zeros((7000, 3))),
-            Series(Signal.THRUST_SETPOINT, held, host, np.arange(140.0)[:, None]),
+            Series(Signal.THRUST_SETPOINT, held, host, np.arange(140.0)[:, None] / 140),
         )
     )
     edges = list(range(START_NS, START_NS + 14_000_000_000, 2_000_000))

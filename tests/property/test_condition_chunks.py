@@ -21,7 +21,6 @@ NARROW = tuple(
         (Condition.COMMANDED_RATE, 0.0, 0.3),
         (Condition.YAW_RATE, 0.0, 0.2),
         (Condition.HEIGHT, 1.0, 2.0),
-        (Condition.CLIMB_RATE, 0.0, 0.3),
     )
 )
 

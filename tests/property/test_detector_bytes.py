@@ -69,7 +69,7 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
         for turn in one.step([(frame, now.ns) for frame in frames], now):
             for effect in turn.effects:
                 assert not isinstance(effect, SendText) or 0 < len(effect.text.encode()) <= 50
-    one.finish()
+    one.finish(now)
     assert 1 in one.vehicles
 
 

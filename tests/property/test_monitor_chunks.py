@@ -35,7 +35,7 @@ def block(seed: int, segment: int) -> Block:
     thrust = 0.3 + 0.01 * rng.normal(size=N)
     always = np.ones(N, dtype=np.bool_)
     others = (absent, absent, thrust, walk, thrust, thrust, np.ones(N), absent, absent)
-    return Block(segment, DT_S, t_ns, walk, rate, force, *others, valid, always)
+    return Block(segment, DT_S, t_ns, walk, rate, force, *others, valid, always, np.zeros(N))
 
 
 def cut(blocks: list[Block], edges: list[int]) -> list[Rows]:

@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_telemetry import ROUNDING
 
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MavType, MessageId
@@ -47,7 +48,7 @@ def same(one: Telemetry, other: Telemetry) -> bool:
     return {s.signal for s in one.series} == {s.signal for s in other.series} and all(
         np.array_equal(series.t_ns, other.need(series.signal).t_ns)
         and np.array_equal(series.host_ns, other.need(series.signal).host_ns)
-        and np.array_equal(series.values, other.need(series.signal).values)
+        and np.allclose(series.values, other.need(series.signal).values, rtol=0.0, atol=ROUNDING, equal_nan=True)
         for series in one.series
     )
 

@@ -84,7 +84,7 @@ def test_whatever_happens_the_laws_hold(actions: list[tuple[object, ...]], with_
     story = Story(spec, seconds=SECONDS)
     for action in actions:
         act(story, action)
-        assert story.session.healthy == (not story.at(State.FAULTED))
+        assert story.session.working == (not story.at(State.FAULTED))
     effects = [effect for _, effect in story.log]
     check_transitions(effects)
     check_texts(story)

@@ -9,6 +9,7 @@ import pytest
 from framewise_tlog import decode_framewise
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from made_telemetry import assert_same_telemetry
 from shared_data import shared
 
 from mavdiag.link.codec import Encoder, known_messages
@@ -174,15 +175,6 @@ def telemetry_framewise(data: bytes) -> tuple[int, Telemetry]:
     return own[0].host_ns, SampleDecoder(with_imu(profile, own)).step(SampleState(), own)[1]
 
 
-def assert_equal(one: Telemetry, other: Telemetry) -> None:
-    assert {series.signal for series in one} == {series.signal for series in other}
-    for series in one:
-        same = other.need(series.signal)
-        np.testing.assert_array_equal(series.t_ns, same.t_ns)
-        np.testing.assert_array_equal(series.host_ns, same.host_ns)
-        np.testing.assert_array_equal(series.values, same.values)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flight_is_the_same_telemetry(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -194,7 +186,7 @@ def test_a_flight_is_the_same_telemetry(tmp_path: Path, seed: int) -> None:
         log = read_tlog(path, vehicle=1)
         start_ns, telemetry = telemetry_framewise(one)
         assert (log.profile, log.started_ns) == ("ardupilot", start_ns)
-        assert_equal(log.telemetry, telemetry)
+        assert_same_telemetry(log.telemetry, telemetry)
 
 
 def test_more_senders_than_are_followed() -> None:
@@ -213,4 +205,4 @@ def test_recorded_flights_are_the_same(folder: str) -> None:
     for one in (data, harmed(data, rng)):
         for find in FINDERS:
             assert_same(decode_windows([one], find), one)
-    assert_equal(read_tlog(path, vehicle=1).telemetry, telemetry_framewise(path.read_bytes())[1])
+    assert_same_telemetry(read_tlog(path, vehicle=1).telemetry, telemetry_framewise(path.read_bytes())[1])

@@ -87,7 +87,7 @@ def test_the_example_of_the_page_is_an_airframe(tmp_path: Path) -> None:
     assert (found.layout.rotors, found.gate) == (6, GateSpec(0.4, 0.1, True, 1.0, 0.0))
     documented = set(re.findall(r"^(?:# )?(\w+) = ", example, re.MULTILINE))
     known = {field.name for field in fields(Airframe)} | {field.name for field in fields(GateSpec)}
-    found_out = {"layout_basis", "layout_warning"}
+    found_out = {"layout_basis", "layout_warning", "least_shake"}
     assert documented - {"x_m", "y_m", "spin", "hover_rpm"} == known - {"gate", "hover_rad_s"} - found_out
     for name in (*LAYOUTS, *BUILTIN):
         assert f"`{name}`" in page

@@ -1,6 +1,7 @@
 """What is said, how loudly, how often: every text within 50 bytes, every budget kept."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -13,16 +14,19 @@ from detector.alerts import (
     Kind,
     Notice,
     Presenter,
-    alert_notice,
+    Told,
     figure,
     label_of,
     present,
+    told_of,
 )
 from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
-from mavdiag.decision.alarm import Change, Stage
+from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
+from mavdiag.decision.words import motors_words
 from mavdiag.link.messages import Severity
-from mavdiag.monitors import MONITORS
+from mavdiag.monitors import MONITORS, by_name
+from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
 
 FIGURES = (0.0, 0.09, 0.118, 0.41, 9.99, 12.34, 98.7, 1234.5, 1e9, float("inf"), float("nan"))
@@ -37,11 +41,11 @@ def finding(
     limit: float = 0.12,
     cause: tuple[int | None, str | None, int | None] = (None, None, None),
     stage: Stage = Stage.FAULT,
-) -> Change:
+    seen: bool = True,
+) -> Diagnosis:
     rotor, fault_type, severity = cause
-    return Change(
+    return Diagnosis(
         stage=stage,
-        t_ns=0,
         reason="made",
         monitor=monitor,
         axis=axis,
@@ -49,14 +53,17 @@ def finding(
         statistic=found,
         threshold=limit,
         rotor=rotor,
-        confidence=None,
         fault_type=fault_type,
         severity=severity,
+        kind=by_name(monitor).kind,
+        seen=seen,
+        rotors=() if rotor is None else (RotorSpan(rotor, 0),),
     )
 
 
-def text(change: Change) -> str:
-    return alert_notice(change, fault=change.stage is Stage.FAULT, key="").text
+def text(diagnosis: Diagnosis, told: Told | None = None) -> str:
+    (notice,) = told_of(told or Told(), diagnosis, 1)[1]
+    return notice.text
 
 
 FAULT = Notice(Kind.FAULT, ("roll x",), "roll")
@@ -67,30 +74,65 @@ def say(presenter: Presenter, at_s: float, *notices: Notice) -> tuple[Presenter,
     return presenter, list(effects)
 
 
-def test_the_alert_reads_as_the_contract_says() -> None:
-    assert text(finding(cause=(1, "F2", 2))) == "PROP FAULT r1 F2/SV2 FSD 0.41s>FML 0.12s"
-    assert text(finding()) == "PROP FAULT roll FSD 0.41s>FML 0.12s"
+def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
+    """They read "PROP FAULT innovation 2.84>2.22", "2.221>2.217"."""
+    trim = finding("rotor_trim", None, 0.235, 0.05, (3, None, None))
+    assert text(trim) == "PROP FAULT motor 3 lost 19% thrust"
+    assert text(finding("unbalance", None, 21.06, 8.1, (1, None, None))) == "PROP FAULT motor 1 vibrates 2.6x"
+    assert text(finding("unbalance", None, 21.06, 8.1, (1, "F2", 2))) == "PROP FAULT motor 1 vibrates 2.6x, F2/SV2"
+    assert text(finding("unbalance", None, 21.06, 8.1)) == "PROP FAULT rotor unknown: vibrates 2.6x"
+    assert text(finding("innovation", None, 3.12, 2.5)) == "PROP FAULT attitude unlike the model"
+    assert text(finding()) == "PROP FAULT roll attitude unlike the model"
+    assert text(finding("sensor_drift", None, 3.12, 2.5)) == "PROP SENSOR FAULT gyro and attitude disagree"
+    assert text(finding("control_loss", None, 3.12, 2.5, (3, None, None))) == "PROP CONTROL LOST motor 3"
+    assert text(finding("thrust_loss", None, 0.4, 0.3)) == "PROP THRUST LOST"
+    for monitor in MONITORS:
+        assert not set("<>") & set(text(finding(monitor.name, None, 2.1, 2.0)))
 
 
-def test_l8_a_weak_motor_reads_as_a_pilot_can_use_it() -> None:
-    assert text(finding("rotor_trim", None, 0.112, 0.05, (2, None, None))) == "PROP FAULT motor 2 weak 11%"
-    assert text(finding("unbalance", None, 12.34, 8.1, (3, "F2", 2))) == "PROP FAULT motor 3 F2/SV2 unbalance 12.3>8.10"
+def test_what_lasts_of_a_fault_is_told_by_its_motors() -> None:
+    spans = (RotorSpan(4, 0, 5), RotorSpan(1, 7))
+    fault = replace(finding("rotor_trim", None, 0.2, 0.1, (1, None, None)), rotors=spans)
+    assert text(replace(fault, seen=False)) == "PROP no longer seen: motors 1,4"
+    assert text(replace(fault, stage=Stage.INSPECT)) == "PROP motors 1,4: inspect before flight"
+    assert text(finding(stage=Stage.INSPECT)) == "PROP rotor unknown: inspect before flight"
+    assert text(finding("sensor_drift", stage=Stage.INSPECT)) == "PROP IMU: inspect before flight"
+    one = finding("rotor_trim", cause=(1, None, None), stage=Stage.INSPECT)
+    assert text(one) == "PROP motor 1: inspect before flight"
+    many = tuple(RotorSpan(rotor, 0) for rotor in range(1, 13))
+    assert text(replace(one, rotors=many[:8])) == "PROP motors 1,2,3,4,5,6,7,8: inspect before flight"
+    assert text(replace(one, rotors=many)) == "PROP 12 motors: inspect before flight"
 
 
-def test_l8_an_unknown_rotor_is_left_out() -> None:
-    """It was called "vehicle"."""
-    assert text(finding("rotor_trim", None, 0.112, 0.05)) == f"PROP FAULT {label_of('rotor_trim')} 0.11>0.05"
+def kinds(*diagnoses: Diagnosis) -> list[Kind]:
+    """What is said of one diagnosis after the other."""
+    told, said = Told(), []
+    for diagnosis in diagnoses:
+        told, notices = told_of(told, diagnosis, 1)
+        said += [notice.kind for notice in notices]
+    return said
+
+
+def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> None:
+    """The repair of a motor in flight was the same CRITICAL as its fault."""
+    unnamed, named = finding("innovation"), finding("innovation", cause=(3, None, None))
+    gone = replace(named, seen=False)
+    back = replace(named, rotor=None)  # another episode, in which no rotor is named yet
+    fourth = replace(named, rotor=4, rotors=(RotorSpan(3, 0, 1), RotorSpan(4, 2)))
+    sensor = replace(named, kind=FaultKind.SENSOR, rotor=None, rotors=())
+    landed = replace(gone, stage=Stage.INSPECT)
+    assert kinds(unnamed, named, named, gone, back, named) == [*[Kind.FAULT] * 3, Kind.UNSEEN, *[Kind.AGAIN] * 2]
+    assert kinds(named, gone, back, fourth, fourth) == [Kind.FAULT, Kind.UNSEEN, Kind.AGAIN, *[Kind.FAULT] * 2]
+    assert kinds(named, sensor, landed, named) == [Kind.FAULT, Kind.SENSOR, Kind.INSPECT, Kind.FAULT]
 
 
 def test_b21_monitors_go_by_their_labels_in_full() -> None:
-    """The operator read `innovatio 3.12>2.50`."""
-    assert text(finding("innovation", None, 3.12, 2.5)) == "PROP FAULT innovation 3.12>2.50"
     for monitor in MONITORS:
         assert label_of(monitor.name) == monitor.label
         assert len(monitor.label) <= 10
 
 
-@pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED])
+@pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED, Stage.INSPECT])
 @pytest.mark.parametrize("cause", CAUSES)
 def test_an_alert_is_never_cut_whatever_its_figures(
     stage: Stage, cause: tuple[int | None, str | None, int | None]
@@ -98,16 +140,23 @@ def test_an_alert_is_never_cut_whatever_its_figures(
     for monitor, axis, found, limit in itertools.product(
         [monitor.name for monitor in MONITORS], (None, *Axis), FIGURES, FIGURES
     ):
-        said = text(finding(monitor, axis, found, limit, cause, stage))
+        given = finding(monitor, axis, found, limit, cause, stage)
+        said = text(given)
         assert len(said.encode()) <= TEXT_BYTES
         assert not said.endswith("..")
+        if stage is Stage.FAULT:
+            told = Told(Stage.FAULT, given.kind, motors_words(given), seen=False)
+            assert not text(given, told).endswith("..")
 
 
-def test_the_end_of_an_alert_is_never_cut_either() -> None:
+def test_a_link_that_is_back_is_never_cut_either() -> None:
     for span in FIGURES:
-        assert not Notice(Kind.CLEARED, (figure(span, 1),)).text.endswith("..")
-    for reason in Reason:
-        assert not Notice(Kind.UNSETTLED, (f"{reason} (1000 Hz)",)).text.endswith("..")
+        assert not Notice(Kind.LINK_BACK, (figure(span, 1),)).text.endswith("..")
+
+
+def test_u4_nothing_is_ever_called_clear_or_over() -> None:
+    for policy in POLICY.values():
+        assert not {"clear", "over", "healthy"} & set(policy.template.lower().replace(":", "").split())
 
 
 @pytest.mark.parametrize("reason", Reason)
@@ -129,13 +178,10 @@ def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kin
     assert 0 < len(Notice(kind, tuple(words[:count])).text.encode()) <= TEXT_BYTES
 
 
-def test_figures_that_round_alike_get_another_decimal() -> None:
-    assert text(finding(found=0.124, limit=0.121)) == "PROP FAULT roll FSD 0.124s>FML 0.121s"
-
-
-def test_a_figure_below_its_threshold_is_not_said_to_be_above_it() -> None:
-    """A suspicion begins at 0.8 of the threshold."""
-    assert text(finding("innovation", None, 2.1, 2.5, stage=Stage.SUSPECTED)) == "PROP suspect innovation 2.10<2.50"
+def test_a_suspicion_reads_like_a_fault() -> None:
+    """It begins at 0.8 of the threshold."""
+    said = text(finding("unbalance", None, 2.1, 2.5, stage=Stage.SUSPECTED))
+    assert said == "PROP suspect rotor unknown: vibrates 0.8x"
 
 
 def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
@@ -143,6 +189,8 @@ def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
     assert critical == {Kind.FAULT, Kind.SENSOR, Kind.CONTROL, Kind.THRUST}
     assert {kind for kind, policy in POLICY.items() if policy.severity is Severity.WARNING} == {
         Kind.SUSPECT,
+        Kind.AGAIN,
+        Kind.INSPECT,
         Kind.OFF,
         Kind.NOT_LEARNED,
         Kind.NO_LAYOUT,
@@ -158,15 +206,6 @@ def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute
         presenter, effects = say(presenter, tick / 10, FAULT)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
-
-
-def test_a_matter_that_lasts_in_silence_goes_on_where_it_was() -> None:
-    presenter, said = Presenter(), []
-    for tick in range(200):
-        silent = 20 <= tick < 100
-        presenter, effects = say(presenter, tick / 10, Notice(Kind.FAULT, ("roll x",), "roll", silent))
-        said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
-    assert said == [0.0, 10.0, 15.0]  # the one that came due in silence is said at its end
 
 
 def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None:
@@ -210,9 +249,13 @@ def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_la
 
 def test_a_matter_that_comes_back_after_a_while_is_news() -> None:
     presenter, _ = say(Presenter(), 0.0, FAULT)
-    for tick in range(1, 30):
+    for tick in range(1, 40):
         presenter, _ = say(presenter, tick / 10)
-    _, effects = say(presenter, 3.0, FAULT)
+    pause, effects = say(presenter, 4.0, FAULT)
+    assert effects == []
+    for tick in range(41, 95):
+        pause, _ = say(pause, tick / 10)
+    _, effects = say(pause, 9.5, FAULT)
     assert [type(effect) for effect in effects] == [SendText]
 
 

@@ -17,7 +17,7 @@ SPEC = AlignSpec(0.001)
 
 def ramp(t_ns: IntArray) -> FloatArray:
     """Three columns that are linear in time, so that interpolation must be exact."""
-    return np.outer(t_ns / 1e9, [1.0, -2.0, 0.5])
+    return np.outer(t_ns / 1e10, [1.0, -2.0, 0.5])
 
 
 def linear_flight(gyro_t: IntArray, setpoint_t: IntArray) -> Telemetry:

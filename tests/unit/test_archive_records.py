@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from mavdiag.archive.work import digest_of_file, judge_file, mark_of
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError, LinkError, UsageError
-from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, Verdict, judge
+from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, NamedRotor, Verdict, judge
 from mavdiag.logs import read_log, sha256_of
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis
@@ -45,11 +46,12 @@ monitors = st.builds(
     MonitorSummary, texts, axes, spans, floats, texts, counts, floats, st.none() | texts, st.booleans(), floats
 )
 verdicts = st.builds(
-    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, texts, floats, st.tuples(monitors),
-    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds,
+    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, floats, texts, floats, st.tuples(monitors),
+    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds, spans, rotors,
+    st.tuples(st.builds(NamedRotor, st.integers(1, 8), floats, spans)),
 )  # fmt: skip
 windows = st.builds(
-    Window, floats, floats, st.sampled_from(Verdict), floats, spans, st.none() | texts,
+    Window, floats, floats, st.sampled_from(Verdict), floats, floats, spans, st.none() | texts,
     st.tuples(st.builds(WindowMonitor, texts, floats, spans)),
 )  # fmt: skip
 
@@ -138,6 +140,14 @@ def test_the_version_is_that_of_what_judges() -> None:
     every = digest_of_sources(("mavdiag",), ())
     assert judging_version() == judging_version.__wrapped__() != every
     assert digest_of_sources(("mavdiag",), ("mavdiag/monitors/innovation.py",)) != every
+
+
+@pytest.mark.parametrize("package", ["numpy", "scipy"])
+def test_another_version_of_what_computes_is_another_version(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An upgrade must not keep the answers of before."""
+    before, installed = judging_version.__wrapped__(), metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.0.0" if name == package else installed(name))
+    assert judging_version.__wrapped__() != before
 
 
 def test_files_of_equal_content_share_a_mark_and_most_others_do_not(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def test_a_name_that_is_no_text_can_be_written(tmp_path: Path) -> None:
 
 def test_parquet_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mavdiag.archive.tables.find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"install mavdiag\[fleet\]"):
+    with pytest.raises(UsageError, match=r"pip install .mavdiag\[fleet\]"):
         write_parquet(tmp_path / "a.parquet", [])
 
 

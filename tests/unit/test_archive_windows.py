@@ -52,8 +52,11 @@ def test_they_say_since_when(flight: JudgedFlight) -> None:
     onset_s = next(one.t_ns for one in flight.verdict.changes if one.stage is Stage.FAULT) / NS_PER_S
     assert 22.0 < onset_s < 35.0
     assert [one.verdict is Verdict.FAULT for one in windows] == [one.to_s > onset_s for one in windows]
-    before = [one for one in windows if one.to_s < onset_s and one.judged_s >= 1.0]
+    before = [one for one in windows if one.to_s < onset_s and one.judged_s >= 0.8 * one.flown_s]
+    assert len(before) >= 3
     assert {one.verdict for one in before} == {Verdict.HEALTHY}
+    for one in (one for one in windows if one not in before and one.to_s < onset_s):
+        assert one.verdict is Verdict.NOT_JUDGEABLE
     assert all(one.ratio is not None and one.ratio < 1.0 for one in before)
     assert next(one.monitor for one in windows if one.verdict is Verdict.FAULT) is not None
 

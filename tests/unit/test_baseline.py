@@ -77,6 +77,7 @@ def test_the_price_of_the_longest_run_is_stated() -> None:
         (("monitors", FSD, "threshold", "value"), "long", "monitors.0.threshold.value"),
         (("monitors", FSD, "threshold", "rule"), "hunch", "monitors.0.threshold.rule"),
         (("monitors",), [], "monitors"),
+        (("monitors",), 5, "monitors"),
         (("provenance", "logs"), [], "provenance.logs"),
         (("provenance", "logs", 0, "sha256"), "abc", "provenance.logs.0.sha256"),
         (("airframe", "colour"), "red", "airframe"),

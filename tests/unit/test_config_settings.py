@@ -4,9 +4,12 @@ import re
 from pathlib import Path
 
 import pytest
+from made_baselines import FRAME, NOW, healthy
 
 from detector.config import Settings, example_text, load_settings
-from mavdiag.errors import UsageError
+from detector.reporting import kept_baselines
+from mavdiag.errors import BaselineError, UsageError
+from mavdiag.learning import LearnOptions, learn
 
 
 def written(folder: Path, text: str) -> Path:
@@ -16,7 +19,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
-    path = written(tmp_path, 'learn = 30.0\nvehicle = 3\nforward = ["udpout:127.0.0.1:14551"]\n')
+    path = written(tmp_path, 'learn = 30.0\nsave = "b.json"\nvehicle = 3\nforward = ["udpout:127.0.0.1:14551"]\n')
     settings = load_settings(path, {"vehicle": 7, "connect": None})
     assert (settings.learn, settings.vehicle) == (30.0, 7)
     assert settings.forward == ("udpout:127.0.0.1:14551",)
@@ -32,6 +35,7 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
         ("learn = 10\nnamed_values_axis = 'sideways'", "named_values_axis: "),
         ("learn = 10\ntwins_hz = 5", "unknown key 'twins_hz'"),
         ("learn = 10\ntexts_per_minute = 1000", "texts_per_minute: "),
+        ("learn = 10", "learn needs save: a FILE that keeps what is learned"),
         ("learn = [", "not TOML"),
         ("learn = 10\nbaseline = 'b.json'", "either --baseline FILE or --learn SECONDS, not both"),
         ("", "name a --baseline FILE, or --learn SECONDS"),
@@ -62,15 +66,15 @@ def test_settings_do_not_change() -> None:
 
 
 def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
-    path = written(tmp_path, "learn = 30.0\nvehicle = 3\nclear_s = 8.0\n")
-    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_CLEAR_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
+    path = written(tmp_path, "learn = 30.0\nsave = 'b.json'\nvehicle = 3\nlink_lost_s = 8.0\n")
+    environ = {"MAVDIAG_DETECTOR_VEHICLE": "4", "MAVDIAG_DETECTOR_LINK_LOST_S": " 9 ", "MAVDIAG_DETECTOR_NAME": ""}
     settings = load_settings(path, {"vehicle": 5}, environ)
-    assert (settings.learn, settings.clear_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
+    assert (settings.learn, settings.link_lost_s, settings.vehicle, settings.name) == (30.0, 9.0, 5, None)
 
 
 def test_the_environment_can_say_all_of_it(tmp_path: Path) -> None:
     environ = {
-        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\n")),
+        "MAVDIAG_DETECTOR_CONFIG": str(written(tmp_path, "learn = 30.0\nsave = 'b.json'\n")),
         "MAVDIAG_DETECTOR_FORWARD": "/dev/ttyUSB1,57600 udpout:127.0.0.1:14551",
         "MAVDIAG_DETECTOR_KEEP_RATES": "true",
         "MAVDIAG_DETECTOR_SUSPECT": "fsd",
@@ -98,7 +102,7 @@ def test_what_is_wrong_in_the_environment_is_named(name: str, text: str, words: 
 
 def test_the_example_is_valid_and_shows_every_setting(tmp_path: Path) -> None:
     settings = load_settings(written(tmp_path, example_text()), {})
-    assert settings == Settings(learn=120.0)
+    assert settings == Settings(learn=120.0, save=Path("/var/lib/mavdiag/learned.json"))
     shown = set(re.findall(r"^(?:# )?(\w+) = ", example_text(), re.MULTILINE))
     assert shown == set(Settings.model_fields) - {"vehicles"}
 
@@ -132,3 +136,17 @@ def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words:
 def test_vehicles_with_baselines_of_their_own_need_no_common_one(tmp_path: Path) -> None:
     settings = load_settings(written(tmp_path, "[vehicles.3]\nbaseline = 'b3.json'"), {})
     assert {sysid: one.baseline for sysid, one in settings.vehicles.items()} == {3: Path("b3.json")}
+
+
+def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:
+    made = learn(healthy(1), LearnOptions(airframe=FRAME, monitors=("rotor_trim",)), created=NOW)
+    path = tmp_path / "learned.json"
+    assert kept_baselines(path) == {}
+    for sysid, name in ((3, "learned.json"), (7, "learned-7.json"), (9, "learned-old.json")):
+        provenance = made.provenance.model_copy(update={"vehicle": sysid})
+        made.model_copy(update={"provenance": provenance}).save(tmp_path / name)
+    kept = kept_baselines(path)
+    assert {sysid: one.name for sysid, (one, _) in kept.items()} == {3: "learned.json", 7: "learned-7.json"}
+    path.write_text("{}")
+    with pytest.raises(BaselineError, match=r"learned\.json"):
+        kept_baselines(path)

@@ -1,6 +1,7 @@
 """The DataFlash reader on logs written by hand: formats, eras, instances, motors, arming, and damage."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from made_logs import DataFlashMessage, dataflash
 
 from mavdiag.errors import InputError
-from mavdiag.logs import read_log
+from mavdiag.logs import kinds, read_log
 from mavdiag.logs.dataflash import read_dataflash
 from mavdiag.logs.log import windows_of
 from mavdiag.telemetry import Log, Signal
@@ -171,3 +172,67 @@ def test_r7_a_log_that_was_cut_off_says_so(tmp_path: Path, lost: int, notes: int
     assert len(log.notes) == notes
     assert all("ends within a record" in note for note in log.notes)
     assert read(tmp_path, content + bytes(100)).notes == ()
+
+
+def outputs_of(folder: Path, pulses: Sequence[tuple[int, ...]], parameters: dict[str, float]) -> Log:
+    records = [PARM.record(1, name.encode(), value) for name, value in parameters.items()]
+    return read(
+        folder, dataflash([PARM, RCOU], [*records, *(RCOU.record(2 + k, *one) for k, one in enumerate(pulses))])
+    )
+
+
+FLOWN = [(1400, 1410, 1420, 1430, 1500, 1100), (1410, 1400, 1430, 1420, 1600, 1100)]
+
+
+def test_an_output_with_a_function_that_is_no_motor_s_is_none(tmp_path: Path) -> None:
+    """A gimbal on output 5 of a Copter 3.4, whose motors have no function."""
+    log = outputs_of(tmp_path, FLOWN, {"FRAME": 1.0, "RC5_FUNCTION": 7.0})
+    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.40, 0.43, 0.42], atol=1e-9)
+    assert not log.motor_order
+    moving = outputs_of(tmp_path, FLOWN, {"FRAME": 1.0})
+    assert moving["actuator"].values.shape == (2, 5)  # output 6 never moves
+
+
+def test_a_function_between_the_motors_keeps_their_numbers(tmp_path: Path) -> None:
+    log = outputs_of(tmp_path, FLOWN, {"RC2_FUNCTION": 7.0, "RC5_FUNCTION": 10.0})
+    np.testing.assert_allclose(log["actuator"].values[1], [0.41, 0.0, 0.43, 0.42], atol=1e-9)
+
+
+def wrapped(n: int = 600) -> tuple[bytes, list[bytes]]:
+    """A log's head and records."""
+    return dataflash([IMU, ATT], []), [imu(1000 * k, 0.01 * k) for k in range(n)]
+
+
+def test_a_logger_that_wrapped_is_read_from_where_its_types_are_declared(tmp_path: Path) -> None:
+    """The newest pages come first: their records are of types that are declared behind them."""
+    head, records = wrapped()
+    path = tmp_path / "wrapped.bin"
+    path.write_bytes(b"".join(records[400:])[11:] + head + b"".join(records[:400]))
+    log = read_log(path)
+    assert log.profile == "ardupilot-log"
+    np.testing.assert_allclose(log["body_rate"].values[:, 0], [0.01 * k for k in range(400)], rtol=1e-6)
+    lost = len(b"".join(records[400:])) - 11
+    assert log.notes == (f"{lost} bytes of it are no records of a known type and were skipped",)
+
+
+def test_pages_that_were_overwritten_cost_their_records_and_are_told(tmp_path: Path) -> None:
+    head, records = wrapped()
+    size = len(records[0])
+    whole = bytearray(head + b"".join(records))
+    hole = slice(len(head) + 100 * size + 5, len(head) + 300 * size + 7)
+    whole[hole] = np.random.default_rng(3).integers(0, 160, hole.stop - hole.start, np.uint8).tobytes()  # no A3
+    path = tmp_path / "holed.bin"
+    path.write_bytes(bytes(whole))
+    log = read_log(path)
+    kept = [*range(101), *range(301, 600)]
+    assert set(kept) - {100} <= {round(100 * one) for one in log["body_rate"].values[:, 0].tolist()}
+    assert "no records of a known type and were skipped" in log.notes[0]
+
+
+def test_a_telemetry_log_that_carries_such_records_stays_one() -> None:
+    head, records = wrapped(40)
+    kind = next(one for one in kinds() if one.name == "DataFlash")
+    assert kind.recognise((head + b"".join(records))[:4096])
+    assert kind.recognise(b"".join(records)[7:4096])
+    assert not kind.recognise(bytes(8) + b"\xfd" + b"".join(records))
+    assert not kind.recognise(b"\xa3\x95" + bytes(4000))

@@ -84,7 +84,7 @@ def test_the_container_runs_as_nobody_and_can_be_read_only() -> None:
     assert int(uid) > 0
     assert json.loads(by_name["ENTRYPOINT"]) == [PROGRAM]
     health = by_name["HEALTHCHECK"].partition("CMD ")[2]
-    assert json.loads(health) == [PROGRAM, "--health"]
+    assert json.loads(health) == [PROGRAM, "--working"]
     assert [value for name, value in last if name == "VOLUME"] == ["/data"]
     assert "--only-binary=:all:" in dict(made[: len(made) - len(last)])["RUN"]
     for name, value in made:

@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from flying_telemetry import START_NS, flying
+from flying_telemetry import START_NS, flying, without
 from identification_data import WELL, record
 from made_archive import archive_baseline, made
 from made_baselines import FRAME, healthy, whole
@@ -17,9 +18,9 @@ import mavdiag as md
 from mavdiag import face
 from mavdiag.chain import ChainOutput
 from mavdiag.decision.alarm import Change, Diagnosis, Event, Stage
-from mavdiag.errors import InputError, UsageError
+from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.learning import LearnOptions
-from mavdiag.telemetry import Axis
+from mavdiag.telemetry import Axis, Telemetry
 
 HEAVY = {"numpy", "scipy", "pydantic", "pymavlink", "control", "matplotlib", "pandas", "rich", "typer", "numba"}
 
@@ -145,10 +146,36 @@ def test_a_watch_gives_what_the_verdict_on_the_log_gives() -> None:
     assert opened == {one.event.start_ns for one in verdict.events}
     closed = watch.end_flight()
     assert [one.end_ns is not None for one in closed if isinstance(one, Event)] == [True]
-    assert str(watch.diagnosis) == "not judged: not flying"
+    assert str(watch.diagnosis) == "inspect: the flight with the fault has ended, rotor 3"
 
 
 def test_a_log_that_cannot_be_judged_is_a_verdict_and_a_missing_file_an_error(tmp_path: Path) -> None:
     assert md.judge(md.Log("x", "", "qdrone2", flying(3000, 5)), whole()).verdict == "not_judgeable"
     with pytest.raises(InputError, match=r"absent\.tlog: no such file"):
         md.judge(tmp_path / "absent.tlog", whole())
+
+
+def fed(watch: md.Watch, telemetry: Telemetry) -> list[int]:
+    """The vehicle times that the rows of its steps reached."""
+    reached = []
+    for chunk in cut(telemetry, list(range(0, 70 * 10**9, 10**8))):
+        watch.step(chunk)
+        reached += [] if watch.output.now_ns is None else [watch.output.now_ns]
+    return reached
+
+
+def test_1_a_watch_refuses_a_link_of_another_rate_or_profile() -> None:
+    """1: 50 Hz data on a baseline of 1 kHz were judged for 54 s, and the verdict was quiet."""
+    halved = [replace(one, t_ns=one.t_ns * 2, host_ns=one.host_ns * 2) for one in flying(3000, 5).series]
+    for profile, says in ((None, "50.0 Hz"), ("qdrone2", "'qdrone2'")):
+        watch = md.Watch(whole(), profile)
+        with pytest.raises(BaselineError, match=f"another link: link.*{says}"):
+            fed(watch, flying(3000, 5) if profile else Telemetry(tuple(halved)))
+        assert watch.diagnosis.stage == "not judged"
+        assert says in watch.diagnosis.reason
+        assert not watch.output.pieces
+
+
+def test_1_lost_samples_are_no_other_rate() -> None:
+    kept = without(flying(3000, 5), *((0.1 * k, 0.1 * k + 0.03) for k in range(300)))
+    assert max(fed(md.Watch(whole(), "px4"), kept)) > START_NS + 29 * 10**9

@@ -1,5 +1,7 @@
 """Guards of teaching: each made-up case is refused with its reason, and left out on demand."""
 
+import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -16,6 +18,7 @@ from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
 from mavdiag.learning.teaching import taught
+from mavdiag.monitors import monitor_of
 from mavdiag.rows.align import Grid
 from mavdiag.rows.tolerance import rate_tolerance
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
@@ -192,7 +195,7 @@ def test_two_vehicles_taken_for_one_are_refused_or_learnt_as_a_type() -> None:
 
 @pytest.mark.parametrize(("other", "rise"), [(1, 0.2), (2, 0.05)])
 def test_one_odd_flight_or_a_small_distance_is_noted(other: int, rise: float) -> None:
-    found = learn(two_vehicles(other, rise), OPTIONS, created=NOW)
+    found = learn(two_vehicles(other, rise), replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
     assert len(found.provenance.logs) == 3 + other
     assert "two groups" in found.provenance.notes[0]
     assert "note       odd0" in str(found)
@@ -253,11 +256,10 @@ def test_what_was_left_out_is_kept_in_the_file_and_old_files_are_read() -> None:
     again = parse(dump(baseline))
     assert again.provenance.left_out == baseline.provenance.left_out != ()
     old = learn(healthy(2), OPTIONS, created=NOW)
-    text = dump(old).replace('  "left_out": [],\n', "").replace('  "notes": []\n', "").replace(
-        f'"tool": "{old.provenance.tool}",', f'"tool": "{old.provenance.tool}"'
-    )  # fmt: skip
-    assert "left_out" not in text
-    assert isinstance(parse(text), Baseline)
+    raw = json.loads(dump(old))
+    for name in ("left_out", "notes"):
+        assert raw["provenance"].pop(name) == []
+    assert isinstance(parse(json.dumps(raw)), Baseline)
 
 
 def test_a_finding_says_where() -> None:
@@ -265,3 +267,22 @@ def test_a_finding_says_where() -> None:
     assert Finding(0, "a", Kind.UPSET, "x", None, 3.0).place == "all before 3.0 s"
     assert Finding(0, "a", Kind.UPSET, "x").place == "the whole log"
     assert Finding(0, "a", Kind.FAR, "x", 1.0, 3.0).remedy.startswith("cut 1.0 to 3.0 s out of the log")
+
+
+def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
+    """Sensor noise is cut at 6 times its healthy rms, ln 36 of power: a threshold above it would never be passed."""
+    noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.2))]
+    found = learn(noisy, replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
+    (trim,) = [one for one in found.not_judgeable if one.monitor == "rotor_trim"]
+    assert "cannot be reached (0.414 at most)" in trim.reason
+    assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
+    assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)
+
+
+def test_each_monitor_says_what_it_can_come_to() -> None:
+    found = learn(healthy(2), replace(OPTIONS, monitors=("sensor_noise", "rotor_trim", "thrust_loss")), created=NOW)
+    reach = {entry.spec.kind: monitor_of(entry.spec).reach for entry in found.monitors}
+    assert reach["rotor_trim"] == pytest.approx(0.414, abs=1e-3)  # a rotor with half of its thrust
+    assert reach.get("sensor_noise", math.log(36.0)) == pytest.approx(math.log(36.0))
+    assert reach.get("thrust_loss", 1.0) == 1.0
+    assert all(entry.threshold.value < reach[entry.spec.kind] for entry in found.monitors)

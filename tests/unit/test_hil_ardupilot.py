@@ -9,8 +9,10 @@ from hil_bytes import answered, servo_bytes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavdiag.errors import LinkError
 from sitl_plant.config import PlantConfig, fault_injection
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
+from sitl_plant.hil.datagrams import Datagrams
 from sitl_plant.hil.outputs import output_map
 from sitl_plant.hil.simulation import HilPlan, Simulation
 from sitl_plant.physics.injections import Injection
@@ -32,6 +34,16 @@ def test_it_rests_on_the_ground_with_motors_off() -> None:
     np.testing.assert_allclose(accel.mean(axis=0), [0.0, 0.0, -9.81], atol=0.02)
     np.testing.assert_allclose([row["position"] for row in rows], 0.0, atol=0.003)
     np.testing.assert_allclose(rows[-1]["quaternion"], [1.0, 0.0, 0.0, 0.0], atol=1e-3)
+
+
+def test_the_battery_is_that_of_the_plant() -> None:
+    link, simulation = lockstep()
+    rest = answered(link.feed(servo_bytes(0, OFF), "a", 0.0))["battery"]
+    for count in range(1, 1000):
+        flown = answered(link.feed(servo_bytes(count, CLIMB), "a", 0.0))["battery"]
+    assert rest["voltage"] == pytest.approx(simulation.config.vehicle.battery.open_circuit_v, rel=0.05)
+    assert flown["voltage"] < rest["voltage"]
+    assert flown["current"] > rest["current"] + 1.0
 
 
 @pytest.mark.parametrize("rate_hz", [50, 333, 400, 1000, 1200, 2500])
@@ -142,6 +154,26 @@ def test_the_newest_address_flies_and_the_one_it_replaced_is_ignored() -> None:
     assert (link.counts.ignored, link.counts.restarts, simulation.t_s) == (1, 1, t_s)
     assert link.feed(servo_bytes(1, OFF), "new", 0.3) is not None
     assert link.feed(servo_bytes(101, OFF), "old", 3.0) is not None, "the new one has been silent for 2.7 s"
+
+
+def test_a_port_that_is_gone_is_an_error_and_not_a_silent_loop() -> None:
+    with Datagrams("udpin:127.0.0.1:0") as port:
+        assert port.receive(0.0) is None
+    with pytest.raises(LinkError, match=r"^udpin:127.0.0.1:\d+: ") as caught:
+        port.receive(0.0)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [0, 499, 500, 70_000])
+def test_another_autopilot_begins_on_the_ground_whatever_it_counts(count: int) -> None:
+    link, _ = lockstep()
+    for number in range(500):
+        high = answered(link.feed(servo_bytes(number, CLIMB), "a", 0.0))
+    assert high["position"][2] < -0.05
+    low = answered(link.feed(servo_bytes(count, OFF), "b", 0.0))
+    assert link.counts.restarts == 1
+    assert low["timestamp"] == pytest.approx(0.001)
+    assert low["position"][2] == pytest.approx(0.001, abs=0.002)
 
 
 def test_pulses_become_duties_in_the_order_of_the_rotors() -> None:

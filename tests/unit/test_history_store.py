@@ -19,7 +19,7 @@ pytest.importorskip("alembic", reason="the history is an extra")
 
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import create_engine, text
+from sqlalchemy import create_engine, inspect, text
 
 from mavdiag.history.store import address_of, open_history
 from mavdiag.history.tables import METADATA, VERSION
@@ -148,6 +148,19 @@ def test_a_reader_needs_no_rights_to_write(tmp_path: Path) -> None:
         assert len(history.flights("one")) == 1
     held.close()
     assert path.stat().st_mtime_ns == before
+
+
+def test_reading_writes_nothing(database: str) -> None:
+    """An empty database stays empty: only what keeps something makes the tables."""
+    if "://" not in database:
+        Path(database).touch()
+    with pytest.raises(UsageError, match="there is no history in it yet"), open_history(database):
+        pass
+    engine = create_engine(address_of(database))
+    assert inspect(engine).get_table_names() == []
+    engine.dispose()
+    with open_history(database, write=True) as history:
+        assert history.airframes() == ()
 
 
 def test_a_table_that_is_missing_is_an_error_of_one_line(tmp_path: Path) -> None:

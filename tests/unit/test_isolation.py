@@ -97,3 +97,10 @@ def test_confidence_is_a_probability_and_a_name_needs_enough_of_it(
     found = isolate([of(kind, ratio, *rotors) for kind, ratio, rotors in readings])
     assert found.confidence == 0.0 or 0.25 - 1e-12 <= found.confidence <= 1.0 + 1e-12
     assert (found.rotor is not None) == (found.confidence >= 0.9)
+
+
+def test_16_monitors_of_different_layouts_do_not_end_the_session() -> None:
+    """It raised a ValueError, which ended the daemon."""
+    four = RotorReading(RotorEvidence(8.0), ratio=4.0, threshold=0.5, rotors=(0.1, 0.9, -0.4, -0.5))
+    three = RotorReading(RotorEvidence(8.0), ratio=4.0, threshold=0.5, rotors=(0.9, 0.1, -0.4))
+    assert isolate([three, four, three]).rotor == isolate([four]).rotor == 2

@@ -1,22 +1,30 @@
 """Verdicts on logs: a fault, healthy by whom, and not judgeable why."""
 
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from flying_telemetry import START_NS, flying, without
-from made_baselines import logged, thesis, trim, whole
+from made_baselines import FRAME, NOW, healthy, logged, plain, thesis, trim, whole
 from made_statistics import assert_alike
 from made_telemetry import cut, flight
 
+from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
+from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
 from mavdiag.commands.options import between
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.learning import LearnOptions, learn
+from mavdiag.monitors.base import FaultKind
+from mavdiag.rows.gate import GateSpec
+from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
+from mavdiag.units import NS_PER_S
 
 ALL = (0.0, 1e9)
 
@@ -39,7 +47,7 @@ def test_a_push_is_a_fault_at_its_time_and_a_healthy_flight_is_not() -> None:
     [
         (without(flight(8000, 1), ALL, signals=(Signal.BODY_RATE,)), "qdrone2", "no body rate"),
         (flight(8000, 1), "px4", "another link: link.profile"),
-        (flight(900, 1), "qdrone2", "0.9 s of flight, but no deciding monitor judged"),
+        (flight(900, 1), "qdrone2", "only 0.9 s of take-off or start"),
     ],
 )
 def test_what_cannot_be_judged_says_why(telemetry: Telemetry, profile: str, reason: str) -> None:
@@ -66,20 +74,23 @@ def test_b1_what_no_deciding_monitor_judged_is_not_healthy() -> None:
     assert short.verdict is Verdict.NOT_JUDGEABLE
     assert short.judged_s == 0
     assert short.reason == (
-        "4.5 s of flight, but no deciding monitor judged: rotor_trim (waiting for enough unbroken flight)"
+        "judged 0.0 s of 3.5 s (0 %), without 1.0 s of take-off or start: "
+        "not judged by rotor_trim (waiting for enough unbroken flight)"
     )
     silent = judge(logged(without(flying(2000, 1), ALL, signals=(Signal.ACTUATOR,))), trim())
     assert silent.verdict is Verdict.NOT_JUDGEABLE
-    assert silent.reason.endswith("no deciding monitor judged: rotor_trim (no actuator)")
+    assert silent.reason.endswith("of take-off or start: not judged by rotor_trim (no actuator)")
 
 
 def test_b1_healthy_says_which_monitors_judged_for_how_long_and_which_did_not() -> None:
     """B1: the innovation monitor alone sufficed for "healthy", without a word of the others."""
     verdict = judge(logged(without(flying(2500, 1), ALL, signals=(Signal.ACTUATOR,))), whole())
     assert verdict.verdict is Verdict.HEALTHY
-    assert "; judged by innovation 22." in verdict.reason
+    assert verdict.reason.startswith("no alarm; judged 24.0 s of 24.0 s (100 %) by innovation, rotor_signature, ")
     assert "; not judged by rotor_trim (no actuator)" in verdict.reason
-    assert verdict.judged_s == pytest.approx(23, abs=1.5)
+    assert (verdict.judged_s, verdict.flown_s) == pytest.approx((24, 24), abs=0.1)
+    assert verdict_json(verdict)["judged_s"] == pytest.approx(24, abs=0.1)
+    assert verdict_json(verdict)["flown_s"] == pytest.approx(24, abs=0.1)
 
 
 def test_r2_a_monitor_that_never_judged_has_no_maximum_but_a_reason() -> None:
@@ -152,7 +163,8 @@ def test_the_exit_code_is_that_of_the_gravest_verdict() -> None:
     healthy, fault, unknown, error = Verdict.HEALTHY, Verdict.FAULT, Verdict.NOT_JUDGEABLE, Verdict.ERROR
     assert exit_code([healthy]) == 0
     assert exit_code([healthy, unknown]) == 3
-    assert exit_code([unknown, fault]) == 1
+    assert exit_code([Verdict.SUSPECTED, unknown, healthy]) == 4
+    assert exit_code([unknown, Verdict.SUSPECTED, fault]) == 1
     assert exit_code([fault, error, unknown]) == 2
     assert LogVerdict("x", error, "y").events == ()
 
@@ -182,3 +194,210 @@ def test_judging_a_longer_log_takes_no_more_memory(monkeypatch: pytest.MonkeyPat
         most.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert most[1] < 1.3 * most[0]
+
+
+def changed(telemetry: Telemetry, signal: Signal, from_s: float, to_s: float, values: FloatArray | float) -> Telemetry:
+    """The same telemetry with other values of a signal between two times since its start: a number, or one each."""
+    parts = []
+    for one in telemetry.series:
+        at_s = (one.t_ns - START_NS) / 1e9
+        inside = (at_s >= from_s) & (at_s < to_s)
+        new = one.values.copy()
+        if one.signal is signal:
+            new[inside] = values
+        parts.append(replace(one, values=new))
+    return Telemetry(tuple(parts))
+
+
+@cache
+def flown() -> Baseline:
+    """All monitors that can work on `flying`, with the gate of a live link."""
+    return learn(healthy(3), LearnOptions(airframe=replace(FRAME, gate=None)), created=NOW)
+
+
+def tumbling() -> Telemetry:
+    """A flight that tumbles at up to 18 rad/s from 30 s until its log ends, and whose thrust dips all the while."""
+    n, start = 3400, 3000
+    turn = 18.0 * np.sin(np.linspace(0.3, 40.0, n - start))[:, None] * [1.0, 0.6, 0.2] + [6.0, 6.0, 1.0]
+    tumbled = changed(flying(n, 1), Signal.BODY_RATE, 30.0, 34.0, turn)
+    for from_s, to_s in ((30.2, 30.9), (31.3, 32.5), (33.0, 33.5), (33.7, 34.0)):
+        tumbled = changed(tumbled, Signal.THRUST_SETPOINT, from_s, to_s, 0.02)
+    return tumbled
+
+
+def test_f1_a_vehicle_that_tumbles_until_its_log_ends_is_no_healthy_one() -> None:
+    """F1: the dips of its thrust were taken for landings, and 5 s after each of them nobody judged."""
+    verdict = judge(logged(tumbling()), flown())
+    assert verdict.verdict is Verdict.FAULT
+    assert "the flight ends in an upset, at 3" in verdict.reason
+    assert verdict.since_s == pytest.approx(31.0, abs=1.0)
+    assert verdict.flown_s == pytest.approx(34.0 - 5.0, abs=0.2)
+    with pytest.raises(InputError, match="the flight ends in an upset, at 3"):
+        learn([logged(tumbling())], LearnOptions(airframe=replace(FRAME, gate=None)), created=NOW)
+
+
+def test_f1_an_upset_is_a_loss_of_control_where_no_monitor_saw_a_fault() -> None:
+    force = np.array([0.0, 0.0, -0.5])
+    verdict = judge(logged(changed(flying(3000, 1), Signal.SPECIFIC_FORCE, 28.0, 30.0, force)), trim())
+    assert (verdict.verdict, verdict.kind) == (Verdict.FAULT, FaultKind.LOSS_OF_CONTROL)
+    assert verdict.reason.startswith("loss of control: the flight ends in an upset, at 28.9 s: free fall")
+    assert verdict.since_s == pytest.approx(28.9, abs=0.2)
+    assert verdict_json(verdict)["kind"] == "loss of control"
+
+
+def test_a_dip_of_thrust_ends_no_flight_and_hides_nothing() -> None:
+    dipped = changed(flying(3000, 1), Signal.THRUST_SETPOINT, 15.0, 15.8, 0.0)
+    whole_flight, with_dip = (judge(logged(one), flown()) for one in (flying(3000, 1), dipped))
+    assert with_dip.flown_s == pytest.approx(whole_flight.flown_s, abs=0.05)
+    assert with_dip.judged_s == pytest.approx(whole_flight.judged_s, abs=0.2)
+
+
+def one_stamp(telemetry: Telemetry) -> Telemetry:
+    """Its gyro keeps one stamp from 18 s on."""
+    parts = []
+    for one in telemetry.series:
+        late = one.t_ns >= START_NS + 18 * NS_PER_S
+        stamps = np.where(late & (one.signal is Signal.BODY_RATE), START_NS + 18 * NS_PER_S, one.t_ns)
+        parts.append(replace(one, t_ns=stamps))
+    return Telemetry(tuple(parts))
+
+
+C1: dict[str, tuple[Callable[[Telemetry], Telemetry], str]] = {
+    "the gyro ends": (lambda flight: without(flight, (18.0, 99.0), signals=(Signal.BODY_RATE,)), "no gyro from 19.0 s"),
+    "it keeps one stamp": (one_stamp, "no gyro from 19.0 s"),
+    "thrust reads 0": (
+        lambda flight: changed(flight, Signal.THRUST_SETPOINT, 18.0, 99.0, 0.0),
+        "its thrust reads 0 while it flies from 19.0 s",
+    ),
+    "it reads disarmed": (
+        lambda flight: changed(flight, Signal.ARMED, 18.0, 99.0, 0.0),
+        "it reads disarmed while its thrust says that it flies from 19.0 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", C1)
+def test_c1_a_flight_that_was_judged_in_part_is_not_healthy(case: str) -> None:
+    """C1: what failed half way was unmentioned, and 1.9 judged seconds were enough for "healthy"."""
+    change, reason = C1[case]
+    verdict = judge(logged(change(flying(4000, 1))), flown())
+    assert verdict.verdict is Verdict.NOT_JUDGEABLE
+    assert verdict.reason.startswith("judged 1")
+    assert reason in verdict.reason
+    assert verdict.flown_s == pytest.approx(35.0, abs=1.1)
+    assert 11.0 < verdict.judged_s < 14.1
+    assert judge(logged(change(flying(4000, 1))), flown(), judged_share=0.3).verdict is Verdict.HEALTHY
+
+
+def test_c1_a_landing_with_the_motors_off_is_no_hidden_flight() -> None:
+    landed = flying(4000, 1)
+    for signal, value in ((Signal.THRUST_SETPOINT, 0.0), (Signal.ACTUATOR, 0.05)):
+        landed = changed(landed, signal, 25.0, 99.0, value)
+    verdict = judge(logged(changed(landed, Signal.BODY_RATE, 25.0, 99.0, 0.001)), flown())
+    assert verdict.verdict is Verdict.HEALTHY
+    assert verdict.flown_s == pytest.approx(20.0, abs=0.2)
+
+
+def test_bug_4_what_any_monitor_judged_counts_when_the_leading_one_stops() -> None:
+    stopped = without(flying(4000, 1), (20.0, 99.0), signals=(Signal.ATTITUDE_SETPOINT,))
+    stopped = without(stopped, (0.0, 20.0), signals=(Signal.ACTUATOR,))
+    base = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("innovation", "rotor_trim")), created=NOW)
+    verdict = judge(logged(stopped), base)
+    own = {one.name: one.judged_s for one in verdict.monitors}
+    assert max(own.values()) < 20.0
+    assert verdict.judged_s == pytest.approx(38.0, abs=1.5)
+    assert verdict.verdict is Verdict.HEALTHY
+
+
+def test_a_window_that_is_valid_has_judged_what_lies_in_it() -> None:
+    """Rotor trim warms up for 5 s; its first value is about them."""
+    verdict = judge(logged(flying(1200, 1)), trim())
+    assert verdict.monitors[0].judged_s == pytest.approx(6.0, abs=0.6)
+    assert verdict.judged_s == pytest.approx(11.0, abs=0.6)
+    assert verdict.verdict is Verdict.HEALTHY
+
+
+def test_c2_a_link_without_set_points_is_told() -> None:
+    base = learn(healthy(3), LearnOptions(airframe=FRAME, monitors=("innovation", "fsd")), created=NOW)
+    verdict = judge(logged(without(flying(3000, 1), ALL, signals=(Signal.ATTITUDE_SETPOINT,))), base)
+    assert verdict.verdict is Verdict.NOT_JUDGEABLE
+    assert "innovation (no attitude setpoint)" in verdict.reason
+
+
+def test_c3_alarms_of_monitors_that_do_not_decide_are_a_suspicion() -> None:
+    base = learn(plain(3), LearnOptions(airframe=FRAME, monitors=("innovation", "fsd")), created=NOW)
+    push = np.zeros(20_000)
+    push[8000:11_000] = 0.2 * np.hanning(3000)
+    verdict = judge(logged(flight(20_000, 50, push=push), "qdrone2"), base)
+    alarmed = {one.event.monitor for one in verdict.events}
+    assert (verdict.verdict, alarmed) == (Verdict.SUSPECTED, {"fsd"})
+    assert verdict.reason.startswith("1 alarm of fsd, which decides nothing alone, first at 9.")
+    assert "healthy" not in verdict.reason
+
+
+def test_u12_the_verdict_has_rotor_kind_and_times() -> None:
+    verdict = judge(logged(flying(4000, 5, weak_rotor=2, rise=0.2)), whole())
+    told = verdict_json(verdict)
+    assert (verdict.rotor, verdict.kind) == (2, FaultKind.PROPELLER)
+    assert (told["rotor"], told["kind"]) == (2, "propeller fault")
+    first = next(one for one in verdict.changes if one.stage is Stage.FAULT)
+    assert told["since_s"] == verdict.since_s == first.t_ns / NS_PER_S
+    assert [one["rotor"] for one in told["rotors"]] == [2]
+    assert told["rotors"][0]["since_s"] >= told["since_s"]
+    assert told["rotors"][0]["end_s"] is None
+    assert told["flown_s"] == pytest.approx(39.0, abs=0.1)
+
+
+def ground_first(telemetry: Telemetry, span_s: float) -> Telemetry:
+    """The flight after so long on the ground: hardly any noise of the gyro, its motors at idle, and no thrust."""
+    shift, parts = round(span_s * NS_PER_S), []
+    for one in telemetry.series:
+        if one.signal is Signal.THRUST_SETPOINT:
+            continue
+        before = one.t_ns - one.t_ns[0] < shift
+        quiet = {Signal.BODY_RATE: 0.015, Signal.SPECIFIC_FORCE: 0.02, Signal.TORQUE_COMMAND: 0.0}.get(one.signal, 1.0)
+        rest = one.values[before].mean(axis=0) + quiet * (one.values[before] - one.values[before].mean(axis=0))
+        if one.signal is Signal.ACTUATOR:
+            rest[:] = 0.12
+        times = (one.t_ns[before], one.t_ns + shift)
+        stamps = np.concatenate(times)
+        parts.append(Series(one.signal, stamps, stamps, np.concatenate((rest, one.values))))
+    return Telemetry(tuple(parts))
+
+
+@pytest.mark.parametrize("span_s", [12.0, 45.0])
+def test_f2_ground_time_at_the_start_of_a_log_is_not_compared_with_flight(span_s: float) -> None:
+    """F2: three of eight flights of an X8 were "another vehicle: gyro noise x0.015", one that had taught it too."""
+    options = LearnOptions(airframe=replace(FRAME, gate=None))
+    spans = zip(healthy(3, 9000), (3.0, 30.0, 8.0), strict=True)
+    taught = [logged(ground_first(one.telemetry, s), name=one.name) for one, s in spans]
+    base = learn(taught, options, created=NOW)
+    verdict = judge(logged(ground_first(flying(6000, 1), span_s)), base)
+    assert verdict.verdict is Verdict.HEALTHY, verdict.reason
+    assert "may be another vehicle" not in verdict.reason
+    assert verdict.flown_s == pytest.approx(55.0, abs=1.5)
+    quiet = changed(flying(6000, 1), Signal.BODY_RATE, 0.0, 99.0, 0.0)
+    other = Telemetry(tuple(one for one in quiet.series if one.signal is not Signal.THRUST_SETPOINT))
+    assert judge(logged(other), base).verdict is Verdict.NOT_JUDGEABLE
+
+
+@pytest.mark.parametrize(
+    ("layout", "frame", "named"),
+    [("octo-x", (3, 1), True), ("x8", (4, 1), False), ("y6", (5, 0), False), ("deca-x", (14, 1), True)],
+)
+def test_a_frame_by_its_parameters_is_judged_and_two_rotors_on_an_arm_are_not_told_apart(
+    layout: str, frame: tuple[int, int], named: bool
+) -> None:
+    parameters = {"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])}
+    airframe = Airframe(name=layout, gate=GateSpec())
+    flights = [
+        Log(f"f{k}", f"{k:064x}", "ardupilot", flying(3000, 100 + k, layout=layout), parameters=parameters)
+        for k in range(3)
+    ]
+    baseline = learn(flights, LearnOptions(airframe=airframe, monitors=("rotor_trim",)), created=NOW)
+    assert baseline.airframe.layout is not None
+    assert baseline.airframe.layout.name == layout
+    assert judge(replace(flights[0], telemetry=flying(3000, 7, layout=layout)), baseline).verdict is Verdict.HEALTHY
+    weak = judge(replace(flights[0], telemetry=flying(3000, 7, weak_rotor=2, rise=0.4, layout=layout)), baseline)
+    assert weak.verdict is Verdict.FAULT, weak.reason
+    assert {one.rotor for one in weak.changes} - {None} == ({2} if named else set())

@@ -138,11 +138,15 @@ def test_an_upset_without_a_name_gets_none() -> None:
     assert changes[-1].kind is FaultKind.LOSS_OF_CONTROL
 
 
-def test_after_a_fault_the_kind_is_forgotten() -> None:
+def test_the_kind_of_a_fault_stays_while_it_is_not_seen() -> None:
     shaking = values(level((2, 0.3), (1, 3.0), (5, 0.1)), (8, FIRST))
     state, _, changes = decided(shaking, level((8, 0.1)))
-    assert [one.stage for one in changes] == [Stage.QUIET, Stage.FAULT, Stage.QUIET]
-    assert state.diagnosis.kind is None
+    assert [(one.stage, one.seen) for one in changes] == [
+        (Stage.QUIET, False),
+        (Stage.FAULT, True),
+        (Stage.FAULT, False),
+    ]
+    assert state.diagnosis.kind is FaultKind.PROPELLER
     assert str(changes[1]).startswith("2.00 s propeller fault: ")
 
 

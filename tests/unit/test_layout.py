@@ -31,6 +31,20 @@ PLACES = {
         *[(1, 0, "cw"), (-1, 0, "cw"), (1, 1, "ccw"), (-1, 1, "ccw")],
         *[(1, -1, "ccw"), (-1, -1, "ccw"), (0, -1, "cw"), (0, 1, "cw")],
     ],
+    "x8": [
+        *[(1, 1, "ccw"), (1, -1, "cw"), (-1, -1, "ccw"), (-1, 1, "cw")],
+        *[(1, -1, "ccw"), (1, 1, "cw"), (-1, 1, "ccw"), (-1, -1, "cw")],
+    ],
+    "y6": [(1, 1, "ccw"), (1, -1, "cw"), (1, -1, "ccw"), (-1, 0, "cw"), (1, 1, "cw"), (-1, 0, "ccw")],
+    "y6b": [(1, 1, "cw"), (1, 1, "ccw"), (-1, 0, "cw"), (-1, 0, "ccw"), (1, -1, "cw"), (1, -1, "ccw")],
+    "deca-plus": [
+        *[(1, 0, "ccw"), (1, 1, "cw"), (1, 1, "ccw"), (-1, 1, "cw"), (-1, 1, "ccw")],
+        *[(-1, 0, "cw"), (-1, -1, "ccw"), (-1, -1, "cw"), (1, -1, "ccw"), (1, -1, "cw")],
+    ],
+    "deca-x": [
+        *[(1, 1, "ccw"), (1, 1, "cw"), (0, 1, "ccw"), (-1, 1, "cw"), (-1, 1, "ccw")],
+        *[(-1, -1, "cw"), (-1, -1, "ccw"), (0, -1, "cw"), (1, -1, "ccw"), (1, -1, "cw")],
+    ],
 }
 
 
@@ -46,10 +60,15 @@ def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
     np.testing.assert_allclose(layout.unmixing @ mixing, np.eye(3), atol=1e-8)
     radius = np.hypot(mixing[:, 0], mixing[:, 1])
     np.testing.assert_allclose(radius, math.sqrt(2), atol=1e-8)  # all of them on one circle
-    angles = np.sort(np.degrees(np.arctan2(-mixing[:, 0], mixing[:, 1])))
-    np.testing.assert_allclose(np.diff(angles), 360 / n, atol=1e-6)
+    angles = np.unique(np.round(np.degrees(np.arctan2(-mixing[:, 0], mixing[:, 1])), 6) % 360)
+    np.testing.assert_allclose(np.diff(angles), 360 / (n / 2 if layout.coaxial else n), atol=1e-5)
+    assert layout.coaxial == (name in ("x8", "y6", "y6b"))
     turns = mixing[np.argsort(np.arctan2(-mixing[:, 0], mixing[:, 1])), 2]
-    assert (turns[1:] == -turns[:-1]).all()  # neighbours turn against each other
+    if layout.coaxial:
+        arms = [mixing[(np.abs(mixing[:, :2] - one[:2]) < 1e-6).all(axis=1), 2] for one in mixing]
+        assert all(sorted(arm) == pytest.approx([-1, 1]) for arm in arms)  # the two of an arm turn against each other
+    else:
+        assert (turns[1:] == -turns[:-1]).all()  # neighbours turn against each other
 
 
 def test_the_thesis_frame_is_the_plant_s() -> None:

@@ -14,10 +14,10 @@ import mavdiag.chain
 import mavdiag.monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import dump, parse
-from mavdiag.chain import chain_of
+from mavdiag.chain import chain_of, front_of
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.judging import Verdict, judge
-from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, front_for, learn, thesis_options
+from mavdiag.learning import ALL_MONITORS, LearnOptions, airborne, learn, thesis_options
 from mavdiag.monitors import by_name, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
@@ -153,7 +153,7 @@ def test_b5_the_hours_of_a_threshold_are_the_judged_time_of_its_values() -> None
         for log in healthy(4)
     ]
     found = learn(flights, LearnOptions(airframe=FRAME), created=NOW)
-    front = front_for(flights, 0.1, ALWAYS)
+    front = front_of(found)
     for entry in found.monitors:
         monitor = monitor_of(entry.spec)
         judged_s = sum(one.judged_s for log in flights for one in monitor.over(airborne(front, log).rows))

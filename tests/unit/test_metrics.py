@@ -16,9 +16,11 @@ from made_vehicle import Bench, MadeVehicle
 
 from detector.config import Settings
 from detector.fleet import Turn
-from detector.health import ask_health, verdict
 from detector.metrics import Metrics
+from detector.working import ask_working, working
+from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.errors import LinkError, UsageError
+from mavdiag.monitors.base import FaultKind
 
 
 @pytest.fixture
@@ -54,6 +56,9 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     bench.close()
     assert value(text, 'state{state="monitoring",vehicle="1"}') == 1
     assert value(text, 'state{state="lost",vehicle="1"}') == 0
+    assert value(text, 'verdict{vehicle="1",verdict="quiet"}') == 1
+    assert value(text, 'verdict{vehicle="1",verdict="fault"}') == 0
+    assert "mavdiag_fault{" not in text
     assert value(text, 'frames_received{vehicle="1"}') > 2000
     assert value(text, 'frames_lost{vehicle="1"}') == 0
     assert value(text, 'stream_hertz{stream="body_rate",vehicle="1"}') == pytest.approx(100.0, rel=0.01)
@@ -62,7 +67,23 @@ def test_the_figures_of_a_flight_are_on_the_page(metrics: Metrics) -> None:
     assert 0.0 <= value(text, 'statistic_ratio{axis="roll",monitor="fsd",vehicle="1"}') < 1.0
     assert value(text, 'link_connected{link="vehicle"}') == 1
     assert value(text, 'link_dropped{link="behind 1 memory:near"}') == 0
-    assert value(text, "healthy") == 1
+    assert value(text, "session_working") == 1
+
+
+def test_u4_the_verdict_has_a_metric_of_its_own_with_kind_and_rotor(metrics: Metrics) -> None:
+    """`mavdiag_healthy` was 1 during an alert, and no metric had a rotor."""
+    bench = flown(metrics)
+    (figures,) = bench.daemon.figures().vehicles
+    spans = (RotorSpan(1, 0, 5), RotorSpan(4, 7))
+    held = Diagnosis(Stage.FAULT, kind=FaultKind.PROPELLER, rotor=4, seen=True, rotors=spans)
+    metrics.show(replace(bench.daemon.figures(), vehicles=(replace(figures, diagnosis=held),)), 0)
+    text = page(metrics)
+    bench.close()
+    assert value(text, 'verdict{vehicle="1",verdict="fault"}') == 1
+    assert value(text, 'verdict{vehicle="1",verdict="quiet"}') == 0
+    assert value(text, 'fault{kind="propeller fault",rotor="1",vehicle="1"}') == 0
+    assert value(text, 'fault{kind="propeller fault",rotor="4",vehicle="1"}') == 1
+    assert value(text, "session_working") == 1
 
 
 def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> None:
@@ -88,11 +109,11 @@ def test_the_page_does_not_grow_with_the_time(metrics: Metrics) -> None:
     assert after <= before + 3 * 2  # an alarm or a ratio that was absent
 
 
-def test_before_the_first_look_there_is_nothing_and_that_is_not_healthy(metrics: Metrics) -> None:
-    assert "mavdiag_healthy" not in page(metrics)
-    healthy, words = ask_health(f"127.0.0.1:{metrics.port}")
-    assert not healthy
-    assert words == "not healthy: no figures of a detector that looks at its links"
+def test_before_the_first_look_there_is_nothing_and_that_is_not_working(metrics: Metrics) -> None:
+    assert "mavdiag_session_working" not in page(metrics)
+    works, words = ask_working(f"127.0.0.1:{metrics.port}")
+    assert not works
+    assert words == "not working: no figures of a detector that looks at its links"
 
 
 def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
@@ -103,22 +124,22 @@ def test_a_port_that_is_taken_is_named(metrics: Metrics) -> None:
 @pytest.mark.parametrize(
     ("page", "words"),
     [
-        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 0.2", "healthy"),
-        ("mavdiag_healthy 0.0\nmavdiag_figures_age_seconds 0.2", "not healthy: all sessions are off"),
-        ("mavdiag_healthy 1.0\nmavdiag_figures_age_seconds 61.2", "not healthy: the loop hangs since 61 s"),
-        ("mavdiag_healthy one\nmavdiag_figures_age_seconds 0.2", "not healthy: no figures of a detector"),
-        ("<html>another server</html>", "not healthy: no figures of a detector"),
+        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 0.2", "working"),
+        ("mavdiag_session_working 0.0\nmavdiag_figures_age_seconds 0.2", "not working: all sessions are off"),
+        ("mavdiag_session_working 1.0\nmavdiag_figures_age_seconds 61.2", "not working: the loop hangs since 61 s"),
+        ("mavdiag_session_working one\nmavdiag_figures_age_seconds 0.2", "not working: no figures of a detector"),
+        ("<html>another server</html>", "not working: no figures of a detector"),
     ],
 )
 def test_the_verdict_of_a_page(page: str, words: str) -> None:
-    healthy, said = verdict(page)
+    works, said = working(page)
     assert said.startswith(words)
-    assert healthy == (words == "healthy")
+    assert works == (words == "working")
 
 
 def test_health_without_an_address_says_what_to_do() -> None:
     with pytest.raises(UsageError, match="name the --metrics HOST:PORT"):
-        ask_health(None)
+        ask_working(None)
 
 
 def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:

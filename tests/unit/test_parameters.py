@@ -1,11 +1,14 @@
 """The rotor layout from an autopilot's own parameters, which come from every kind of log and from a link."""
 
+import math
 import struct
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
 
 from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
@@ -38,6 +41,11 @@ def outputs(group: str, *motors: int, first: int = 1) -> dict[str, float]:
     return {f"{group}_FUNC{first + i}": float(100 + motor) for i, motor in enumerate(motors)}
 
 
+def drawn(senses: str, *angles_deg: float) -> list[tuple[float, Literal["cw", "ccw"]]]:
+    """+: counter-clockwise."""
+    return [(deg, "ccw" if sense == "+" else "cw") for sense, deg in zip(senses, angles_deg, strict=True)]
+
+
 # From ArduPilot's tables: the place of motor 1, 2, ... by angle from the nose to the right, and its sense.
 COPTER: dict[tuple[int, int], list[tuple[float, Literal["cw", "ccw"]]]] = {
     (1, 0): [(90, "ccw"), (-90, "ccw"), (0, "cw"), (180, "cw")],
@@ -47,6 +55,32 @@ COPTER: dict[tuple[int, int], list[tuple[float, Literal["cw", "ccw"]]]] = {
     (1, 14): [(45, "ccw"), (135, "cw"), (-135, "ccw"), (-45, "cw")],
     (2, 1): [(90, "cw"), (-90, "ccw"), (-30, "cw"), (150, "ccw"), (30, "ccw"), (-150, "cw")],
     (2, 14): [(30, "ccw"), (90, "cw"), (150, "ccw"), (-150, "cw"), (-90, "ccw"), (-30, "cw")],
+    (4, 1): [
+        *((45, "ccw"), (-45, "cw"), (-135, "ccw"), (135, "cw")),
+        *((-45, "ccw"), (45, "cw"), (135, "ccw"), (-135, "cw")),
+    ],
+    (4, 0): [
+        *((0, "ccw"), (-90, "cw"), (180, "ccw"), (90, "cw")),
+        *((-90, "ccw"), (0, "cw"), (90, "ccw"), (180, "cw")),
+    ],
+    (4, 3): [
+        *((45, "cw"), (-45, "ccw"), (-135, "cw"), (135, "ccw")),
+        *((-45, "cw"), (45, "ccw"), (135, "cw"), (-135, "ccw")),
+    ],
+    (4, 12): [
+        *((135, "cw"), (45, "ccw"), (-135, "ccw"), (-45, "cw")),
+        *((135, "ccw"), (45, "cw"), (-135, "cw"), (-45, "ccw")),
+    ],
+    (4, 14): [
+        *((45, "ccw"), (45, "cw"), (135, "cw"), (135, "ccw")),
+        *((-135, "ccw"), (-135, "cw"), (-45, "cw"), (-45, "ccw")),
+    ],
+    (5, 1): drawn("+-+--+", 60, -60, -60, 180, 60, 180),
+    (5, 10): drawn("-+-+-+", 60, 60, 180, 180, -60, -60),
+    (5, 11): drawn("+++---", 180, 60, -60, 180, 60, -60),
+    (12, 1): drawn("+--++--++--+", 30, 30, 90, 90, 150, 150, -150, -150, -90, -90, -30, -30),
+    (14, 0): drawn("+-+-+-+-+-", 0, 36, 72, 108, 144, 180, -144, -108, -72, -36),
+    (14, 14): drawn("+-+-+-+-+-", 18, 54, 90, 126, 162, -162, -126, -90, -54, -18),
     (3, 13): [
         (22.5, "ccw"),
         (-22.5, "cw"),
@@ -69,6 +103,65 @@ def test_frame_class_and_type_are_the_tables_of_ardupilot(frame: tuple[int, int]
     assert found.reason == f"the vehicle's parameters FRAME_CLASS {frame[0]}, FRAME_TYPE {frame[1]}"
 
 
+@pytest.mark.parametrize("frame", [(4, 1), (5, 1), (5, 10), (12, 1)])
+def test_two_rotors_on_an_arm_are_told(frame: tuple[int, int]) -> None:
+    found = layout_from_parameters({"FRAME_CLASS": float(frame[0]), "FRAME_TYPE": float(frame[1])})
+    assert found.layout is not None
+    assert found.layout.coaxial
+
+
+@pytest.mark.parametrize(
+    ("parameters", "kind", "name"),
+    [
+        ({"FRAME": 0.0}, 2, "plus"),
+        ({"FRAME": 1.0}, 2, "x"),
+        ({"FRAME": 2.0}, 2, "v"),
+        ({"FRAME": 3.0}, 2, "h"),
+        ({"FRAME": 1.0}, 13, None),  # a hexa, or a Y6
+        ({"FRAME": 1.0}, None, None),
+        ({"FRAME": 4.0}, 2, None),
+    ],
+)
+def test_the_frame_of_older_copters_is_that_of_a_quad(
+    parameters: dict[str, float], kind: int | None, name: str | None
+) -> None:
+    found = layout_from_parameters(parameters, kind)
+    assert (found.layout.name if found.layout is not None else None) == name
+    assert found.outputs is None
+
+
+def test_the_functions_of_older_copters_are_read_where_there_are_no_newer_ones() -> None:
+    old = {f"RC{n}_FUNCTION": float(one) for n, one in enumerate((33, 34, 35, 36), start=5)}
+    assert layout_from_parameters(old).outputs == (5, 6, 7, 8)
+    assert layout_from_parameters({**servos(34, 33, 36, 35), "RC9_FUNCTION": 33.0}).outputs == (2, 1, 4, 3)
+
+
+NUMBERS = st.one_of(st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -4.0, 0.5, 3e6, 1e9]), st.floats())
+NAMES = ("FRAME_CLASS", "FRAME_TYPE", "FRAME", "CA_AIRFRAME", "SERVO1_FUNCTION", "SERVO2_FUNCTION", "PWM_MAIN_FUNC1")
+
+
+@given(
+    st.dictionaries(st.sampled_from([*NAMES, "CA_ROTOR_COUNT", *rotors(*PLACES), "SOMETHING"]), NUMBERS), st.booleans()
+)
+def test_no_value_of_a_parameter_is_an_exception_or_a_long_list(wrong: dict[str, float], px4: bool) -> None:
+    sound = {**rotors(*PLACES), **outputs("PWM_MAIN", 1, 2, 3, 4)} if px4 else {**COPTER_X, **servos(33, 34, 35, 36)}
+    found = layout_from_parameters({**sound, **wrong})
+    assert found.layout is None or found.layout.rotors <= 12
+    assert found.layout is not None or found.outputs is not None or found.reason
+
+
+@pytest.mark.parametrize("count", [3e6, 1e9, -4.0, 0.0, 13.0, 4.5, math.nan, math.inf])
+def test_a_number_of_rotors_that_cannot_be_is_told(count: float) -> None:
+    found = layout_from_parameters({**rotors(*PLACES), "CA_ROTOR_COUNT": count})
+    assert found.reason == f"CA_ROTOR_COUNT {count:g} is no number of rotors (1 to 12)"
+
+
+def test_a_parameter_of_another_name_may_be_anything() -> None:
+    odd = {"SYS_AUTOSTART": math.nan, "MPC_XY_CRUISE": math.inf}
+    assert layout_from_parameters({**rotors(*PLACES), **odd}) == layout_from_parameters(rotors(*PLACES))
+    assert layout_from_parameters({**COPTER_X, **odd}) == layout_from_parameters(COPTER_X)
+
+
 def test_servo_functions_say_which_output_drives_which_motor() -> None:
     found = layout_from_parameters({**COPTER_X, **servos(0, 0, 36, 33, 34, 0, 35, 10)})
     assert (found.layout, found.outputs) == (layout_named("x"), (4, 5, 7, 3))
@@ -84,7 +177,7 @@ def test_servo_functions_say_which_output_drives_which_motor() -> None:
         ({"FRAME": 1.0, "THR_MIN": 130.0}, ""),
         ({"FRAME_CLASS": 1.0}, "FRAME_TYPE is not among the parameters"),
         ({"FRAME_CLASS": 1.0, "FRAME_TYPE": 4.0}, "the geometry of FRAME_CLASS 1, FRAME_TYPE 4 (quad) is not known"),
-        ({"FRAME_CLASS": 6.0, "FRAME_TYPE": 0.0}, "FRAME_CLASS 6, FRAME_TYPE 0 (no quad, hexa or octa)"),
+        ({"FRAME_CLASS": 6.0, "FRAME_TYPE": 0.0}, "FRAME_CLASS 6, FRAME_TYPE 0 (a class without a table)"),
         ({**COPTER_X, **servos(33, 34, 35)}, "SERVOn_FUNCTION has the motors 1, 2, 3, x has 4"),
         ({**COPTER_X, **servos(33, 34, 35, 36, 37)}, "motors 1, 2, 3, 4, 5, x has 4"),
         ({**COPTER_X, **servos(33, 34, 35, 36, 33)}, "motors 1, 1, 2, 3, 4, x has 4"),

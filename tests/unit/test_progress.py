@@ -2,11 +2,13 @@
 
 import io
 import sys
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
 
-from mavdiag.commands.progress import each, shown, told
+from mavdiag.commands.progress import SLOW_S, each, shown, told, working
 
 
 class Terminal(io.StringIO):
@@ -100,3 +102,28 @@ def test_one_item_needs_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     assert terminal.getvalue() == ""
     assert list(each([1, 2], "read", [5.0, 6.0])) == [1, 2]
     assert terminal.getvalue() != ""
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_what_takes_long_is_told_where_no_terminal_is(
+    slow: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Timer:
+        """One that is over at once, or never."""
+
+        def __init__(self, after_s: float, act: Callable[..., None], args: Any, kwargs: Any) -> None:
+            assert after_s == SLOW_S
+            self.act: Callable[[], None] = partial(act, *args, **kwargs)
+
+        def start(self) -> None:
+            if slow:
+                self.act()
+
+        def cancel(self) -> None: ...
+
+        def join(self) -> None: ...
+
+    monkeypatch.setattr("mavdiag.commands.progress.Timer", Timer)
+    with working("compiling ..."):
+        pass
+    assert capsys.readouterr() == ("", "compiling ...\n" if slow else "")

@@ -133,12 +133,14 @@ def test_the_window_sweep_fits_what_identify_fits() -> None:
     assert row.model.r2t == pytest.approx(validate(model, flight.u, flight.y).r2t, abs=0.02)
 
 
-def test_the_shift_of_a_weak_rotor_is_three_quarters_of_its_rise() -> None:
+def test_the_shift_of_a_weak_rotor_is_its_rise() -> None:
     rows = [one.block for one in flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2))]
     shift = shift_of(rows, layout_named("x"), None)
     outputs = np.array([0.5, 0.5, 0.6, 0.5])
     B = layout_named("x").mixing
-    np.testing.assert_allclose(shift.mean(None), B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1), atol=0.01)
+    beside = B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1)
+    np.testing.assert_allclose(shift.mean(None), beside / 0.75, atol=0.01)
+    assert shift_of(rows, layout_named("x"), None, 0.05).limit == 0.05  # the monitor's own scale
     assert int(np.argmax(shift.mean(None))) == 2
     assert not shift.beyond_health
     assert np.isnan(shift.shift[:100]).all()  # no 5 s yet

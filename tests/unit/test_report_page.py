@@ -58,7 +58,7 @@ def test_a_page_stands_alone_and_has_every_figure_or_its_reason() -> None:
     for one in weak().pictures:
         assert bool(one.svg) != bool(one.not_drawn)
         assert one.caption.endswith(".")
-        assert not one.thesis or f"(thesis Fig {one.thesis})" in page.said
+        assert f"thesis Fig {one.thesis}" not in page.said
     assert page.said.count("Not drawn: ") == len(weak().pictures) - len(shown)
 
 
@@ -135,14 +135,18 @@ def test_every_monitor_has_words_for_a_newcomer() -> None:
 def test_each_verdict_has_its_sentence_and_advice() -> None:
     def told(verdict: Verdict, kind: FaultKind | None = None) -> LogVerdict:
         change = Change(2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, kind)
-        return LogVerdict("a", verdict, "because", judged_s=9.0, changes=(change,) if kind else (), kind=kind)
+        plain = LogVerdict("a", verdict, "because", 9.0, 10.0, changes=(change,) if kind else ())
+        return replace(plain, kind=kind, since_s=2.0, rotor=3) if kind else plain
 
     sentence = "A propeller fault of rotor 3 was found, most like a crack (F2, severity 2 of 3)"
     assert headline(told(Verdict.FAULT, FaultKind.PROPELLER)).startswith(sentence)
     assert headline(told(Verdict.FAULT, FaultKind.SENSOR)).startswith(
         "A sensor fault was found, declared first at 2.0 s"
     )
-    assert headline(told(Verdict.HEALTHY)) == "No fault was found in 9 s of judged flight."
+    assert headline(told(Verdict.HEALTHY)) == "No fault was found; 9 s of 10 s of flight were judged."
+    suspected = told(Verdict.SUSPECTED)
+    assert "healthy" not in headline(suspected) + evidence_sentence(suspected) + advice(suspected)
+    assert headline(suspected).startswith("A fault is suspected")
     assert "because" in headline(told(Verdict.NOT_JUDGEABLE))
     assert "no propeller is blamed" in advice(told(Verdict.FAULT, FaultKind.SENSOR))
     assert "no proof of health" in advice(told(Verdict.HEALTHY))

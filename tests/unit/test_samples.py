@@ -188,6 +188,23 @@ def test_px4_actuators() -> None:
     assert values_of(telemetry_of([frame], "px4"), Signal.ACTUATOR).tolist() == [[0.5, 0.25, 1.0, 0.0] + [0.0] * 12]
 
 
+@pytest.mark.parametrize(
+    ("sent", "share"),
+    [
+        ((1528.4, 1557.8, 1000.0, 2000.0) + (900.0,) * 12, (0.5284, 0.5578, 0.0, 1.0)),  # PX4 in simulation
+        ((1528.4, 1557.8, 1100.0, 1200.0) + (1000.0,) * 12, (0.5284, 0.5578, 0.1, 0.2)),
+        ((900.0,) * 16, (0.0,) * 4),  # disarmed
+        ((1023.5, 512.0, 2047.0, 48.0) + (0.0,) * 12, (0.5, 0.2501, 1.0, 0.0234)),  # DShot
+        ((1023.5, 900.0, 1100.0, 1200.0) + (0.0,) * 12, (0.5, 0.4397, 0.5374, 0.5862)),  # DShot, by its unused outputs
+        ((0.5, 0.25, 1.0, -1.0) + (0.0,) * 12, (0.5, 0.25, 1.0, 0.0)),
+    ],
+)
+def test_px4_tells_the_unit_of_its_outputs_by_their_values(sent: tuple[float, ...], share: tuple[float, ...]) -> None:
+    frame = Vehicle().frame(MessageId.ACTUATOR_OUTPUT_STATUS, 1, 16, sent + (0.0,) * 16)
+    found = values_of(telemetry_of([frame], "px4"), Signal.ACTUATOR)
+    np.testing.assert_allclose(found, [share + (0.0,) * 12], atol=1e-4)
+
+
 def test_more_than_four_rotors_are_one_series() -> None:
     """ESC_STATUS tells four rotors a message, from its index on; what one leaves out keeps its last value."""
     vehicle, zeros = Vehicle(), (0,) * 4

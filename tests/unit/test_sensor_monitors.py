@@ -64,7 +64,7 @@ def test_a_gyro_that_drifts_grows_by_its_integral(axis: int) -> None:
     rate[:, axis] += 0.01
     found = drift(angle, rate, level_force(angle))
     for tick, span_s in ((399, 15.0), (79, 6.0)):  # after 8 s there are 6 s between the two means of 2 s
-        excused = 0.002 * span_s  # a bias that is no fault
+        excused = 0.004 * span_s  # a bias that is no fault
         excused += 0.01 * 0.01 * span_s if axis == 2 else 0.0  # what a gyro that turns so far may be wrong by
         expected = 0.01 * span_s / (0.01 + excused)
         assert found.value[tick] == pytest.approx(expected, rel=0.1)
@@ -82,7 +82,7 @@ def test_a_vertical_bias_counts_only_where_it_lasts() -> None:
 def test_a_gyro_scale_is_seen_in_a_turn_only() -> None:
     angle, turning = attitude(), attitude(0.5)
     assert drift(angle, 1.1 * body_rates(angle), level_force(angle)).value.max() < 3.0  # a tenth of the swings
-    assert drift(turning, 1.1 * body_rates(turning), level_force(turning)).value[-1] > 5.0
+    assert drift(turning, 1.1 * body_rates(turning), level_force(turning)).value[-1] > 4.5
 
 
 def test_steep_and_fast_flight_is_not_judged() -> None:

@@ -41,8 +41,7 @@ def test_only_what_the_table_lists_is_a_transition(state: State, trigger: Trigge
             advance(state, trigger)
 
 
-def test_an_alert_is_raised_from_monitoring_only_and_a_fault_of_ours_ends_by_a_reboot_only() -> None:
-    assert {state for state, row in TABLE.items() if State.ALERT in row.values()} == {State.MONITORING}
+def test_a_fault_of_ours_ends_by_a_reboot_only() -> None:
     assert set(TABLE[State.FAULTED]) == {Trigger.REBOOT}
 
 

@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
+from memory_port import memory_pair
+from rich.console import Console, ConsoleDimensions
 
 from mavdiag.errors import InputError
-from mavdiag.link.messages import Severity
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import MessageId, Severity
+from mavdiag.terminal.ground_station import GroundStation
 from mavdiag.terminal.journal import Journal
 from mavdiag.terminal.screen import Screen
 from mavdiag.terminal.strips import Curve, Frame, strip
 from mavdiag.terminal.view import Level, Line, StripView, View, picture
 
+LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 FRAME = Frame(from_s=0.0, to_s=10.0, low=-1.0, high=1.0, width=40, height=4)
 
 
@@ -73,6 +77,66 @@ def test_no_line_is_wider_than_the_terminal(width: int, texts: list[str], value:
     assert all(len(line) <= max(width, 44) for line in console.export_text().splitlines())
 
 
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (100, 30), (60, 15)])
+def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int) -> None:
+    t_s = np.linspace(0.0, 10.0, 50)
+    strips = tuple(StripView(name, "rad/s", (Curve(t_s, np.sin(t_s), "red"),), -1.0, 1.0) for name in "ab")
+    said = "detector: PROP FAULT motor 3 lost 19% thrust, land now and look at it " + "and more " * 6 + "the end"
+    events = [Line(float(n), Severity.INFO, f"event {n}") for n in range(20)]
+    view = View(
+        "a link",
+        "motor 3 is weak",
+        True,
+        0.0,
+        10.0,
+        strips,
+        (LEVEL,) * 13,
+        (*events, Line(98.72, Severity.CRITICAL, said)),
+        "foot",
+    )
+    console = Console(width=width, file=io.StringIO(), record=True)
+    console.print(picture(view, width, height))
+    lines = console.export_text().splitlines()
+    assert len(lines) <= height
+    shown = " ".join(" ".join(line.strip("│ ") for line in lines).split())
+    assert " ".join(said.split()) in shown
+    assert "event 19" in shown
+    assert "motor 3 is weak" in shown
+
+
+def test_a_terminal_of_another_size_is_drawn_anew() -> None:
+    sizes: list[tuple[int, int]] = []
+    console = Console(width=80, height=24, file=io.StringIO(), force_terminal=True, get_time=iter(range(9)).__next__)
+
+    def draw(width: int, height: int) -> str:
+        sizes.append((width, height))
+        return "x" * width
+
+    with Screen(console=console) as screen:
+        screen.show(draw, [], last=True)
+        assert "\x1b[2J" not in console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+        console.size = ConsoleDimensions(50, 12)
+        screen.show(draw, [], last=True)
+    assert sizes == [(80, 23), (50, 11)]
+    assert "\x1b[2J" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
+    """Two vehicles on a link, and a gimbal that tells an attitude of its own."""
+    near, far = memory_pair()
+    station = GroundStation(near)
+    for sysid, boot_ms in ((1, 5000), (2, 90_000)):
+        far.send(Encoder(sysid, 1).encode(MessageId.ATTITUDE, boot_ms, *[0.0] * 6))
+        far.send(Encoder(sysid, 191).encode(MessageId.NAMED_VALUE_FLOAT, boot_ms, b"PF_FSD", sysid / 2))
+        far.send(Encoder(sysid, 191).statustext(Severity.CRITICAL, f"vehicle {sysid}"))
+    far.send(Encoder(1, 154).encode(MessageId.ATTITUDE, 1, *[0.0] * 6))
+    station.listen(0.0)
+    assert [(one.text, one.t_s) for one in station.texts] == [("vehicle 1", 5.0), ("vehicle 2", 90.0)]
+    assert (station.t_s, station.figures) == (5.0, {"PF_FSD": 0.5})
+    near.close()
+    far.close()
+
+
 def _line(kind: str, number: int, **content: object) -> str:
     return json.dumps({"kind": kind, "utc": "2026-01-01T00:00:00Z", "vehicle": number, "vehicle_s": 1.5, **content})
 
@@ -120,8 +184,8 @@ def test_a_pipe_gets_each_event_once() -> None:
     out = io.StringIO()
     with Screen(console=Console(file=out, width=30)) as screen:
         for number in range(3):
-            screen.show(lambda width: "never", [Line(float(number), Severity.INFO, f"event {number} " * 5)])
-        screen.show(lambda width: "never", [], last=True)
+            screen.show(lambda width, height: "never", [Line(float(number), Severity.INFO, f"event {number} " * 5)])
+        screen.show(lambda width, height: "never", [], last=True)
     lines = out.getvalue().splitlines()
     assert [line.split()[0] for line in lines] == ["0.00", "1.00", "2.00"]
     assert lines[2].rstrip().endswith("event 2 event 2")

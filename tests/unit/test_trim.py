@@ -92,12 +92,14 @@ def test_idle_unknown_or_lacking_outputs_give_no_trim() -> None:
 
 
 def test_outputs_are_preferred_to_commands() -> None:
-    frame, outputs = layout_named("crazyflie"), np.full((9, 4), 0.5)
-    torque, thrust = np.zeros((9, 3)), np.full(9, 0.5)
+    rng, frame = np.random.default_rng(1), layout_named("crazyflie")
+    outputs, torque, thrust = rng.normal(0.5, 0.01, (9, 4)), rng.normal(0.0, 0.01, (9, 3)), np.full(9, 0.5)
     assert source_of([[example_rows(9, torque=torque, thrust=thrust, actuator=outputs)]], frame) == "actuator"
     assert source_of([[example_rows(9, torque=torque, thrust=thrust)]], frame) == "torque"
-    with pytest.raises(InputError, match="outputs of 4 motors above idle"):
+    with pytest.raises(InputError, match="outputs of 4 motors that move above idle"):
         source_of([[example_rows(9)]], frame)
+    with pytest.raises(InputError, match="outputs of 4 motors that move"):
+        source_of([[example_rows(9, actuator=np.ones((9, 4)))]], frame)  # all of them say 100 %, all flight
 
 
 def test_tilt_is_zero_where_no_set_point_is_known() -> None:

@@ -12,9 +12,9 @@ from made_thresholds import calibrated
 
 from mavdiag.airframe.layout import LAYOUTS, layout_named
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.monitors.trim import WINDOW_S
-from mavdiag.monitors.trim_step import MEMORY_S, TICK_S, TrimStep, TrimStepSpec
-from mavdiag.rows.front import Rows
+from mavdiag.monitors.trim import TICK_S, WINDOW_S
+from mavdiag.monitors.trim_step import MEMORY_S, TrimStep, TrimStepSpec
+from mavdiag.rows.front import Covered, Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_context, example_rows
@@ -72,7 +72,7 @@ def test_a_step_is_not_forgotten_and_its_end_leaves_nothing() -> None:
     found = read(outputs)
     fresh, later = (found.rotors[found.t_ns >= at_s * 1e9][0] for at_s in (30.0, 65.0))
     assert later[1] == pytest.approx(fresh[1], abs=0.002)
-    assert found.value[found.t_ns >= 90e9].max() < 0.3 * LEAST
+    assert found.value[found.t_ns >= 90e9].max() < 0.4 * LEAST
 
 
 def test_a_payload_beside_the_centre_counts_little() -> None:
@@ -136,13 +136,13 @@ def test_any_cut_gives_the_same(edges: list[int], seed: int) -> None:
 
 
 def test_a_flight_that_is_too_short_is_refused() -> None:
-    short = [[example_rows(950, 0.01, actuator=np.full((950, 4), 0.5))]]
+    short = [[example_rows(950, 0.01, actuator=level(19))]]
     with pytest.raises(IdentificationError, match="no unbroken 10 s of flight to compare trims in; fly longer"):
         TrimStep.fit(short, example_context("x"))
-    hops = [[example_rows(950, 0.01, segment=i, actuator=np.full((950, 4), 0.5)) for i in range(3)]]
+    hops = [[example_rows(950, 0.01, segment=i, actuator=level(19)) for i in range(3)]]
     with pytest.raises(IdentificationError, match="no unbroken 10 s"):
         TrimStep.fit(hops, example_context("x"))
-    enough = [[example_rows(1050, 0.01, actuator=np.full((1050, 4), 0.5))]]
+    enough = [[example_rows(1050, 0.01, actuator=level(21))]]
     assert TrimStep.fit(enough, example_context("x"))
 
 
@@ -158,7 +158,7 @@ def test_why_it_cannot_judge() -> None:
 )
 def test_a_spec_that_describes_nothing_is_refused(changes: dict[str, object]) -> None:
     spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
-    with pytest.raises(InputError, match="trim_step: spread, turn, window, memory and drift"):
+    with pytest.raises(InputError, match="trim_step: spread, window, memory and drift"):
         replace(spec, **changes)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(InputError, match="not known"):
         replace(spec, source="torque")
@@ -173,3 +173,64 @@ def test_healthy_flights_stay_below_the_threshold_that_they_give() -> None:
         judged = np.concatenate([one.value[one.valid] for one in parts])
         assert len(judged) > 10
         assert judged.max() < threshold.value, f"seed {seed}"
+
+
+@pytest.mark.parametrize("wild", [1, 3])
+@pytest.mark.parametrize("value", [-1.0, 1.0])
+def test_a_few_wild_samples_of_an_output_move_nothing(wild: int, value: float) -> None:
+    """One sample of -1 was a fault of 0.042 over 0.010, with a rotor."""
+    outputs = level(40)
+    calm = read(outputs)
+    for first in range(200, 1900, 100):
+        outputs[first : first + wild, 1] = value
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST
+    assert found.valid.sum() == calm.valid.sum()
+
+
+def test_outputs_that_stand_still_are_no_step_and_no_rotor() -> None:
+    outputs = level(60)
+    outputs[1000:, 1] = 0.56  # what they happened to be when the link began to repeat itself
+    outputs[1000:] = outputs[1000]
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST + 0.12 / 10  # one tick of ten, at most
+    assert not found.valid[found.t_ns > 21e9].any()
+    dead = read(np.ones((2000, 4)))
+    assert not dead.valid.any()  # "all motors 100 %" is nothing to judge by
+
+
+def covered_from(start_s: float) -> Covered:
+    return lambda conditions, memory_s, t_ns: t_ns >= start_s * 1e9
+
+
+def test_ground_effect_is_no_reference() -> None:
+    """20 s in low hover, outside of the envelope, then away: the shift was a fault for the rest of the flight."""
+    outputs = level(90)
+    outputs[1000:] *= 1 + layout_named("x").mixing @ np.array([0.0, 0.0, 0.03])
+    spec = TrimStepSpec(layout=layout_named("x"), source="actuator", spread=CALM)
+    monitor, rows = TrimStep(spec), example_rows(len(outputs), DT_S, actuator=outputs)
+    assert monitor.step(monitor.start(), rows)[1].value.max() > LEAST
+    found = monitor.step(monitor.start(), replace(rows, covered=covered_from(21.0)))[1]
+    assert found.value[found.valid].max() < LEAST
+    assert found.t_ns[found.valid][0] >= 30.9e9
+
+
+def test_what_stays_becomes_the_reference_and_its_repair_is_no_fault() -> None:
+    outputs = level(260)
+    outputs[1000:9000, 2] += 0.05  # from 20 to 180 s
+    found = read(outputs)
+    at = found.t_ns / 1e9
+    assert found.value[(at > 26) & (at < 120)].min() > 0.09
+    assert found.value[(at > 160) & (at < 180)].max() < LEAST  # there is a way out
+    assert found.value[at > 180].max() < LEAST  # back where it was healthy: no other rotor rises
+    outputs[11000:, 0] += 0.05  # another one, at 220 s
+    again = read(outputs)
+    assert again.value[again.t_ns > 226e9].min() > 0.08
+    assert (again.rotors[again.t_ns > 226e9].argmax(axis=1) == 0).all()
+
+
+def test_a_weak_rotor_from_take_off_that_is_repaired_is_no_fault_of_the_others() -> None:
+    outputs = level(80)
+    outputs[:2000, 3] += 0.06
+    found = read(outputs)
+    assert found.value[found.valid].max() < LEAST

@@ -2,7 +2,11 @@
 
 import math
 import struct
+import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -175,3 +179,44 @@ def test_l6_outputs_that_never_move_are_no_motors(tmp_path: Path) -> None:
     rows = [OUTPUTS.record(1_000 * k, 1100.0 + k, 1200.0, 1300.0 + k, *still, *(0.0,) * 11) for k in range(1, 9)]
     log = read(tmp_path, ulog([SENSORS, OUTPUTS], [sensors(1_000), *rows]))
     assert log["actuator"].values.shape == (8, 3)
+
+
+SYNC = ulog_message("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12")  # PX4 writes one now and then
+
+
+def calls_of(work: Callable[[], object]) -> int:
+    """How many functions are called in it: a measure of work that does not depend on the machine."""
+    count = 0
+
+    def counted(frame: FrameType, event: str, arg: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(counted)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("where", ["behind", "between"])
+def test_space_that_the_logger_reserved_costs_as_much_however_long_it_is(where: str, tmp_path: Path) -> None:
+    plain = read(tmp_path, ulog([SENSORS], [sensors(k) for k in range(1, 200)]))
+    steps = []
+    for megabytes in (1, 8):
+        hole, records = bytes(megabytes << 20) + SYNC, [sensors(k) for k in range(1, 200)]
+        records.insert(100 if where == "between" else len(records), hole)
+        content = ulog([SENSORS], records)
+        assert values(read(tmp_path, content), Signal.BODY_RATE) == values(plain, Signal.BODY_RATE)
+        steps.append(calls_of(partial(read, tmp_path, content)))
+    assert steps[1] <= 1.2 * steps[0]
+
+
+def test_parameters_that_are_not_set_are_left_out(tmp_path: Path) -> None:
+    def parameter(name: str, value: float) -> bytes:
+        key = f"float {name}".encode()
+        return ulog_message("P", bytes([len(key)]) + key + struct.pack("<f", value))
+
+    records = [parameter("A", math.nan), parameter("B", math.inf), parameter("C", 2.0), sensors(1)]
+    assert read(tmp_path, ulog([SENSORS], records)).parameters == {"C": 2.0}

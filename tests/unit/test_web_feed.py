@@ -152,7 +152,7 @@ def test_a_child_that_began_anew_gets_everything_that_is_kept(bench: Bench, chil
 def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
-    with pytest.raises(UsageError, match=r"^--web needs aiohttp; run `pip install 'mavdiag\[web\]'`$"):
+    with pytest.raises(UsageError, match=r"^--web needs aiohttp, .* pip install 'mavdiag\[web\]'$"):
         process.start()
 
 
@@ -225,7 +225,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
     found = watched.after(4.0, outputs=True, push=0.4)
     assert found["level"] == Level.SUSPECTED  # beside others, the thesis rule does not decide
-    assert found["sentence"].startswith("PROP suspect ")
+    assert found["sentence"] == "roll attitude unlike the model"
     ground = watched.after(10.0, outputs=True, armed=False)
     assert ground["level"] == Level.NOT_JUDGED
     assert set(reasons(ground)) == {"not armed", "no VIBRATION"}

@@ -7,9 +7,9 @@ const ENTRIES_MOST = 10000; // events that are kept
 const SILENT_MS = 3500; // without anything for so long, the page says so: the detector speaks once a second
 const CRITICAL = 2, WARNING = 4;
 const NAMES = {
-  fault: "Fault", suspected: "Suspected", quiet: "No fault found", "not judged": "Not judged", off: "Off",
+  fault: "Fault", inspect: "Inspect before flight", suspected: "Suspected", quiet: "No fault found", "not judged": "Not judged", off: "Off",
 };
-const MARKS = {fault: "✕", suspected: "!", quiet: "✓", "not judged": "–", off: "○"};
+const MARKS = {fault: "✕", inspect: "✕", suspected: "!", quiet: "✓", "not judged": "–", off: "○"};
 
 const byId = (id) => document.getElementById(id);
 const drawing = window.trustedTypes
@@ -50,8 +50,8 @@ function connect() {
     take(event);
   });
   on("hello", (event) => hello(JSON.parse(event.data)));
-  on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet"); });
-  on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips"); });
+  on("fleet", (event) => { page.fleet = JSON.parse(event.data); choose(); draw("fleet", "now"); });
+  on("about", (event) => { page.about = JSON.parse(event.data); page.traces.clear(); page.now = null; draw("about", "now", "strips", "filter"); });
   on("now", (event) => take(JSON.parse(event.data)));
   on("entry", entry);
   source.onerror = () => {
@@ -220,7 +220,7 @@ function renderAbout() {
       "aria-label": `${slot.label} ${slot.axis}`.trim()}, el("span", {className: "fill"}), el("span", {className: "line"})),
     el("span", {className: "reason"}))));
   const thesis = slots.filter((slot) => slot.margin !== null);
-  byId("no-strips").hidden = thesis.length > 0;
+  byId("no-strips").hidden = !slots.length || thesis.length > 0;
   byId("axes").replaceChildren(...thesis.map((slot) => el("div", {className: "axis", data: {axis: slot.axis}},
     el("h3", {}, `${slot.axis[0].toUpperCase()}${slot.axis.slice(1)}: residual `,
       el("span", {className: "fine"}, `rad/s, margin ±${shown(slot.margin)}`), el("span", {className: "value"})),
@@ -235,7 +235,7 @@ function renderNow() {
   byId("verdict").dataset.level = level;
   text("mark", MARKS[level] || "");
   text("level-text", now ? NAMES[level] : page.vehicle === null ? "no vehicle yet" : "waiting for figures");
-  text("sentence", now && now.sentence !== NAMES[level] ? now.sentence : "");
+  text("sentence", now ? (now.sentence !== NAMES[level] ? now.sentence : "") : page.vehicle === null ? whatToSend() : "");
   document.title = now ? `${NAMES[level]} – vehicle ${now.vehicle} – mavdiag` : "mavdiag detector";
   renderRotors(now);
   figures("session", now ? [
@@ -244,9 +244,10 @@ function renderNow() {
     ["Flight judged", `${span(now.judged_s)} of ${span(now.flight_s)}`],
     ["Monitor alarms", String(now.events)],
   ] : []);
-  const alarm = now && (level === "fault" || level === "suspected");
+  const alarm = now && (["fault", "inspect", "suspected"].includes(level));
   byId("alert").hidden = !alarm;
   byId("alert").dataset.level = level;
+  byId("acknowledge").hidden = level !== "inspect";
   text("alert", alarm ? `Vehicle ${now.vehicle}: ${now.sentence}` : "");
   if (!now) return figures("link-figures", []), figures("rates", []);
   renderBars(now);
@@ -264,6 +265,13 @@ function renderNow() {
     hertz ? "" : "none"]));
 }
 
+// What an empty page lacks.
+function whatToSend() {
+  const link = page.fleet && page.fleet.links[0];
+  return `Send the vehicle's MAVLink to ${link ? link.address : "the detector's link"}: its autopilot's HEARTBEAT, a gyro `
+    + "(RAW_IMU, SCALED_IMU or HIGHRES_IMU) and ATTITUDE_TARGET.";
+}
+
 function renderRotors(now) {
   const svg = byId("airframe").firstElementChild;
   if (!svg) return;
@@ -271,7 +279,7 @@ function renderRotors(now) {
     const number = Number(rotor.dataset.rotor), rise = now ? now.rises[number - 1] : undefined;
     const suspected = now && now.rotor === number;
     rotor.classList.toggle("suspected", Boolean(suspected && now.level === "suspected"));
-    rotor.classList.toggle("fault", Boolean(suspected && now.level === "fault"));
+    rotor.classList.toggle("fault", Boolean(suspected && ["fault", "inspect"].includes(now.level)));
     const whole = Math.round(100 * rise);
     const percent = rise === undefined ? "" : `${whole < 0 ? "−" : whole > 0 ? "+" : ""}${Math.abs(whole)} %`;
     text(rotor.querySelector(".rotor-label"), percent);
@@ -340,17 +348,27 @@ function refilter() {
 function count() {
   const shownRows = byId("list").children.length;
   const lost = page.lost ? `; ${page.lost} older ones were not kept` : "";
-  text("events-count", `${page.total} received, the latest ${shownRows} shown${lost}`);
+  const away = page.entries.filter(folded).length;
+  const fold = away ? `; ${away} of monitors that do not decide are folded away` : "";
+  text("events-count", `${page.total} received, the latest ${shownRows} shown${lost}${fold}`);
+}
+
+// Alarms of monitors that only raise a suspicion are many and decide nothing: they are folded away.
+function folded({content}) {
+  if (byId("every-monitor").checked || !["opened", "event"].includes(content.kind)) return false;
+  const slot = page.about && page.about.slots.find((one) => one.name === content.monitor);
+  return Boolean(slot) && !slot.decides;
 }
 
 function wanted({content}) {
+  if (folded({content})) return false;
   if (!byId("all-vehicles").checked && content.vehicle !== null && content.vehicle !== page.vehicle) return false;
   return !byId("only-alerts").checked || loudness(content) !== "";
 }
 
 function loudness(content) {
   if (content.kind === "text") return content.severity <= CRITICAL ? "critical" : content.severity <= WARNING ? "warning" : "";
-  if (content.kind === "stage") return {fault: "critical", suspected: "warning"}[content.stage] || "";
+  if (content.kind === "stage") return {fault: "critical", inspect: "warning", suspected: "warning"}[content.stage] || "";
   return content.kind === "opened" ? "warning" : "";
 }
 
@@ -404,8 +422,12 @@ byId("pause").addEventListener("click", () => {
   text("pause", page.paused ? "Go on" : "Pause");
   draw("strips");
 });
+byId("acknowledge").addEventListener("click", () => {
+  if (page.vehicle !== null) fetch(`/acknowledge?vehicle=${page.vehicle}`, {method: "POST"});
+});
 byId("only-alerts").addEventListener("change", () => draw("filter"));
 byId("all-vehicles").addEventListener("change", () => draw("filter"));
+byId("every-monitor").addEventListener("change", () => draw("filter"));
 window.addEventListener("resize", () => draw("strips"));
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw("strips"));
 connect();

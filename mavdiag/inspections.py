@@ -1,0 +1,166 @@
+"""Open inspections (edge): what a detector declared and nobody has acknowledged, kept over restarts beside its journal.
+
+    JOURNAL.open     all of them, JSON; the detector alone writes it
+    JOURNAL.ack-N    who acknowledges that of vehicle N; `mavdiag ack` writes it, the detector takes it
+
+Each file is written atomically, and there is at most one inspection and one acknowledgement for each of 255 vehicles.
+An inspection is the vehicle's, whatever baseline it is judged by later; only a newer set of propellers closes it.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
+from mavdiag.decision.diagnosis import RotorSpan
+from mavdiag.decision.words import motors_words
+from mavdiag.errors import InputError, UsageError
+from mavdiag.monitors.base import FaultKind
+from mavdiag.storage import read_text, write_atomically
+
+OPEN_BYTES = 1 << 20
+WHOSE_BYTES = 200  # of a name, at most
+VEHICLES = range(1, 256)
+
+
+class Inspection(BaseModel):
+    """One of them.
+
+    vehicle: system id. declared: when it was written first, ISO 8601 UTC.
+    rotors: that were named, in order. rotor: the latest, None if it is not known.
+    baseline, propellers: digest of what the vehicle was judged by, and the number of its propeller set.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    vehicle: Annotated[int, Field(ge=VEHICLES.start, lt=VEHICLES.stop)]
+    declared: str
+    kind: FaultKind
+    rotors: Annotated[tuple[int, ...], Field(max_length=64)]
+    rotor: int | None
+    baseline: str
+    propellers: int
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What a session begins with; the times of its rotors are of a clock that is gone."""
+        spans = tuple(RotorSpan(rotor, 0, 0) for rotor in self.rotors)
+        why = f"a fault was declared before this start, at {self.declared}"
+        return Diagnosis(Stage.INSPECT, why, rotor=self.rotor, kind=self.kind, rotors=spans)
+
+    def __str__(self) -> str:
+        """One line for a person."""
+        return f"vehicle {self.vehicle}: {motors_words(self.diagnosis)} ({self.kind}, declared at {self.declared})"
+
+
+class _File(BaseModel):
+    """What JOURNAL.open holds."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    inspections: Annotated[tuple[Inspection, ...], Field(max_length=len(VEHICLES))] = ()
+
+
+def read_open(journal: Path) -> dict[int, Inspection]:
+    """The open inspections beside a journal, by system id. Raises InputError if the file is damaged."""
+    path = _beside(journal, "open")
+    if not path.exists():
+        return {}
+    try:
+        found = _File.model_validate_json(read_text(path, OPEN_BYTES))
+    except ValidationError as error:
+        raise InputError(f"{path}: no list of open inspections; look at the vehicles and remove the file") from error
+    return {one.vehicle: one for one in found.inspections}
+
+
+def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
+    """Acknowledge an inspection for the detector to take up; return which. vehicle: None for the only one.
+
+    Raises UsageError if none is open, or several are and none was named.
+    """
+    found = read_open(journal)
+    if vehicle is None and len(found) > 1:
+        listed = "; ".join(str(one) for one in found.values())
+        raise UsageError(f"{journal}: several inspections are open, choose one with --vehicle: {listed}")
+    one = found.get(next(iter(found), 0) if vehicle is None else vehicle)
+    if one is None:
+        whom = "" if vehicle is None else f" of vehicle {vehicle}"
+        raise UsageError(f"{journal}: no inspection{whom} is open")
+    write_atomically(_beside(journal, f"ack-{one.vehicle}"), f"{whose[:WHOSE_BYTES]}\n")
+    return one
+
+
+class Inspections:
+    """Those of one detector. journal: they are kept beside it; None keeps none. warn: takes a line about trouble.
+
+    Raises InputError if the file is damaged.
+    """
+
+    def __init__(self, journal: Path | None, warn: Callable[[str], None]) -> None:
+        self._journal, self._warn = journal, warn
+        self._open = {} if journal is None else read_open(journal)
+
+    def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
+        """What is known of a vehicle from before. propellers: number of its present set, None if it is not known."""
+        one = self._open.get(vehicle)
+        if one is not None and propellers is not None and propellers > one.propellers:
+            self.close(vehicle)
+        return self._open[vehicle].diagnosis if vehicle in self._open else NOTHING_SEEN
+
+    def take(self, vehicle: int, change: Change, baseline: str, propellers: int, utc: str) -> None:
+        """Keep what a change of a vehicle's decision says. utc: now."""
+        if change.stage not in (Stage.FAULT, Stage.INSPECT):
+            return self.close(vehicle)
+        old = self._open.get(vehicle)
+        rotors = tuple(dict.fromkeys(span.rotor for span in change.rotors))
+        kind, declared = change.kind or FaultKind.PROPELLER, utc if old is None else old.declared
+        rotor = change.rotor or (rotors[-1] if rotors else None)
+        new = Inspection(
+            vehicle=vehicle,
+            declared=declared,
+            kind=kind,
+            rotors=rotors,
+            rotor=rotor,
+            baseline=baseline,
+            propellers=propellers,
+        )
+        if new != old:
+            self._open[vehicle] = new
+            self._write()
+        return None
+
+    def close(self, vehicle: int) -> None:
+        """It is acknowledged, or over."""
+        if self._open.pop(vehicle, None) is not None:
+            self._write()
+
+    def acknowledged(self) -> list[tuple[int, str]]:
+        """The vehicles whose inspection somebody acknowledged since the last call, and who it was."""
+        if self._journal is None:
+            return []
+        found = []
+        for vehicle in list(self._open):
+            path = _beside(self._journal, f"ack-{vehicle}")
+            if path.exists():
+                try:
+                    found.append((vehicle, read_text(path, WHOSE_BYTES * 4 + 1).strip() or "somebody"))
+                    path.unlink(missing_ok=True)
+                except (InputError, OSError) as error:
+                    self._warn(f"{path}: cannot be taken up ({error})")
+        return found
+
+    def _write(self) -> None:
+        """A disk that is full or read-only must not stop the watch."""
+        if self._journal is None:
+            return
+        content = _File(inspections=tuple(self._open.values()))
+        try:
+            write_atomically(_beside(self._journal, "open"), content.model_dump_json(indent=1) + "\n")
+        except UsageError as error:
+            self._warn(f"open inspections are not kept: {error}")
+
+
+def _beside(journal: Path, what: str) -> Path:
+    return journal.with_name(f"{journal.name}.{what}")

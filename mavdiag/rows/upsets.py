@@ -1,0 +1,131 @@
+"""Falls and crashes: a flight that ends in an upset, or has one in its middle.
+
+Learning refuses such a flight, and judging calls it a loss of control, both by these signs and in these words. The
+signs are means over 0.4 s, while the vehicle counts as flying: free fall (hardly any specific force), thrust or
+ground above the vehicle (specific force towards its belly), an attitude far from the commanded one or upside down, and
+tumbling. A landing shows none of them: its spikes of 8 to 11 rad/s last some tens of milliseconds (METHOD section 5).
+A flight that flies flips on purpose has the same signs, for a baseline of it would say that flips are healthy.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavdiag.rows.block import Block
+from mavdiag.rows.windows import spans, window_mean
+from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.units import NS_PER_S, G
+
+__all__ = ["Upset", "motion_of", "upset_in"]
+
+SIGN_S = 0.4  # of the means (our choice)
+BIN_S = 0.1  # steps of these means, where rows come at 20 Hz or more (our choice)
+FALL_G = 0.3  # a vehicle that descends on purpose keeps more than half (our choice)
+UPSIDE_DOWN_G = 0.3  # towards the belly (our choice)
+TILT_RAD = math.radians(90.0)  # from the vertical (our choice)
+ERROR_RAD = math.radians(60.0)  # from the commanded attitude (our choice)
+TUMBLE_RAD_S = 5.0  # roll and pitch rates together (our choice)
+TUMBLE_RATIO = 5.0  # and against the rate that the flight stays below for three quarters of its time
+USUAL_SHARE = 0.75
+MARGIN_S = 2.0  # of the flight before the first sign and after the last that belong to the upset (our choice)
+REST_S = 10.0  # less flight than this after it is left out with it (our choice)
+
+
+@dataclass(frozen=True, slots=True)
+class Upset:
+    """From the first sign to the last.
+
+    begin_s, end_s: of the vehicle's clock. ends: the flight ends in it. text: what was seen, a sentence.
+    """
+
+    begin_s: float
+    end_s: float
+    ends: bool
+    text: str
+
+
+def motion_of(block: Block) -> FloatArray:
+    """What the signs are made of, (bins, 9), for `upset_in`: a few numbers for each 0.1 s of any rows.
+
+    Segment, number of the bin, its length [s], its rows; the sums of turning rate [rad/s], size and z of the specific
+    force [g], tilt and attitude error [rad].
+    """
+    bin_s = BIN_S if block.dt_s <= 0.5 * BIN_S else SIGN_S
+    number = block.t_ns // round(bin_s * NS_PER_S)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    known = np.isfinite(block.force[:, 2])  # a vehicle that sends the z axis alone has that
+    columns = np.stack(
+        (
+            np.hypot(block.rate[:, 0], block.rate[:, 1]),
+            np.where(known, np.sqrt(np.nansum(np.square(block.force), axis=1)), np.nan) / G,
+            block.force[:, 2] / G,
+            *_attitude(block),
+        )
+    )
+    out = np.empty((len(starts), 9))
+    out[:, 0], out[:, 1], out[:, 2] = block.segment, number[starts], bin_s
+    out[:, 3] = np.diff(starts, append=len(block))
+    out[:, 4:] = np.add.reduceat(columns, starts, axis=1).T
+    return out
+
+
+def upset_in(motions: Iterable[FloatArray]) -> Upset | None:
+    """The upset of a flight from its motion, in order of time; None if it has none."""
+    parts = list(motions)
+    motion = np.concatenate(parts) if parts else np.empty((0, 9))
+    if not len(motion):
+        return None
+    starts = np.flatnonzero(np.any(np.diff(motion[:, :2], axis=0, prepend=-1.0) != 0, axis=1))
+    sums = np.add.reduceat(motion[:, 3:], starts, axis=0)
+    bin_s, number = motion[starts, 2], motion[starts, 1]
+    means = sums[:, 1:] / sums[:, :1]
+    unbroken = (np.diff(motion[starts, 0]) == 0) & (np.diff(number) == 1)
+    edges = [0, *(np.flatnonzero(~unbroken) + 1).tolist(), len(starts)]
+    pieces = [(float(bin_s[a]), number[a:b] * bin_s[a], means[a:b]) for a, b in itertools.pairwise(edges)]
+    windows = [(size, t_s, window_mean(values, round(SIGN_S / size))) for size, t_s, values in pieces]
+    turning = np.concatenate([values[:, 0] for _, _, values in windows])
+    turning = turning[np.isfinite(turning)]
+    usual = float(np.quantile(turning, USUAL_SHARE)) if len(turning) else 0.0
+    signs = sorted(sign for _, t_s, values in windows for sign in _signs(t_s, values, usual))
+    if not signs:
+        return None
+    begin_s, end_s = signs[0][0], max(stop for _, stop, _ in signs)
+    ends = float((number * bin_s)[-1]) < end_s + MARGIN_S + REST_S
+    what = "ends in an upset" if ends else "has an upset in it"
+    return Upset(begin_s, end_s, ends, f"the flight {what}, at {begin_s:.1f} s: {signs[0][2]}")
+
+
+def _signs(t_s: FloatArray, values: FloatArray, usual: float) -> Iterator[tuple[float, float, str]]:
+    """Start, end [s] and words of each sign. t_s: (n,) of bins. values: (m, 5) of the windows that begin with them."""
+    turn, size, down, tilt, error = values.T
+    yield from _spells(t_s, turn > max(TUMBLE_RAD_S, TUMBLE_RATIO * usual), turn, "it turns at {:.1f} rad/s")
+    yield from _spells(t_s, size < FALL_G, -size, "free fall, specific force {:.2f} g")
+    yield from _spells(t_s, down > UPSIDE_DOWN_G, down, "upside down, specific force {:.1f} g towards the belly")
+    yield from _spells(t_s, tilt > TILT_RAD, np.degrees(tilt), "tilted by {:.0f} deg")
+    yield from _spells(t_s, error > ERROR_RAD, np.degrees(error), "attitude {:.0f} deg from its set-point")
+
+
+def _attitude(block: Block) -> tuple[FloatArray, FloatArray]:
+    """(n,) tilt and (n,) angle between commanded and estimated direction of thrust [rad]; nan where unknown."""
+    if not np.isfinite(block.attitude[:, 0]).any():
+        return np.full(len(block), np.nan), np.full(len(block), np.nan)
+    thrust = _thrust(block.attitude)
+    wanted = _thrust(block.setpoint)
+    dot = np.clip((wanted * thrust).sum(axis=0), -1.0, 1.0)
+    error = np.where(block.setpoint_valid, np.arccos(dot), np.nan)
+    return np.arccos(np.clip(thrust[2], -1.0, 1.0)), error
+
+
+def _thrust(angle: FloatArray) -> FloatArray:
+    """Where the thrust points, (3, n), of roll and pitch; the heading does not matter."""
+    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(angle[:, :2].T), np.cos(angle[:, :2].T)
+    return np.stack((sin_pitch * cos_roll, -sin_roll, cos_pitch * cos_roll))
+
+
+def _spells(t_s: FloatArray, sign: BoolArray, value: FloatArray, text: str) -> Iterator[tuple[float, float, str]]:
+    """Each spell of a sign over windows, with the size of its greatest value."""
+    for first, stop in spans(np.asarray(sign, dtype=np.bool_)):
+        yield float(t_s[first]), float(t_s[stop - 1]) + SIGN_S, text.format(abs(float(value[first:stop].max())))

@@ -1,0 +1,188 @@
+"""Values are hostile too: glitches, frozen, zero and dead signals, jitter and resolution, through `md.judge`."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from flying_telemetry import DT_NS, flying
+from made_baselines import logged, whole
+from made_telemetry import cut
+from recorded_flights import part, taught
+from shared_data import shared
+
+import mavdiag as md
+from mavdiag.judging import LogVerdict
+from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
+
+N, AT = 3000, 1600
+SINCE_NS = AT * DT_NS
+Change = Callable[[IntArray, FloatArray], tuple[IntArray, FloatArray] | None]
+USED = {
+    Signal.BODY_RATE: "innovation",
+    Signal.SPECIFIC_FORCE: "sensor_noise",
+    Signal.ATTITUDE_SETPOINT: "innovation",
+    Signal.ATTITUDE: "sensor_drift",
+    Signal.ACTUATOR: "rotor_trim",
+    Signal.VIBRATION: "vibration_level",
+}
+
+
+@cache
+def calm() -> Log:
+    return logged(flying(N, seed=7))
+
+
+def changed(log: Log, signal: Signal, change: Change) -> Log:
+    """The log with other samples of a signal, which came when they did."""
+    series = []
+    for one in log.telemetry:
+        if one.signal is signal:
+            t_ns, values = one.t_ns.copy(), one.values.copy()
+            t_ns, values = change(t_ns, values) or (t_ns, values)
+            one = Series(signal, t_ns, one.host_ns[: len(t_ns)], values)
+        series.append(one)
+    return replace(log, telemetry=Telemetry(tuple(series)))
+
+
+def judged(log: Log) -> LogVerdict:
+    return md.judge(log, whole())
+
+
+def judged_s(verdict: LogVerdict, monitor: str) -> float:
+    return next(one.judged_s for one in verdict.monitors if one.name == monitor)
+
+
+def highest(verdict: LogVerdict) -> dict[str, float]:
+    return {one.name: (one.maximum or 0.0) / one.threshold for one in verdict.monitors}
+
+
+def struck(signal: Signal, value: float, samples: int, column: int = 0, *, add: bool = False) -> Log:
+    def strike(t_ns: IntArray, values: FloatArray) -> None:
+        at = len(values) // 2
+        values[at : at + samples, column] = value + (values[at, column] if add else 0.0)
+
+    return changed(calm(), signal, strike)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [
+        *((Signal.BODY_RATE, one) for one in (0.06, 2.0, 35.0, 1e30)),
+        *((Signal.SPECIFIC_FORCE, one) for one in (15.0, 160.0)),
+        *((Signal.ACTUATOR, one) for one in (0.0, 1.0)),
+        (Signal.ATTITUDE, 3.0),
+        (Signal.ATTITUDE_SETPOINT, -2.0),
+        (Signal.VIBRATION, 1e4),
+    ],
+)
+def test_a_glitch_is_no_fault_and_no_suspicion(signal: Signal, value: float, samples: int) -> None:
+    plain, found = judged(calm()), judged(struck(signal, value, samples, add=signal is Signal.BODY_RATE))
+    assert [str(one.stage) for one in found.changes] == [str(one.stage) for one in plain.changes]
+    for name, share in highest(found).items():
+        assert share < max(highest(plain)[name] + 0.35, 0.8), name
+
+
+@pytest.mark.parametrize("shift_s", [-3600.0, -0.5, -0.03, 0.03, 0.5, 3600.0])
+def test_a_wrong_stamp_ends_no_flight(shift_s: float) -> None:
+    def misdate(t_ns: IntArray, values: FloatArray) -> None:
+        t_ns[AT] += round(shift_s * 1e9)
+
+    plain, found = judged(calm()), judged(changed(calm(), Signal.BODY_RATE, misdate))
+    assert found.verdict == plain.verdict
+    assert judged_s(found, "innovation") > 0.9 * judged_s(plain, "innovation")
+
+
+@pytest.mark.parametrize("how", ["frozen", "zero", "dead"])
+@pytest.mark.parametrize("signal", USED)
+def test_a_lost_signal_is_not_judged_and_told(signal: Signal, how: str) -> None:
+    def spoil(t_ns: IntArray, values: FloatArray) -> tuple[IntArray, FloatArray]:
+        late = t_ns > t_ns[0] + SINCE_NS
+        if how == "dead":
+            return t_ns[~late], values[~late]
+        values[late] = 0.0 if how == "zero" else values[late.argmax()]
+        return t_ns, values
+
+    found = judged(changed(calm(), signal, spoil))
+    assert not [one for one in found.changes if str(one.stage) == "fault"]
+    assert judged_s(found, USED[signal]) < judged_s(judged(calm()), USED[signal]) - 12.5  # of 14 s, 1 s and a tick less
+    if signal is not Signal.BODY_RATE:
+        told = next(one.not_judged for one in found.monitors if one.name == USED[signal])
+        assert told == f"no {signal.replace('_', ' ')}"
+    elif how != "dead":
+        assert {one.not_judged for one in found.monitors if one.name in USED.values()} == {"gyro repeats one value"}
+
+
+def test_one_dead_axis_of_the_gyro_is_told() -> None:
+    def stop(t_ns: IntArray, values: FloatArray) -> None:
+        values[AT:, 1] = values[AT, 1]
+
+    found = judged(changed(calm(), Signal.BODY_RATE, stop))
+    assert not [one for one in found.changes if str(one.stage) == "fault"]
+    assert next(one.not_judged for one in found.monitors if one.name == "innovation") == "gyro repeats one value"
+
+
+def test_stamps_that_jitter_are_not_judged() -> None:
+    def jitter(t_ns: IntArray, values: FloatArray) -> tuple[IntArray, FloatArray]:
+        shifts = np.random.default_rng(3).normal(0, 0.2 * DT_NS, len(t_ns))
+        return np.sort(t_ns + np.round(shifts).astype(np.int64)), values
+
+    found = judged(changed(calm(), Signal.BODY_RATE, jitter))
+    assert "time stamps" in {one.not_judged for one in found.monitors} or "link" in found.reason
+    assert judged_s(found, "innovation") < 1.0 if found.monitors else True
+
+
+def test_a_coarse_gyro_is_not_judged() -> None:
+    coarse = changed(calm(), Signal.BODY_RATE, lambda t_ns, values: (t_ns, 0.02 * np.round(values / 0.02)))
+    found = judged(coarse)
+    assert next(one.not_judged for one in found.monitors if one.name == "innovation") == "gyro resolution"
+    assert judged_s(found, "innovation") < 2.5
+
+
+def test_a_bias_of_a_gyro_that_warms_up_is_no_fault() -> None:
+    def warm(t_ns: IntArray, values: FloatArray) -> None:
+        values[AT // 2 :, 0] += 0.01
+
+    found = judged(changed(calm(), Signal.BODY_RATE, warm))
+    assert found.kind is None
+
+
+def test_a_rotor_that_breaks_is_found_as_before() -> None:
+    found = judged(logged(flying(N, seed=8, weak_rotor=2, rise=0.08)))
+    assert highest(found)["rotor_trim"] > 1.0, found.reason
+
+
+def test_the_same_samples_are_believed_live_and_in_a_log() -> None:
+    rng = np.random.default_rng(5)
+    log = calm()
+    for signal in (Signal.BODY_RATE, Signal.SPECIFIC_FORCE, Signal.ATTITUDE_SETPOINT):
+
+        def strike(t_ns: IntArray, values: FloatArray) -> None:
+            for at in rng.integers(0, len(values) - 3, 20).tolist():
+                values[at : at + rng.integers(1, 5), rng.integers(3)] = 30.0
+            t_ns[rng.integers(0, len(t_ns), 5)] += 700_000_000
+
+        log = changed(log, signal, strike)
+    edges = np.sort(rng.integers(1_000_000_000, 31_000_000_000, 60)).tolist()
+    watch, alone = md.Watch(whole()), md.Watch(whole())
+    live = [str(one) for piece in cut(log.telemetry, edges) for one in watch.step(piece)]
+    assert sorted(live) == sorted(str(one) for one in alone.step(log.telemetry))
+    assert watch.diagnosis.stage == alone.diagnosis.stage
+
+
+@pytest.mark.parametrize("signal", [Signal.ATTITUDE_SETPOINT, Signal.BODY_RATE, Signal.ACTUATOR])
+def test_a_recorded_arducopter_with_a_frozen_signal_has_no_propeller_fault(signal: Signal) -> None:
+    log = md.read_log(shared("data/arducopter_sitl/healthy_jsonplant2_sq1.tlog"))
+    times = log.telemetry[Signal.BODY_RATE].t_ns
+    middle_ns, since_ns = (int(times[0] + share * (times[-1] - times[0])) for share in (0.5, 0.75))
+    baseline = taught([part(log, None, middle_ns / 1e9)])
+
+    def freeze(t_ns: IntArray, values: FloatArray) -> None:
+        late = t_ns > since_ns
+        values[late] = values[late.argmax()]
+
+    found = md.judge(changed(part(log, middle_ns / 1e9, None), signal, freeze), baseline)
+    assert not [one for one in found.changes if str(one.stage) == "fault"]
+    assert any(one.not_judged for one in found.monitors)

@@ -1,0 +1,199 @@
+"""Only multirotors are judged: what a boat, a plane or a helicopter is answered, in every kind of log and on a link."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_baselines import whole
+from made_logs import DataFlashMessage, ULogTopic, dataflash, ulog, ulog_message
+from typer.testing import CliRunner
+
+import mavdiag as md
+from mavdiag.airframe.vehicle_type import MULTIROTORS, refusal
+from mavdiag.cli import app, main
+from mavdiag.errors import InputError
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import MessageId
+from mavdiag.link.vehicles import LinkDecoder
+from mavdiag.logs.tlog import tlog_record, vehicle_stream
+
+RUN = CliRunner()
+BOAT = "a boat (MAV_TYPE 11): mavdiag judges multirotors only"
+START_US = 1_763_000_000_000_000
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+MSG = DataFlashMessage(33, "MSG", "QZ", "TimeUS,Message")
+PARM = DataFlashMessage(32, "PARM", "QNf", "TimeUS,Name,Value")
+IMU = DataFlashMessage(163, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+SENSORS = ULogTopic(1, "sensor_combined", (("uint64_t", "timestamp"), ("float[3]", "gyro_rad")))
+STATE_FIELDS = (("uint64_t", "timestamp"), ("uint8_t", "arming_state"), ("uint8_t", "system_type"))
+STATUS = ULogTopic(7, "vehicle_status", STATE_FIELDS)
+
+
+def stream(kind: int, sysid: int = 1, n: int = 300) -> list[tuple[int, bytes]]:
+    """Frames of a vehicle of this MAV_TYPE at 100 Hz, a heartbeat a second, with their times since the start [us]."""
+    encoder, found = Encoder(sysid, 1), []
+    for k in range(n):
+        data = encoder.encode(MessageId.HEARTBEAT, kind, 3, 128, 0, 4, 3) if k % 100 == 0 else b""
+        target = (5_000 + 10 * k, 0, LEVEL, 0, 0, 0, 0.5)
+        for frame in (
+            data,
+            encoder.encode(MessageId.ATTITUDE_TARGET, *target),
+            encoder.encode(MessageId.RAW_IMU, 5_000_000 + 10_000 * k, 0, 0, -1000, 1, 2, 3),
+        ):
+            found += [(10_000 * k, frame)] if frame else []
+    return found
+
+
+def tlog(path: Path, *streams: list[tuple[int, bytes]]) -> Path:
+    frames = sorted((one for some in streams for one in some), key=lambda one: one[0])
+    path.write_bytes(b"".join(tlog_record(START_US + t_us, frame) for t_us, frame in frames))
+    return path
+
+
+@given(st.integers(0, 255))
+def test_a_kind_of_vehicle_passes_or_is_named_with_its_number(kind: int) -> None:
+    said = refusal(kind)
+    assert (said == "") == (kind in MULTIROTORS)
+    assert not said or said.endswith(f"(MAV_TYPE {kind}): mavdiag judges multirotors only")
+
+
+@pytest.mark.parametrize("kind", [0, 2, 3, 13, 14, 15, 29, 35, 43])
+def test_a_multirotor_passes(kind: int, tmp_path: Path) -> None:
+    assert md.read_log(tlog(tmp_path / "a.tlog", stream(kind))).mav_type == kind
+
+
+@pytest.mark.parametrize("kind", [1, 4, 5, 10, 11, 12, 19, 20, 21, 22, 25])
+def test_any_other_vehicle_of_a_telemetry_log_is_refused(kind: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"a\.tlog: .*\(MAV_TYPE {kind}\): mavdiag judges multirotors only"):
+        md.read_log(tlog(tmp_path / "a.tlog", stream(kind)))
+
+
+@pytest.mark.parametrize("command", [["look"], ["identify", "-o", "out.json"], ["inspect"]])
+def test_every_command_says_so_in_one_line(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["mavdiag", *command, str(tlog(tmp_path / "boat.tlog", stream(11)))])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    shown = capsys.readouterr()
+    [told] = (shown.out + shown.err).splitlines()
+    assert BOAT in told
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_a_multirotor_beside_a_boat_is_read_and_the_boat_is_told(tmp_path: Path) -> None:
+    path = tlog(tmp_path / "both.tlog", stream(11, sysid=1), stream(2, sysid=7))
+    log = md.read_log(path)
+    assert log.notes == (f"vehicle 1 is left out: {BOAT}",)
+    assert [one.vehicle for one in vehicle_stream(path)] == [7]
+    with pytest.raises(InputError, match=r"MAV_TYPE 11"):
+        md.read_log(path, vehicle=1)
+
+
+def test_one_wrong_heartbeat_among_many_is_outvoted(tmp_path: Path) -> None:
+    wrong = [(5, Encoder(1, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3))]
+    assert md.read_log(tlog(tmp_path / "a.tlog", wrong, stream(2))).mav_type == 2
+
+
+@pytest.mark.parametrize(
+    ("texts", "parameters", "kind"),
+    [
+        (["ArduCopter V4.5.6 (bbf0b066)"], {"FRAME_CLASS": 1.0}, 2),
+        (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 4.0}, 14),
+        (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 5.0}, 13),
+        (["ArduCopter V4.3.6 (0c5e999c)"], {}, None),
+        (["APM:Copter V3.3-dev (ae3192b8)", "PX4: 6013 NuttX: 1e53", "Frame: QUAD"], {"FRAME": 1.0}, 2),
+        (["APM:Copter V3.4.6 (1)", "Frame: Y6"], {"FRAME": 10.0}, 13),
+        ([], {"FRAME_CLASS": 2.0}, None),
+        (["Rover is a word"], {}, None),
+    ],
+)
+def test_a_dataflash_log_tells_it_by_firmware_and_frame(
+    texts: list[str], parameters: dict[str, float], kind: int | None, tmp_path: Path
+) -> None:
+    assert md.read_log(binary(tmp_path, texts, parameters)).mav_type == kind
+
+
+@pytest.mark.parametrize(
+    ("text", "parameters", "name"),
+    [
+        ("ArduRover V4.2.3 (3fc3011a)", {"FRAME_CLASS": 2.0}, "a boat (MAV_TYPE 11)"),
+        ("APM:Rover V3.1.0 (1)", {}, "a rover (MAV_TYPE 10)"),
+        ("APMrover2 V2.51 (1)", {}, "a rover (MAV_TYPE 10)"),
+        ("ArduPlane V4.5.1 (1)", {"Q_ENABLE": 1.0}, "a plane (MAV_TYPE 1)"),
+        ("ArduSub V4.1.0 (1)", {"FRAME_CONFIG": 1.0}, "a submarine (MAV_TYPE 12)"),
+        ("AntennaTracker V1.1.0 (1)", {}, "an antenna tracker (MAV_TYPE 5)"),
+        ("ArduCopter V4.4.0 (1)", {"FRAME_CLASS": 6.0}, "a helicopter (MAV_TYPE 4)"),
+    ],
+)
+def test_a_dataflash_log_of_another_vehicle_is_refused(
+    text: str, parameters: dict[str, float], name: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError) as caught:
+        md.read_log(binary(tmp_path, [text], parameters))
+    assert str(caught.value).endswith(f"{name}: mavdiag judges multirotors only")
+
+
+def binary(folder: Path, texts: list[str], parameters: dict[str, float]) -> Path:
+    records = [PARM.record(1, name.encode(), value) for name, value in parameters.items()]
+    records += [MSG.record(2, text.encode()) for text in texts]
+    records += [IMU.record(3 + k, 0, 0, 0, 0, 0, 0, -9.8) for k in range(30)]
+    path = folder / "log.bin"
+    path.write_bytes(dataflash([PARM, MSG, IMU], records))
+    return path
+
+
+@pytest.mark.parametrize(("types", "name"), [([2, 2], ""), ([10, 10], "a rover"), ([22], "a VTOL"), ([2, 2, 1], "")])
+def test_a_ulog_tells_it_by_the_vehicle_s_state(types: list[int], name: str, tmp_path: Path) -> None:
+    records = [STATUS.record(10 + k, 2, kind) for k, kind in enumerate(types)]
+    path = tmp_path / "log.ulg"
+    path.write_bytes(ulog([SENSORS, STATUS], [*records, SENSORS.record(9, 0, 0, 0)]))
+    if not name:
+        assert md.read_log(path).mav_type == 2
+        return
+    with pytest.raises(InputError, match=rf"{name} \(MAV_TYPE"):
+        md.read_log(path)
+
+
+def test_a_ulog_tells_it_by_its_parameter_too(tmp_path: Path) -> None:
+    parameter = ulog_message("P", bytes([len("int32_t MAV_TYPE")]) + b"int32_t MAV_TYPE" + (12).to_bytes(4, "little"))
+    path = tmp_path / "log.ulg"
+    path.write_bytes(ulog([SENSORS], [parameter, SENSORS.record(9, 0, 0, 0)]))
+    with pytest.raises(InputError, match="a submarine"):
+        md.read_log(path)
+
+
+@pytest.mark.parametrize("careful", [False, True])
+def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
+    decoder = LinkDecoder(careful=careful)
+    for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
+        decoder.feed([(frame, 1_000 * t_us)], 1_000 * t_us)
+    assert list(decoder.vehicles) == [7]
+    assert decoder.waiting == {1: BOAT}
+
+
+def test_a_vehicle_that_turns_out_to_be_a_multirotor_enters() -> None:
+    """A made-up or damaged heartbeat keeps no vehicle out."""
+    decoder = LinkDecoder(careful=True)
+    decoder.feed([(Encoder(1, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3), 0)], 0)
+    for t_us, frame in stream(2, n=600):
+        decoder.feed([(frame, 1_000 * t_us + 1_000_000)], 1_000 * t_us + 1_000_000)
+    assert list(decoder.vehicles) == [1]
+    assert decoder.waiting == {}
+
+
+def test_a_scan_of_a_folder_goes_on_behind_a_boat(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    tlog(tmp_path / "logs" / "a.tlog", stream(11))
+    tlog(tmp_path / "logs" / "b.tlog", stream(2))
+    whole().save(tmp_path / "baseline.json")
+    command = ["scan", str(tmp_path / "logs"), "--baseline", str(tmp_path / "baseline.json"), "--json"]
+    found = [json.loads(line) for line in RUN.invoke(app, command).stdout.splitlines() if line.startswith("{")]
+    assert BOAT in found[0]["reason"]
+    assert found[0]["verdict"] == "error"
+    assert found[1]["verdict"] == "not_judgeable"
