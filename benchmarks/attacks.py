@@ -8,13 +8,18 @@ numbers, through a relay between both; or (`tcpin`) as further clients of the da
 time that the daemon judged, of the time flown, and `share` is that of what the row "nothing" of its link has: the first
 seconds always go to watching and measuring the new vehicle. At least 0.9 is demanded. `told` says whether the daemon
 says, in its log or its summary, that frames or connections were refused. `ended` is the time from SIGTERM, sent while
-the attack goes on, to the end of the process; 10 s are allowed. Seed 8; everything ends by itself.
+the attack goes on, to the end of the process; 10 s are allowed. Seed 8.
+
+A row takes its --seconds and the start of three processes; one that is not done `SPARE_S` later has its processes
+killed and is printed as NOT DONE. `--only` runs these rows and "nothing" of their links.
 """
 
 import argparse
 import contextlib
+import fcntl
 import itertools
 import json
+import os
 import re
 import select
 import signal
@@ -25,7 +30,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +47,7 @@ from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.signing import STALE, Signing, stamp_at
 from mavdiag.logs.tlog import read_tlog
 
+SPARE_S = 40.0  # for the start of the processes and the end of the daemon
 START_S = 4.0  # from the vehicle's first message to the attacker's
 FLOOD = 300_000
 HEARTBEAT = (2, 3, 128, 0, 4, 3)
@@ -60,6 +66,8 @@ class Attack:
     copied: genuine frames are sent from another port first, and delivered 30 ms later.
     clients: bytes that so many clients of a TCP server send, over and over; empty to stay idle.
     early: a made-up vehicle enters before the genuine one.
+    options: of the daemon, from a folder of the row's own and a free port.
+    work: done from the attack's begin until `stop`, with that folder and port; returns what was heard.
     """
 
     name: str
@@ -71,6 +79,8 @@ class Attack:
     copied: bool = False
     clients: tuple[int, bytes] | None = None
     early: bool = False
+    options: Callable[[Path, int], list[str]] = lambda folder, port: []
+    work: Callable[[Path, int, threading.Event], str] | None = None
 
     @property
     def link(self) -> str:
@@ -226,6 +236,39 @@ def garbage(log: Path, key: Path) -> Iterator[bytes]:
     return itertools.repeat(b"GET / HTTP/1.1\r\n\r\n" * 2)
 
 
+def second_daemon(folder: Path, port: int, stop: threading.Event) -> str:
+    """A daemon that is told to write the same journal; what it says."""
+    command = [sys.executable, "-m", "detector", "--connect", "udpin:127.0.0.1:0", "--learn", "30"]
+    found = subprocess.run([*command, "--journal", str(folder / "j.jsonl")], capture_output=True, text=True, timeout=30)
+    return f"second daemon: exit code {found.returncode}, {found.stderr.strip()}"
+
+
+def unread_pipe(folder: Path, port: int) -> list[str]:
+    """A recording to a pipe of 4 KiB; it has a reader, who reads nothing."""
+    pipe = folder / "pipe.tlog"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)  # until the benchmark ends
+    fcntl.fcntl(reader, fcntl.F_SETPIPE_SZ, 4096)
+    return ["--record", str(pipe)]
+
+
+def metrics_flood(folder: Path, port: int, stop: threading.Event) -> str:
+    """Requests for the figures one after the other, beside 40 connections that begin one and never end it."""
+    idle, answers = list[socket.socket](), 0
+    while not stop.is_set():
+        with contextlib.suppress(OSError):
+            if len(idle) < 40:
+                idle.append(socket.create_connection(("127.0.0.1", port), 1.0))
+                idle[-1].sendall(b"GET /metrics HTTP/1.1\r\n")
+            with socket.create_connection(("127.0.0.1", port), 1.0) as link:
+                link.sendall(b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n")
+                while part := link.recv(65_536):
+                    answers += part.startswith(b"HTTP/1.")
+    for one in idle:
+        one.close()
+    return f"{answers} requests answered"
+
+
 ELSEWHERE, LEAPS, CLASHES = "sends in the name of vehicle 1", "whose stamps leap", "with the number of another frame"
 ATTACKS = (
     Attack("nothing"),
@@ -262,6 +305,19 @@ ATTACKS = (
         told="connections were turned away",
     ),
     Attack("G2 tcpin: 15 clients, markers", clients=(15, b"\xfd" * (1 << 16)), told="connections were turned away"),
+    Attack(
+        "J a second daemon on one journal",
+        options=lambda folder, port: ["--journal", str(folder / "j.jsonl")],
+        work=second_daemon,
+        told="exit code 2",
+    ),
+    Attack("J a recording to an unread pipe", options=unread_pipe, told="entries lost to the"),
+    Attack(
+        "M flood of requests for the figures",
+        options=lambda folder, port: ["--metrics", f"127.0.0.1:{port}"],
+        work=metrics_flood,
+        told="requests answered",
+    ),
 )
 
 
@@ -365,60 +421,117 @@ def lone_vehicle(port: int, stop: threading.Event) -> None:
                 link.send(encoder.encode(MessageId.RAW_IMU, 10_000 * k, 0, 0, -1000, 1, 2, 3))
 
 
+def free_port() -> int:
+    """A port of loopback that nobody has."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@contextlib.contextmanager
+def process(*command: str, said: Path) -> Iterator[subprocess.Popen[str]]:
+    """A module of Python at work, killed at the end of the block. said: where its errors go."""
+    with said.open("w") as errors:
+        one = subprocess.Popen([sys.executable, "-m", *command], stdout=subprocess.PIPE, stderr=errors, text=True)
+    try:
+        yield one
+    finally:
+        one.kill()
+        one.wait()
+
+
+def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
+    """Kill them."""
+    for one in processes:
+        one.kill()
+
+
+def first_line(said: Path, limit_s: float) -> str:
+    """What a process said first. Raises TimeoutError if it says nothing."""
+    until = time.monotonic() + limit_s
+    while "\n" not in (text := said.read_text()):
+        if time.monotonic() > until:
+            raise TimeoutError("the daemon did not start")
+        time.sleep(0.05)
+    return text.splitlines()[0]
+
+
+class Attackers:
+    """The threads of a row. heard: what they heard; sent: how much each of them sent."""
+
+    def __init__(self, attack: Attack, port: int, files: tuple[Path, Path], work: tuple[Path, int]) -> None:
+        self.stop, self.sent, self.heard = threading.Event(), list[int](), list[str]()
+        self.between = Between(attack, port, self.stop) if attack.beside or attack.copied else None
+        stop, client = self.stop, attack.clients
+        if client is not None:
+            tasks = [lambda: self.sent.append(crowd(port, client[1], stop))] * client[0]
+        else:
+            tasks = [lambda: self.sent.append(send(attack.frames(*files), port, attack.rate_hz, stop))]
+        if (job := attack.work) is not None:
+            tasks.append(lambda: self.heard.append(job(*work, stop)))
+        self._later = [threading.Thread(target=one) for one in tasks]
+        self._begun: list[threading.Thread] = []
+        if attack.early and client is not None:
+            self.begin()
+        elif attack.early:
+            self._begun = [threading.Thread(target=lone_vehicle, args=(port, stop))]
+            self._begun[0].start()
+
+    def begin(self) -> None:
+        """All that have not begun."""
+        for one in self._later:
+            one.start()
+        self._begun, self._later = [*self._begun, *self._later], []
+
+    def end(self) -> None:
+        """Stop them all."""
+        self.stop.set()
+        for one in self._begun:
+            one.join()
+        if self.between is not None:
+            self.between.close()
+            self.sent.append(self.between.sent)
+            self.between = None
+
+
 def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: int, calm: dict[str, float]) -> str:
     """One row of the table. files: baseline, old flight, key. calm: share judged without attack, by link."""
     baseline, log, key = files
     signing = ["--signing-key", str(key)] if attack.signed else []
-    kind = "tcpin" if attack.clients else "udpin"
-    detector = subprocess.Popen(
-        [sys.executable, "-m", "detector", "--connect", f"{kind}:127.0.0.1:0", "--baseline", str(baseline), *signing],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert detector.stderr is not None
-    port = int(re.findall(r"\d+", detector.stderr.readline().split(",")[0])[-1])
-    stop, sent = threading.Event(), list[int]()
-    between = Between(attack, port, stop) if attack.beside or attack.copied else None
-    threads = []
-    if attack.clients:
-        many, content = attack.clients
-        threads = [threading.Thread(target=lambda: sent.append(crowd(port, content, stop))) for _ in range(many)]
-    else:
-        threads = [
-            threading.Thread(target=lambda: sent.append(send(attack.frames(log, key), port, attack.rate_hz, stop)))
-        ]
-    if attack.early:
-        threads += [] if attack.clients else [threading.Thread(target=lone_vehicle, args=(port, stop))]
-        for one in threads[-1:] if not attack.clients else threads:
-            one.start()
-        time.sleep(3.0)
-    out = f"tcp:127.0.0.1:{port}" if attack.clients else f"udpout:127.0.0.1:{between.port if between else port}"
-    plant = subprocess.Popen(
-        [sys.executable, "-m", "sitl_plant", "run", "--out", out, "--rate", str(rate), "--json", *signing],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert plant.stdout is not None
-    plant.stdout.readline()
-    time.sleep(START_S)
-    for one in threads:
-        if not one.ident:
-            one.start()
-    time.sleep(seconds - START_S)
-    told = time.monotonic()
-    detector.send_signal(signal.SIGTERM)
-    lines = detector.communicate(timeout=60.0)[1].splitlines()
-    ended_s = time.monotonic() - told
-    stop.set()
-    for one in threads:
-        one.join()
-    if between is not None:
-        between.close()
-        sent.append(between.sent)
-    plant.terminate()
-    flown_s = json.loads(plant.communicate()[0].splitlines()[-1])["flown_s"]
-    return row(attack, lines, sum(sent), flown_s - ended_s, ended_s, calm)
+    kind, figures_port = "tcpin" if attack.clients else "udpin", free_port()
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        options = ["--baseline", str(baseline), *signing, *attack.options(folder, figures_port)]
+        address = f"{kind}:127.0.0.1:0"
+        detector = stack.enter_context(process("detector", "--connect", address, *options, said=folder / "said"))
+        port = int(re.findall(r"\d+", first_line(folder / "said", SPARE_S).split(",")[0])[-1])
+        attackers = Attackers(attack, port, (log, key), (folder, figures_port))
+        stack.callback(attackers.end)
+        time.sleep(3.0 * attack.early)
+        near = attackers.between.port if attackers.between else port
+        out = f"tcp:127.0.0.1:{port}" if attack.clients else f"udpout:127.0.0.1:{near}"
+        command = ("sitl_plant", "run", "--out", out, "--rate", str(rate), "--json", *signing)
+        plant = stack.enter_context(process(*command, said=folder / "plant"))
+        bound = threading.Timer(seconds + SPARE_S, end_all, [(plant, detector)])
+        bound.start()
+        stack.callback(bound.cancel)
+        assert plant.stdout is not None
+        plant.stdout.readline()
+        time.sleep(START_S)
+        attackers.begin()
+        time.sleep(seconds - START_S)
+        told = time.monotonic()
+        detector.send_signal(signal.SIGTERM)
+        code = detector.wait()
+        ended_s = time.monotonic() - told
+        plant.terminate()
+        landed = plant.communicate()[0].splitlines()
+        attackers.end()
+        if code or plant.returncode < 0 or not landed:
+            return f"{attack.name:36} NOT DONE: exit codes {code} and {plant.returncode}"
+        lines = [*attackers.heard, *(folder / "said").read_text().splitlines()]
+        flown_s = json.loads(landed[-1])["flown_s"]
+        return row(attack, lines, sum(attackers.sent), flown_s - ended_s, ended_s, calm)
 
 
 def row(attack: Attack, lines: list[str], sent: int, flown_s: float, ended_s: float, calm: dict[str, float]) -> str:
@@ -458,8 +571,10 @@ def main() -> None:
             f"{'reb':>3} {'made':>4} {'overflow':>8} state"
         )
         calm: dict[str, float] = {}
+        asked = [one for one in ATTACKS if not options.only or any(part in one.name for part in options.only)]
+        links = {one.link for one in asked}
         for attack in ATTACKS:
-            if not options.only or "nothing" in attack.name or any(part in attack.name for part in options.only):
+            if attack in asked or ("nothing" in attack.name and attack.link in links):
                 print(run(attack, (baseline, log, key), options.seconds, options.rate, calm), flush=True)
 
 

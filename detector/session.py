@@ -153,7 +153,9 @@ class Session:
         held, changes = self._held(), output.changes
         if memory.diagnosis.stage is Stage.FAULT:
             changes = (*changes, Change.of(held, memory.now_ns or 0))
-        self._keep(judge=None, held=held)
+        memory = replace(memory, decision=judge.chain.decision.start(held))
+        counts = judge.judged_s + output.judged_s, judge.flight_s + output.flight_s
+        self._keep(judge=replace(judge, memory=memory, judged_s=counts[0], flight_s=counts[1]))
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
         return (*(EventClosed(event) for event in latest.values()), *changes)
 
@@ -228,6 +230,7 @@ class Session:
             return
         self._effects += self.finish()
         new: dict[str, Any] = {"collection": Collection(), "failed": 0, "unjudged": ()}
+        new |= {"judge": None, "held": self.state.diagnosis}
         self._move(Trigger.REBOOT, reboots=inbox.reboots, **_NEW_LINK, **new)
         self._say(Kind.REBOOT)
 

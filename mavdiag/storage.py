@@ -145,9 +145,9 @@ def _locked_anew(path: Path) -> Iterator[BinaryIO]:
                 continue
             try:
                 yield file
-            except BaseException:
-                path.unlink(missing_ok=True)
-                raise
+            finally:
+                if _is_at(file.fileno(), path):  # not renamed: the block failed
+                    path.unlink()
             return
 
 
