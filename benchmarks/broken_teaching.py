@@ -127,8 +127,8 @@ def main() -> None:
     parser.add_argument("--pool", type=int, default=10, help="healthy flights of an airframe, 8 at least")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)  # a shell's background command ignores SIGINT
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)  # a shell's background command ignores SIGINT
     seed, airframes, sets = arguments.seed, arguments.airframes, arguments.sets
     print(f"seed {seed}, {airframes} airframes, {sets} sets of each kind", flush=True)
     tally = Tally()
