@@ -179,10 +179,9 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
 
 
 def _compared(fingerprint: Fingerprint, seen: FloatArray, layout: RotorLayout | None) -> Likeness:
-    known = {figure.name: figure for figure in fingerprint.figures}
-    learnt = [known.get(trait.name, Figure(trait.name, math.nan, 1.0)) for trait in TRAITS]
-    shift = seen - np.array([figure.mean for figure in learnt])
-    spread = np.array([figure.spread for figure in learnt])
+    known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
+    learnt = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS])
+    shift, spread = seen - learnt[:, 0], learnt[:, 1]
     raised = bool(np.nanmax(np.append(shift[3:9], -np.inf)) > RAISED)
     far, near = _trim(shift[TRIM], spread[TRIM], layout, raised)
     far_words = _trim_words(learnt, seen) if far else []
@@ -219,16 +218,16 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
     return float(rise[best]), rests[:, best]
 
 
-def _trim_words(learnt: Sequence[Figure], seen: FloatArray) -> list[str]:
+def _trim_words(learnt: FloatArray, seen: FloatArray) -> list[str]:
     """The axis of the trim that differs most, in its own spread."""
-    sizes = [abs(float(seen[i]) - learnt[i].mean) / learnt[i].spread for i in range(3)]
-    worst = int(np.argmax(sizes))
+    worst = int(np.argmax(np.abs(seen[TRIM] - learnt[TRIM, 0]) / learnt[TRIM, 1]))
     return [_words(worst, learnt[worst], float(seen[worst]))]
 
 
-def _words(i: int, learnt: Figure, seen: float) -> str:
+def _words(i: int, learnt: FloatArray, seen: float) -> str:
+    name, (mean, spread) = TRAITS[i].name, learnt.tolist()
     if TRAITS[i].log:
-        return f"{learnt.name} {math.exp(seen - learnt.mean):.2g} times the learnt"
-    if learnt.name == "motors":
-        return f"{seen:.0f} motors (learnt {learnt.mean:.0f})"
-    return f"{learnt.name} {seen:+.3f} (learnt {learnt.mean:+.3f} +- {learnt.spread:.3f})"
+        return f"{name} {math.exp(seen - mean):.2g} times the learnt"
+    if name == "motors":
+        return f"{seen:.0f} motors (learnt {mean:.0f})"
+    return f"{name} {seen:+.3f} (learnt {mean:+.3f} +- {spread:.3f})"

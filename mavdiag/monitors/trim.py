@@ -30,7 +30,7 @@ TICK_S = 0.5  # a value twice a second (our choice)
 # rad/s^2: a tick in which the yaw rate changes faster is left out of its window, and the one after it: a median hides
 # the peak that turned the vehicle, and rotors lag (our choice: PX4 steps its heading with 5; the largest 5 s mean in
 # health 0.014 -> 0.001). Of a window so large a share must remain (our choice).
-STEADY, LEAST_SHARE = 1.0, 0.4
+STEADY, LEAST_SHARE = 0.8, 0.4
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])

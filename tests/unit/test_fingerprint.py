@@ -124,7 +124,7 @@ def test_a_near_one_is_judged_with_a_note() -> None:
 def test_a_fault_is_judged_as_one() -> None:
     verdict = judge(logged(flying(3000, 7, weak_rotor=3, rise=0.3)), whole())
     assert verdict.verdict is Verdict.FAULT
-    assert "vehicle" not in verdict.reason
+    assert "another vehicle" not in verdict.reason
 
 
 def test_the_fingerprint_is_kept_in_the_baseline() -> None:
