@@ -274,7 +274,7 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
     noisy = [replace(log, name=f"n{i}") for i, log in enumerate(two_vehicles(1, 0.2))]
     found = learn(noisy, replace(OPTIONS, monitors=("rotor_trim", "trim_step")), created=NOW)
     (trim,) = [one for one in found.not_judgeable if one.monitor == "rotor_trim"]
-    assert "cannot be reached (0.414 at most)" in trim.reason
+    assert "cannot be reached (0.5 at most)" in trim.reason
     assert "rotor_trim" not in {entry.spec.kind for entry in found.monitors}
     assert (found.grade, "odd" in found.weak or "n3" in found.weak) == ("D", True)
 
@@ -282,7 +282,7 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
 def test_each_monitor_says_what_it_can_come_to() -> None:
     found = learn(healthy(2), replace(OPTIONS, monitors=("sensor_noise", "rotor_trim", "thrust_loss")), created=NOW)
     reach = {entry.spec.kind: monitor_of(entry.spec).reach for entry in found.monitors}
-    assert reach["rotor_trim"] == pytest.approx(0.414, abs=1e-3)  # a rotor with half of its thrust
+    assert reach["rotor_trim"] == 0.5  # of hover
     assert reach.get("sensor_noise", math.log(36.0)) == pytest.approx(math.log(36.0))
     assert reach.get("thrust_loss", 1.0) == 1.0
     assert all(entry.threshold.value < reach[entry.spec.kind] for entry in found.monitors)
