@@ -7,11 +7,13 @@ healthy flights of 30 to 40 s is flown, manoeuvres, wind and payload drawn at ra
 the thesis (F1/SV1 to F3/SV3) on a rotor drawn, faulty from before the start, and one in which it breaks at half. A set
 is drawn from one airframe's flights: healthy ones; the same with one that is replaced by a faulty one; or a single
 flight with the fault at half. Each is learnt as `mavdiag identify` does, by the monitors that a grade rests on (the
-others take three quarters of the time and change no grade). Ctrl-C ends it early, with the tables of what was done.
+others take three quarters of the time and change no grade). One airframe is done after the other. Ctrl-C and SIGTERM
+end it early, with the tables of what was done.
 """
 
 import argparse
 import contextlib
+import signal
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -78,6 +80,7 @@ class Tally:
     kinds: dict[str, Counter[bool]] = field(default_factory=lambda: defaultdict(Counter))
     codes: dict[tuple[str, str], Counter[bool]] = field(default_factory=lambda: defaultdict(Counter))
     wrong: Counter[str] = field(default_factory=Counter)
+    pools: int = 0
 
     def judge(self, kind: str, pool: Pool, flights: Sequence[Log], code: str = "") -> None:
         """Learn a set and count it. code: the fault in it, empty for none."""
@@ -90,6 +93,7 @@ class Tally:
 
     def show(self) -> None:
         """Print the tables."""
+        print(f"{sum(counts.total() for counts in self.kinds.values())} sets judged, of {self.pools} airframes\n")
         print("| teaching set | refused or grade D | share |\n|---|---|---|")
         for kind, counts in sorted(self.kinds.items()):
             total = counts.total()
@@ -101,11 +105,10 @@ class Tally:
         print("\nmissed, or marked without a fault: " + "; ".join(f"{a} ({n})" for a, n in sorted(self.wrong.items())))
 
 
-def judge_sets(pools: Sequence[Pool], sets: int, seed: int, tally: Tally) -> None:
-    """Draw the sets and learn them."""
-    rng = np.random.default_rng([seed, 1])
-    for number in range(sets):
-        pool = pools[number % len(pools)]
+def judge_sets(pool: Pool, sets: int, rng: np.random.Generator, tally: Tally) -> None:
+    """Draw sets of each kind from an airframe's flights and learn them."""
+    tally.pools += 1
+    for _ in range(sets):
         for size in SIZES:
             code = str(rng.choice(CODES))
             chosen = [pool.healthy[i] for i in rng.permutation(len(pool.healthy))[:size]]
@@ -119,16 +122,20 @@ def judge_sets(pools: Sequence[Pool], sets: int, seed: int, tally: Tally) -> Non
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", type=int, default=100, help="of each kind")
+    parser.add_argument("--sets", type=int, default=100, help="of each kind, shared by the airframes")
     parser.add_argument("--airframes", type=int, default=12)
     parser.add_argument("--pool", type=int, default=10, help="healthy flights of an airframe, 8 at least")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    pools = [pool_of(arguments.seed, number, arguments.pool) for number in range(arguments.airframes)]
-    print(f"seed {arguments.seed}, {arguments.airframes} airframes, {arguments.sets} sets of each kind\n")
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)  # a shell's background command ignores SIGINT
+    seed, airframes, sets = arguments.seed, arguments.airframes, arguments.sets
+    print(f"seed {seed}, {airframes} airframes, {sets} sets of each kind", flush=True)
     tally = Tally()
     with contextlib.suppress(KeyboardInterrupt):
-        judge_sets(pools, arguments.sets, arguments.seed, tally)
+        for number in range(airframes):
+            share = sets * (number + 1) // airframes - sets * number // airframes
+            judge_sets(pool_of(seed, number, arguments.pool), share, np.random.default_rng([seed, 1, number]), tally)
     tally.show()
 
 

@@ -30,7 +30,8 @@ from mavdiag.units import G_MM_PER_KG_M
 __all__ = ["accepted", "grade_of", "least_damage"]
 
 MISSED = 0.05  # share of the seconds in which it may go unnoticed
-LOSS_LIMITS = (0.10, 0.20, 0.35)  # of a rotor's thrust: grades A, B, C (our choice)
+LOSS_LIMITS = (0.10, 0.20, 0.50)  # of a rotor's thrust: grades A, B, C (A and B our choice). At the usual thrust-to-weight
+# ratio of 2 a rotor that lost half has no reserve left in hover: what is noticed later is noticed by the fall
 VIBRATION_LIMITS_M_S2 = (3.0, 10.0, 30.0)  # A, B, C (our choice); above 30 ArduPilot calls it too much to fly with
 GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
 
@@ -64,7 +65,7 @@ def _unbalance(m_s2: float, airframe: Airframe) -> float | None:
 
 
 def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Grade:
-    """A: a rotor's loss of 10 % or a vibration of 3 m/s^2 is noticed; B: 20 %, 10 m/s^2; C: 35 %, 30 m/s^2; else D.
+    """A: a rotor's loss of 10 % or a vibration of 3 m/s^2 is noticed; B: 20 %, 10 m/s^2; C: 50 %, 30 m/s^2; else D.
 
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were

@@ -34,7 +34,7 @@ def learnt(*flights: Log) -> Baseline:
 def test_drawn_sets_are_marked_where_one_is_broken_and_nowhere_else() -> None:
     """A short form of `benchmarks/broken_teaching.py`, on an airframe of a seed of its own."""
     tally = Tally()
-    judge_sets([pool()], 1, 7001, tally)
+    judge_sets(pool(), 1, np.random.default_rng(7001), tally)
     for kind, counts in tally.kinds.items():
         if kind.startswith("healthy"):
             assert counts[True] == 0, (kind, tally.wrong)
