@@ -21,6 +21,7 @@ from mavdiag.rows.align import measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.gate import Border, Hidden, hidden_flight
+from mavdiag.rows.quality import believed
 from mavdiag.rows.upsets import Upset, motion_of, upset_in
 from mavdiag.telemetry import Axis, FloatArray, Log, Signal, pandas_module
 from mavdiag.units import NS_PER_S
@@ -218,7 +219,8 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     run = _run(chain, itertools.chain(first, parts), keep)
     events, coverage = _merged(run.events), run.state.coverage.closed()
     monitors = _summaries(chain, run.state, events)
-    hidden = hidden_flight(log.telemetry, chain.front.gate, run.spans)
+    _, known = believed(chain.front.align.quality, {}, log.telemetry)
+    hidden = hidden_flight(known, chain.front.gate, run.spans)
     flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
     upset = upset_in(run.motion)
     rotors = _rotors(run.changes)

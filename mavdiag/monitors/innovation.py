@@ -42,7 +42,7 @@ MIN_ROWS = 500  # 60 a parameter (our choice)
 TRAIN_ROWS = 120_000  # more of it no longer changes the coefficients (our choice)
 CONSTANT = "the gyro is constant or noise-free; is it a real sensor?"
 RANK_TOLERANCE = 1e-10
-GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples of the gyro spoil; of the set-point a rate window more
+GLITCH_ROWS = 3 + LAG  # whose innovations three bad samples spoil
 STILL_ROWS = 3  # equal ones after another say nothing new, be they rounded or repeated (our choice)
 MIN_RATE_HZ = 20.0  # below it a step ahead is too far to predict a rate (our choice)
 
@@ -122,8 +122,8 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
 
     u: commanded rate (derivative of the attitude set-point), y: raw gyro less its healthy mean, one ARX(4, 4, 1) by
     least squares for each of p, q, r. k0 and k1 by non-negative least squares of e^2, so a sharp manoeuvre that the
-    healthy flights had does not count. What z^2 is beyond 36 counts where more rows of the second have it than
-    a glitch of three samples spoils, 7 and a window of the rates; and a row whose gyro is that of the three before is left out. About 1 in healthy
+    healthy flights had does not count. What z^2 is beyond 36 counts where more than 7 rows of the second have it, as a
+    glitch of three samples has not; and a row whose gyro is that of the three before is left out. About 1 in healthy
     flight. `level` equals the statistic, `signal` is the
     largest |z| of the row. It knows nothing of rotors.
 
@@ -229,8 +229,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         squares, window = parted(z), window_rows(spec.window_s, rates.dt_s)
         kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
         mean_state, mean, full = sliding_mean(state.mean, kept, all_of_them, window)
-        glitch = GLITCH_ROWS + round(2 * spec.delay_s / rates.dt_s)
-        level = np.sqrt(np.maximum(whole(mean, window, glitch) / 3, 0.0))
+        level = np.sqrt(np.maximum(whole(mean, window, GLITCH_ROWS) / 3, 0.0))
         if count < len(z):
             some, known, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
             level[used], full[used] = some, known

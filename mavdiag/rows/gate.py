@@ -23,6 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mavdiag.rows.block import Block
+from mavdiag.rows.quality import DOUBTS, Doubt
 from mavdiag.rows.windows import window_mean, window_rows
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -36,6 +37,7 @@ LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
 SHAKE_S = 0.5  # of one figure of the noise (our choice)
+THRUST_LOST_NS = 2 * NS_PER_S  # a thrust that was known and is not for longer is lost (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
 HIDDEN_BIN_NS = NS_PER_S // 2
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
@@ -63,6 +65,7 @@ class GateState:
     airborne: bool = False
     resumes: bool = False  # the data broke off in the air: what flies next has not taken off
     span: int = -1  # number of the flying span
+    thrust_ns: int | None = None  # when the thrust was known last
     blank_ns: int = 0  # until then rows are invalid
     settled_ns: int = 0  # until then it takes off, or the data begin
     last_ns: int = 0  # time of the last row that flew
@@ -87,9 +90,10 @@ class _Low:
 class GateSpec:
     """What counts as flying. A limit of None is not asked for.
 
-    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. In
-    place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that sends
-    neither thrust nor height takes off when its gyro begins to shake.
+    A signal that is unknown passes, be it never sent or too old: its lack must not stop the judging of a flight. But
+    where a thrust that was known is lost for 2 s the landing is not seen, unless the height shows it: those rows are
+    doubtful. In place of an unknown thrust the outputs are asked: while all of them idle, nothing flies. A vehicle that
+    sends neither thrust nor height takes off when its gyro begins to shake.
 
     min_height_m: above take-off.
     min_thrust: collective set-point, 0..1.
@@ -120,6 +124,7 @@ class GateSpec:
                 out += [*rest, Border(state.last_ns)] if flew else []
                 state = replace(state, source=block.segment, source_ns=int(block.t_ns[0]), tail=state.tail[:0])
             kinds = self._kinds(block)
+            state, block = self._without_thrust(state, block)
             state, shakes = self._shakes(state, block)
             for first, stop in _runs(kinds):
                 if kinds[first] == UP and not state.airborne and not state.resumes:
@@ -163,6 +168,23 @@ class GateSpec:
         known = min(len(noise), len(block))
         told[len(block) - known :] |= noise[len(noise) - known :] >= self.least_shake
         return replace(state, tail=rates[-(window_rows(SHAKE_S, block.dt_s) + 1) :]), told
+
+    def _without_thrust(self, state: GateState, block: Block) -> tuple[GateState, Block]:
+        """Rows whose thrust was known before and is lost must not be judged, for their landing is not seen."""
+        known = np.isfinite(block.thrust)
+        never = self.min_thrust is None or (state.thrust_ns is None and not known.any())
+        if never:
+            return state, block
+        first_ns = int(block.t_ns[0]) if state.thrust_ns is None else state.thrust_ns
+        last_ns = np.maximum.accumulate(np.where(known, block.t_ns, first_ns))
+        lost = block.t_ns - last_ns > THRUST_LOST_NS
+        if self.min_height_m is not None:
+            lost &= np.isnan(block.height)
+        state = replace(state, thrust_ns=int(last_ns[-1]))
+        if not lost.any():
+            return state, block
+        doubt = np.where(lost & (block.doubt == 0), DOUBTS.index(Doubt.THRUST), block.doubt)
+        return state, replace(block, valid=block.valid & ~lost, doubt=doubt)
 
     def _kinds(self, block: Block) -> IntArray:
         """(n,) DISARMED, LOW or UP."""
@@ -368,7 +390,7 @@ def _motion(gyro: Series | None, bins: IntArray) -> FloatArray:
     if gyro is None:
         return np.full(len(bins), np.nan)
     t_ns, first = np.unique(gyro.t_ns, return_index=True)
-    once = Series(gyro.signal, t_ns, gyro.host_ns[first], gyro.values[first])
+    once = Series(gyro.signal, t_ns, gyro.host_ns[first], gyro.values[first, :3])
     mean = np.stack([_mean(replace(once, values=column[:, None]), bins) for column in once.values.T])
     square = _mean(replace(once, values=np.square(once.values)), bins)
     several = np.bincount(bins.searchsorted(t_ns // HIDDEN_BIN_NS), minlength=len(bins) + 1)[: len(bins)] > 1

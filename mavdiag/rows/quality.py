@@ -5,10 +5,10 @@ A sample is *lost* if it is no number, is beyond what any sensor measures, or le
     leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > most          in some column
 
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap, or a small one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz, 1 below
-20 Hz) the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt at least half as far,
-it is how the signal moves now, and all are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes
-or throws the vehicle loses hardly anything. What holds its last value does not wait, and is lost.
+the healthy leap, or a small one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz and below)
+the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt at least half as far, it is
+how the signal moves now, and all are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or
+throws the vehicle loses hardly anything. What holds its last value does not wait, and is lost.
 
 A sample whose stamp leaps is lost until another one follows it: a stamp that goes back by more than a period, or ahead
 by more than ever, or ahead of the next sample by more than a period.
@@ -38,7 +38,7 @@ from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, T
 from mavdiag.units import NS_PER_S
 
 FAR = 2.0  # healthy leaps; a longer one is a glitch until it is seen again: it hardly shows in a mean (our choice)
-GLITCH_S, MOST_LOST = 0.03, 3  # an I2C glitch spoils up to three samples (our choice)
+GLITCH_S, MOST_LOST = 0.03, 3  # an I2C glitch spoils up to three samples, and two may be struck (our choice)
 AMONG, OFTEN, AS_FAR = 20, 5, 0.5  # so many of the last samples that leapt so far are no glitches (our choice)
 OUT_OF_ORDER, EARLY = 1.5, 2.5  # periods back, and ahead: two samples that changed places are in order (our choice)
 USUAL_SHARE = 0.95  # quantile of the largest leaps of the seconds of healthy flight (our choice: glitches are rarer)
@@ -90,11 +90,12 @@ TURN = 2 * np.pi
 
 
 class Doubt(StrEnum):
-    """Why the gyro must not be judged though it is there."""
+    """Why rows must not be judged though the gyro is there."""
 
     FROZEN = "gyro repeats one value"
     STAMPS = "time stamps"
     RESOLUTION = "gyro resolution"
+    THRUST = "thrust was lost"
 
 
 DOUBTS = (None, *Doubt)  # by the code that rows carry
@@ -132,7 +133,7 @@ class Habit(BaseModel):
     @property
     def patience(self) -> int:
         """How many samples that leap may be lost."""
-        return min(max(round(GLITCH_S / self.period_s), 1), MOST_LOST)
+        return min(max(round(GLITCH_S / self.period_s), 2), MOST_LOST)
 
     @property
     def ahead_ns(self) -> int:
