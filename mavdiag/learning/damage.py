@@ -30,8 +30,9 @@ from mavdiag.units import G_MM_PER_KG_M
 __all__ = ["accepted", "grade_of", "least_damage"]
 
 MISSED = 0.05  # share of the seconds in which it may go unnoticed
-LOSS_LIMITS = (0.10, 0.20, 0.50)  # of a rotor's thrust: grades A, B, C (A and B our choice). At the usual thrust-to-weight
-# ratio of 2 a rotor that lost half has no reserve left in hover: what is noticed later is noticed by the fall
+# of a rotor's thrust: grades A, B (both our choice), C. At the usual thrust-to-weight ratio of 2 a rotor that lost half
+# has no reserve left in hover: what is noticed later is noticed by the fall
+LOSS_LIMITS = (0.10, 0.20, 0.50)
 VIBRATION_LIMITS_M_S2 = (3.0, 10.0, 30.0)  # A, B, C (our choice); above 30 ArduPilot calls it too much to fly with
 GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
 
