@@ -528,7 +528,7 @@ def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: in
         landed = plant.communicate()[0].splitlines()
         attackers.end()
         if code or plant.returncode < 0 or not landed:
-            return f"{attack.name:36} NOT DONE: exit codes {code} and {plant.returncode}"
+            return f"{attack.name:36} NOT DONE: exit codes {code} and {plant.returncode}, ended in {ended_s:.2f} s"
         lines = [*attackers.heard, *(folder / "said").read_text().splitlines()]
         flown_s = json.loads(landed[-1])["flown_s"]
         return row(attack, lines, sum(attackers.sent), flown_s - ended_s, ended_s, calm)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import signal
 import socket
 import struct
@@ -122,6 +123,16 @@ def calm_s() -> float:
     bench.close()
     assert judged_s > 10.0
     return judged_s
+
+
+def test_the_summary_at_the_end_tells_what_was_judged() -> None:
+    bench = Attacked(Settings(connect=UDP_IN, learn=4.0), fitter=FakeFitter(baseline_for()), vehicles=[MadeVehicle(1)])
+    bench.fly(15.0)
+    judged_s = bench.judged_s
+    bench.close()
+    told = re.search(r"([\d.]+) s judged", bench.host.lines[-1])
+    assert told is not None
+    assert float(told[1]) >= judged_s - 0.05 > 3.0
 
 
 @pytest.mark.parametrize("name", ATTACKS)
