@@ -136,7 +136,7 @@ class Session:
         """An error of the program ends this session's work until the vehicle starts anew."""
         self._effects, self._notices = [], []
         if self.state.state is not State.FAULTED:
-            self._keep(judge=None, alert=None)
+            self._keep(judge=None, held=self._held())
             self._off(Trigger.BROKEN, reason)
         presenter, said = present(self.state.presenter, tuple(self._notices), now)
         self._keep(presenter=presenter)

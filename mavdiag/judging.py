@@ -20,10 +20,10 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.gate import Border, Hidden, hidden_flight
+from mavdiag.rows.gate import SHOWS_FLIGHT, Border, Hidden, hidden_flight
 from mavdiag.rows.quality import believed
 from mavdiag.rows.upsets import Upset, motion_of, upset_in
-from mavdiag.telemetry import Axis, FloatArray, Log, Signal, pandas_module
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry, pandas_module
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -219,21 +219,17 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     run = _run(chain, itertools.chain(first, parts), keep)
     events, coverage = _merged(run.events), run.state.coverage.closed()
     monitors = _summaries(chain, run.state, events)
-    _, known = believed(chain.front.align.quality, {}, log.telemetry)
-    hidden = hidden_flight(known, chain.front.gate, run.spans)
+    hidden = hidden_flight(_believed(chain, log.telemetry), chain.front.gate, run.spans)
     flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
-    upset = upset_in(run.motion)
-    rotors = _rotors(run.changes)
+    upset, rotors = upset_in(run.motion), _rotors(run.changes)
     takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
     seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
     told = _Evidence(log, monitors, *seen, upset, judged_share)
     verdict, reason = told.verdict()
-    kind = _kind(run.changes)
-    since = next((one.t_ns / NS_PER_S for one in run.changes if one.stage is Stage.FAULT), None)
+    kind, since = _declared(run.changes)
     if kind is None and verdict is Verdict.FAULT and upset is not None:
         kind, since = FaultKind.LOSS_OF_CONTROL, upset.begin_s
     notes = (*((alike,) if alike else ()), *log.notes, *_layout_notes(log, baseline))
-    judged = tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events)
     found = LogVerdict(
         log.name,
         verdict,
@@ -243,7 +239,7 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         log.profile,
         1 / dt_s,
         monitors,
-        judged,
+        tuple(JudgedEvent(e.start_ns / NS_PER_S, _seconds(e.end_ns), e) for e in events),
         tuple(run.changes),
         notes,
         kind,
@@ -252,6 +248,12 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         rotors,
     )
     return JudgedFlight(found, chain, tuple(run.kept), coverage.unjudged)
+
+
+def _believed(chain: Chain, telemetry: Telemetry) -> Telemetry:
+    """What tells flight from ground, without the samples that are not believed."""
+    series = tuple(one for one in telemetry.series if one.signal in SHOWS_FLIGHT)
+    return believed(chain.front.align.quality, {}, Telemetry(series))[1]
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:
@@ -396,6 +398,11 @@ def _when(t_ns: int, log: Log) -> str:
 def _between(begin_s: float, end_s: float, log: Log) -> str:
     """A stretch of the vehicle's clock."""
     return f"from {begin_s:.1f} s" + ("" if end_s > _clock(log)[1] - 1.0 else f" to {end_s:.1f} s")
+
+
+def _declared(changes: Sequence[Change]) -> tuple[FaultKind | None, float | None]:
+    """The gravest kind of fault, and when one was declared first [s of the vehicle's clock]."""
+    return _kind(changes), next((one.t_ns / NS_PER_S for one in changes if one.stage is Stage.FAULT), None)
 
 
 def _kind(changes: Sequence[Change]) -> FaultKind | None:

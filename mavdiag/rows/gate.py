@@ -40,6 +40,7 @@ SHAKE_S = 0.5  # of one figure of the noise (our choice)
 THRUST_LOST_NS = 2 * NS_PER_S  # a thrust that was known and is not for longer is lost (our choice)
 HIDDEN_S = 3.0  # shorter stretches may be a touch-down, or motors that run down (our choice)
 HIDDEN_BIN_NS = NS_PER_S // 2
+SHOWS_FLIGHT = (Signal.BODY_RATE, Signal.THRUST_SETPOINT, Signal.ACTUATOR, Signal.HEIGHT, Signal.ARMED)
 FLIES = 0.5  # of the outputs, or of the motion, that are usual in the flight (our choice)
 HELD_BINS = 2  # for so long the last thrust and outputs hold
 IDLE_OUTPUT = 0.15  # ArduPilot's MOT_SPIN_MIN by default: a motor that carries is above it

@@ -87,7 +87,7 @@ def test_windows_say_since_when(scan: Any, archive: Path, tmp_path: Path) -> Non
     assert [one["verdict"] for one in found[str(archive / "b" / "2.tlog")]] == ["healthy", "fault", "fault"]
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 9
     _, out, _ = scan(archive / "b" / "2.tlog", "--windows", 5)
-    assert "  10 to 15 s: fault, judged 5.0 s, innovation at " in out
+    assert "  10 to 15 s: fault, judged 5.0 s of 5.0 s, innovation at " in out
     assert "windows" not in json.loads(scan(archive / "b" / "2.tlog", "--json")[1])
 
 

@@ -35,6 +35,8 @@ def benches(tmp_path: Path) -> Iterator[Benches]:
     def make(baseline: Baseline | None = None) -> Bench:
         settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
         journal = tmp_path / "journal.jsonl"
+        if made and made[-1].file is not None:
+            made[-1].file.close()  # the end of the process before gives its lock back
         made.append(
             Bench(
                 settings,
@@ -48,8 +50,9 @@ def benches(tmp_path: Path) -> Iterator[Benches]:
         return made[-1]
 
     yield make
-    for bench in made:
-        bench.close()
+    made.pop().close()
+    for end in (end for bench in made for end in bench.open):
+        end.close()
 
 
 def texts(bench: Bench) -> list[str]:

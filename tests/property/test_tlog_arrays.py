@@ -2,6 +2,7 @@
 
 import importlib.util
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,8 @@ def assert_same(found: TlogContent, data: bytes) -> None:
     assert found.records == expected.records
     assert found.damaged_bytes == expected.damaged_bytes
     assert found.trailing_bytes == expected.trailing_bytes
-    assert found.senders == expected.senders
+    clashes = {sender: replace(count, clashes=0) for sender, count in expected.senders.items()}  # counted live only
+    assert found.senders == clashes
     assert found.size == len(data)
     assert found.frames == expected.frames
 
