@@ -69,7 +69,7 @@ GREATEST = {
 # A leap up to this is believed at any rate, for a flight may be livelier than those that taught (our choice).
 HARMLESS = {
     Signal.ATTITUDE: 0.02,
-    Signal.ATTITUDE_SETPOINT: 0.01,
+    Signal.ATTITUDE_SETPOINT: 0.002,  # within 0.1 s it is a rate of 0.02 rad/s, the noise of a gyro
     Signal.RATE_SETPOINT: 0.1,
     Signal.TORQUE_COMMAND: 0.1,
     Signal.THRUST_SETPOINT: 0.2,
