@@ -49,7 +49,9 @@ def run(*arguments: object) -> int:
 @pytest.fixture(scope="module")
 def baseline(folder: Path) -> Path:
     path = folder / "d1.json"
-    assert run("identify", *(folder / name for name in OWN), "-o", path) == 0
+    # The made flights shake more than balanced rotors do, which only their maker knows to be healthy.
+    assert run("identify", *(folder / name for name in OWN), "-o", path) == 2
+    assert run("identify", *(folder / name for name in OWN), "-o", path, "--accept") == 0
     return path
 
 

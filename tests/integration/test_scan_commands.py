@@ -68,7 +68,8 @@ def baseline(mavdiag: Any, folder: Path, healthy: list[Path]) -> Path:
     path = folder / "b.json"
     if not path.exists():
         code, out, err = mavdiag("identify", *healthy[1:], "-o", path, "--airframe", "qdrone2", "--name", "drone 1")
-        assert (code, err) == (0, "")
+        assert code == 0
+        assert err in ("", "learning from 3 flights ...\n")  # on a slow machine it says what takes so long
         assert out.endswith(f"written to {path}\n")
         assert "drone 1 (airframe)\nrotor layout qdrone2 (told)\n" in out
         assert "vibration_level not judgeable: " in out
