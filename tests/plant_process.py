@@ -11,6 +11,7 @@ from typing import Protocol
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId, Severity
 from mavdiag.link.ports import open_endpoint
+from sitl_plant.options import STARTING
 
 __all__ = ["ALERT", "Alerter", "companion", "flying", "process"]
 
@@ -43,13 +44,19 @@ def process(
             child.communicate()
 
 
+def first_line(plant: subprocess.Popen[str]) -> str:
+    """What it says first, but for the word that it compiles, which comes on a slow machine."""
+    assert plant.stdout is not None
+    line = plant.stdout.readline()
+    return plant.stdout.readline() if line.strip() == STARTING else line
+
+
 @contextmanager
 def flying(*options: str, links: int = 1) -> Iterator[list[str]]:
     """A plant in flight; gives the addresses at which a client reaches its links (it waits there as `udpin`)."""
     outs = ["--out", "udpin:127.0.0.1:0"] * links
     with process([sys.executable, "-m", "sitl_plant", "run", "--json", *outs, *options]) as plant:
-        assert plant.stdout is not None
-        line = plant.stdout.readline()
+        line = first_line(plant)
         assert line.startswith("{"), f"the plant did not start: {line}"
         yield [address.replace("udpin", "udpout") for address in json.loads(line)["addresses"]]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hil_bytes import answered, controls_bytes, frames_in, mavlink_bytes, servo_bytes
-from plant_process import process
+from plant_process import first_line, process
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.vehicle import qdrone2
@@ -39,8 +39,7 @@ EARTH_M = 6_371_000.0
 def serving(*options: str) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """A served plant and its port."""
     with process([sys.executable, "-m", "sitl_plant", *options]) as plant:
-        assert plant.stdout is not None
-        line = plant.stdout.readline()
+        line = first_line(plant)
         assert "waiting for" in line, line
         yield int(line.rpartition(":")[2]), plant
 
@@ -180,8 +179,7 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link,
         process([sys.executable, "-m", "sitl_plant", "serve-hil", "udpin:127.0.0.1:0", "--duration", "2"]) as plant,
     ):
-        assert plant.stdout is not None
-        link.connect(("127.0.0.1", int(plant.stdout.readline().rpartition(":")[2])))
+        link.connect(("127.0.0.1", int(first_line(plant).rpartition(":")[2])))
         link.settimeout(PATIENCE_S)
         link.send(mavlink_bytes(0, 0, 2, 12, 81, 4, 3))
         started_s, sensors = time.monotonic(), 0
