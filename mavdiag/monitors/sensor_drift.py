@@ -124,7 +124,7 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
     >>> monitor = SensorDrift(*SensorDrift.fit([[healthy]], example_context()))
     >>> rate[2000:, 0] += 0.05
     >>> _, found = monitor.step(monitor.start(), example_rows(3000, rate=rate, force=still, attitude=attitude))
-    >>> bool(found.value[190] < 2.0), bool(found.value[-1] > 7.5)
+    >>> bool(found.value[190] < 2.0), bool(found.value[-1] > 5.0)
     (True, True)
     """
 
