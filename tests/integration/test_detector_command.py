@@ -214,6 +214,7 @@ def test_over_udp_it_alerts_a_fault_and_serves_its_figures(tmp_path: Path) -> No
             healthy = until(far, vehicle, "FAULT", 4.0)  # an alert waits for three seconds of flight
             vehicle.turning = 0.5
             texts = until(far, vehicle, "FAULT")
+            until(far, vehicle, "no such text", 1.5)  # the figures are those of the last second
             with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5.0) as page:
                 figures = page.read().decode()
         code, rest = ended(child, signal.SIGINT)
