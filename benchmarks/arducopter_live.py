@@ -172,7 +172,7 @@ def same_live(name: str, base: Baseline, log: Log, seed: int) -> None:
     )
 
 
-def alike(whole: Sequence[Event] | Sequence[Change], live: Sequence[Event] | Sequence[Change]) -> str:
+def alike(whole: Sequence[Event | Change], live: Sequence[Event | Change]) -> str:
     """Whether all fields are equal, figures within 1e-9 of each other: sums of other pieces round differently."""
     if len(whole) != len(live):
         return "DIFFERENT"

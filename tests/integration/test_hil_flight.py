@@ -188,6 +188,7 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
             if sensors % 50 == 0:
                 link.send(controls_bytes(0, [0.2] * 4, flags=15))
         assert time.monotonic() - started_s > 1.5
+        assert plant.stdout is not None
         said = plant.stdout.read()
         assert plant.wait(PATIENCE_S) == 0
     assert "not in HIL mode" in said
