@@ -116,5 +116,5 @@ def words_of(unjudged: Sequence[tuple[str, str]]) -> tuple[str, str]:
     return "".join(f"; {one} not judged: {why}" for one, why in unjudged), short
 
 
-def _names(monitor: Monitor[Any, Any]) -> frozenset[str]:
+def _names(monitor: Monitor[Any]) -> frozenset[str]:
     return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))

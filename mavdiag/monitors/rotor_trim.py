@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from typing import Any
+from mavdiag.telemetry import FloatArray
 
 from mavdiag.airframe.trim import SOURCES, rises, source_among, spread_from
 from mavdiag.errors import InputError
@@ -50,7 +52,7 @@ class RotorTrimSpec(TrimSpec):
         self.check()
 
 
-class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
+class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
@@ -113,11 +115,17 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         spread = spread_from(found.about(np.array(mean)))
         return (RotorTrimSpec(layout=layout, source=source, mean=mean, turn=turn, spread=spread),)
 
+    def parameters(self, dt_s: float) -> FloatArray:
+        return np.empty(0)
+
+    def memory(self, dt_s: float) -> FloatArray:
+        return np.empty(0)
+
     def start(self) -> TickState:
         """No row yet."""
         return start_ticks()
 
-    def step(self, state: TickState, rows: Rows) -> tuple[TickState, Statistic]:
+    def judge(self, state: TickState, rows: Rows, columns: Any) -> tuple[TickState, Statistic]:
         """The best single-rotor rise twice a second."""
         spec, dt_s = self.spec, rows.block.dt_s
         window = window_ticks(spec.window_s, dt_s)

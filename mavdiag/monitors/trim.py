@@ -218,7 +218,7 @@ def _windows(parts: Sequence[FloatArray], window: int) -> FloatArray:
     return np.concatenate(found) if found else np.empty((0, 5))
 
 
-class TrimMonitor(Monitor[Spec, State]):
+class TrimMonitor(Monitor[Spec]):
     """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
 
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})

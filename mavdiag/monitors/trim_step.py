@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from typing import Any
+from mavdiag.telemetry import FloatArray
 
 from mavdiag.airframe.trim import SOURCES, YAW_FLOOR, LargeRise, rises, source_among, spread_of
 from mavdiag.errors import IdentificationError, InputError
@@ -87,7 +89,7 @@ class TrimStepState:
     reference: Reference | None = None
 
 
-class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
+class TrimStep(TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref (`trim`)
@@ -138,11 +140,17 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
         return (replace(first, mean=mean_of(flights, turn, window), spread=spread_of(shifts)),)
 
+    def parameters(self, dt_s: float) -> FloatArray:
+        return np.empty(0)
+
+    def memory(self, dt_s: float) -> FloatArray:
+        return np.empty(0)
+
     def start(self) -> TrimStepState:
         """No row yet."""
         return TrimStepState(start_ticks())
 
-    def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
+    def judge(self, state: TrimStepState, rows: Rows, columns: Any) -> tuple[TrimStepState, Statistic]:
         """The best single-rotor rise twice a second."""
         spec, dt_s = self.spec, rows.block.dt_s
         tick_s = tick_rows(dt_s) * dt_s
