@@ -88,7 +88,20 @@ HEAD = MODELS + 12
 # Places in the memory: samples so far; what is known of the present one, the residuals r and n of it; running means of
 # the heave and the thrust, of r, of the squared command; the last heave and thrust; the last simulated values, running
 # means of these and their slopes, of their 5 products (each of three channels), of n squared.
-SEEN, KNOWN, R, N, LEVEL, SLOW, BUSY, HEAVE, SIMULATED, TREND, PRODUCTS, UNREST = 0, 1, 2, 5, 8, 10, 13, 16, 18, 21, 27, 42
+SEEN, KNOWN, R, N, LEVEL, SLOW, BUSY, HEAVE, SIMULATED, TREND, PRODUCTS, UNREST = (
+    0,
+    1,
+    2,
+    5,
+    8,
+    10,
+    13,
+    16,
+    18,
+    21,
+    27,
+    42,
+)
 OWN = 45  # the models' past follows
 
 

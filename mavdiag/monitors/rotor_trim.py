@@ -7,11 +7,9 @@ the centre or a damaged blade all shift the trim.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from typing import Any
-from mavdiag.telemetry import FloatArray
 
 from mavdiag.airframe.trim import SOURCES, rises, source_among, spread_from
 from mavdiag.errors import InputError
@@ -32,6 +30,7 @@ from mavdiag.monitors.trim import (
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import row_max, unbroken
+from mavdiag.telemetry import FloatArray
 from mavdiag.thresholds.guard import Guard
 
 

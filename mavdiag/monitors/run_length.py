@@ -25,6 +25,7 @@ from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
 
+
 class MarginRule(StrEnum):
     """How the margin follows from the healthy |r|."""
 

@@ -6,11 +6,9 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from typing import Any
-from mavdiag.telemetry import FloatArray
 
 from mavdiag.airframe.trim import SOURCES, YAW_FLOOR, LargeRise, rises, source_among, spread_of
 from mavdiag.errors import IdentificationError, InputError

@@ -41,10 +41,11 @@ FEW_WINDOWS = 4  # fewer are added up one by one
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
+@lru_cache(maxsize=64)  # a display asks for it in every step
 def highpass(corner: float, taps: int) -> FloatArray:
     """Linear-phase high-pass, (taps,), corner as a share of the sample rate; windowed sinc, unit gain at half the rate.
 
-    Its delay is (taps - 1)/2 samples; a constant does not pass. Raises UsageError unless taps is odd and above 2 and
+    Its delay is (taps - 1)/2 samples; a constant does not pass. Read-only. Raises UsageError unless taps is odd and above 2 and
     0 < corner < 0.5.
 
     >>> taps = highpass(0.06, 61)
@@ -60,7 +61,9 @@ def highpass(corner: float, taps: int) -> FloatArray:
     low = 2 * corner * np.sinc(2 * corner * k) * np.kaiser(taps, BETA)
     high = -low / low.sum()
     high[taps // 2] += 1.0
-    return np.asarray(high / (high @ (-1.0) ** k), dtype=np.float64)
+    found = np.asarray(high / (high @ (-1.0) ** k), dtype=np.float64)
+    found.setflags(write=False)
+    return found
 
 
 def window_mean(x: FloatArray, window: int) -> FloatArray:

@@ -15,8 +15,8 @@ from mavdiag.identify import Method
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors import rotor_signature
 from mavdiag.monitors.base import Flights
-from mavdiag.monitors.healthy import variance_law
 from mavdiag.monitors.decimated import samples_of
+from mavdiag.monitors.healthy import variance_law
 from mavdiag.monitors.model_residual import HealthyMotion, Residuals, residuals_of
 from mavdiag.monitors.rotor_signature import RotorSignature, RotorSignatureSpec
 from mavdiag.rows.front import Rows

@@ -48,7 +48,6 @@ def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[fl
     assert exceedances(r, valid, 1.0, DT_S)[0].tolist() == [n * DT_S for n in expected]
 
 
-
 def test_runs_report_their_length_and_highest_excess() -> None:
     first, second = runs(piece(np.array([0.0, 2.0, 5.0, 0.0, -3.0])), 1.0)
     assert (first.start_ns, first.end_ns, first.fsd_s, first.peak) == (10_000_000, 20_000_000, 0.02, 4.0)
