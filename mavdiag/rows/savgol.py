@@ -69,8 +69,7 @@ def _compiled() -> Callable[[FloatArray, FloatArray, FloatArray], None]:
     @cached
     def filter_rows(rows: FloatArray, taps: FloatArray, out: FloatArray) -> None:
         """Scalar products of taps with each full window of each row."""
-        assert digest > 0
-        for number in range(rows.shape[0]):
+        for number in range(rows.shape[0] if digest else 0):
             row = rows[number]
             for first in range(out.shape[1]):
                 out[number, first] = dot(taps, 0, row, first, taps.size)

@@ -45,8 +45,8 @@ BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 def highpass(corner: float, taps: int) -> FloatArray:
     """Linear-phase high-pass, (taps,), corner as a share of the sample rate; windowed sinc, unit gain at half the rate.
 
-    Its delay is (taps - 1)/2 samples; a constant does not pass. Read-only. Raises UsageError unless taps is odd and above 2 and
-    0 < corner < 0.5.
+    Its delay is (taps - 1)/2 samples; a constant does not pass. Read-only. Raises UsageError unless taps is odd and
+    above 2 and 0 < corner < 0.5.
 
     >>> taps = highpass(0.06, 61)
     >>> gain = abs(np.exp(-2j * np.pi * np.outer([0.0, 0.03, 0.06, 0.1, 0.167], np.arange(61))) @ taps)
