@@ -2,14 +2,15 @@
 
 A sample is *lost* if it is no number, is beyond what any sensor measures, or leaps:
 
-    leap_i = |x_i - x_last - c (t_i - t_last)| / max(1, |t_i - t_last|/T) > most          in some column
+    leap_i = |x_i - x_last - c (t_i - t_last)| / n > most,    n = max(1, |t_i - t_last|/T)          in some column
 
-x_last is the last sample that was believed, T the usual period; `most` is twice the healthy leap, or a small one. An
-angle is taken the short way round, and c is its slope between the two samples that were believed last: a set-point is
-differentiated, and a vehicle that turns fast must not hide an error of the size of its steps. Else c is zero.
+x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
+the healthy leap, or a small one. c is zero, or the slope between the two samples that were believed last, where the
+healthy signal leaps less by it (n (n + 1)/2 then stands for n, as a changing slope adds up): a set-point is
+differentiated, and what moves fast but smoothly must not hide an error of the size of its steps.
 
 Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz and below) the signal leaps back, they were a
-glitch. If not, or if 5 of the 20 samples before leapt at least half as far, it is how the signal moves now, and all are
+glitch. If not, or if 5 of the 20 samples before leapt at least half as far, it is how the signal moves now, and it is
 believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses hardly
 anything. What holds its last value does not wait, and is lost.
 
@@ -72,7 +73,7 @@ GREATEST = {
 # A leap up to this is believed at any rate, for a flight may be livelier than those that taught (our choice).
 HARMLESS = {
     Signal.ATTITUDE: 0.02,
-    Signal.ATTITUDE_SETPOINT: 0.002,  # within 0.1 s it is a rate of 0.02 rad/s, the noise of a gyro
+    Signal.ATTITUDE_SETPOINT: 0.0005,  # three steps of a log in 0.01 deg; within 0.1 s a rate of 0.005 rad/s
     Signal.RATE_SETPOINT: 0.1,
     Signal.TORQUE_COMMAND: 0.1,
     Signal.THRUST_SETPOINT: 0.2,
@@ -113,6 +114,7 @@ class Habit(BaseModel):
     quiet: of each column the step below which it is silent; 0 where only equal values are.
     still: longest repetition [samples] of all columns together; of gyro and accelerometer also of each one.
     lowest: least value of the first column in flight.
+    leads: of each column whether its slope tells where the next sample is to be; empty if none does.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -124,6 +126,7 @@ class Habit(BaseModel):
     quiet: tuple[float, ...]
     still: tuple[int, ...]
     lowest: float
+    leads: tuple[bool, ...] = ()
 
     @property
     def most_leap(self) -> FloatArray:
@@ -186,16 +189,16 @@ Far: TypeAlias = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Believed:
-    """The last sample that was believed. slope: (columns,) of an angle, since the one before [1/ns]; else zero."""
+    """The last sample that was believed. slope: (columns,) since the one before where it leads [1/ns]; else zero."""
 
     values: FloatArray
     t_ns: int
     slope: FloatArray
 
-    def followed(self, signal: Signal, values: FloatArray, t_ns: int) -> "_Believed":
+    def followed(self, habit: Habit, values: FloatArray, t_ns: int) -> "_Believed":
         """With the next one."""
         series = np.stack((self.values, values)), np.array((self.t_ns, t_ns))
-        return _Believed(values, t_ns, _slopes(signal, *series)[0])
+        return _Believed(values, t_ns, _slopes(habit.signal, habit.leads, *series)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,7 +378,7 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
     keep, last, far = np.ones(n, dtype=np.bool_), memory.last, memory.far
     values, times = np.concatenate((last.values[None], series.values)), np.concatenate(([last.t_ns], t))
     span_ns = np.diff(times)
-    leaps = _sizes(habit, _departures(habit.signal, last.slope, values, times), span_ns) > 1.0
+    leaps = _sizes(habit, _departures(habit.signal, habit.leads, last.slope, values, times), span_ns) > 1.0
     candidates = np.flatnonzero(leaps | (span_ns > habit.early_ns) | (span_ns < -habit.back_ns))
     at, came_ns, alone, known = n, memory.before_ns, memory.alone, 0
     if alone or len(candidates):
@@ -384,7 +387,7 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
         if at:
             came_ns = int(t[at - 1])
             if keep[at - 1]:
-                last, alone = _followed(habit.signal, last, series, keep, known, at), False
+                last, alone = _followed(habit, last, series, keep, known, at), False
         known = at
         followed = alone and abs(int(t[at]) - came_ns) <= habit.ahead_ns
         misdated = False if followed else _misdated(habit, last.t_ns, t[at : at + 2])
@@ -406,14 +409,14 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
         if not lost and keep[max(stop - 2, 0) : stop].all():  # until the next that may leap all are believed
             place = int(candidates.searchsorted(at))
             at = int(candidates[place]) if place < len(candidates) else n
-    last = _followed(habit.signal, last, series, keep, known, decided)
+    last = _followed(habit, last, series, keep, known, decided)
     return _Near(keep[:decided], last, far, alone and not keep[decided - 1] if decided else memory.alone)
 
 
-def _followed(signal: Signal, last: _Believed, series: Series, keep: BoolArray, first: int, stop: int) -> _Believed:
+def _followed(habit: Habit, last: _Believed, series: Series, keep: BoolArray, first: int, stop: int) -> _Believed:
     """The last sample that was believed, of those from `first` to `stop`; without one it is as before."""
     for at in (first + np.flatnonzero(keep[first:stop])[-2:]).tolist():
-        last = last.followed(signal, series.values[at], int(series.t_ns[at]))
+        last = last.followed(habit, series.values[at], int(series.t_ns[at]))
     return last
 
 
@@ -447,7 +450,7 @@ def _glitch(habit: Habit, last: _Believed, series: Series, far: Far, number: int
     if usual or habit.signal in HELD:
         lost, run = not usual, 1
     elif run > patience:
-        lost = False
+        lost, run = False, 1
     elif run == len(leaps):
         return None
     else:
@@ -456,20 +459,23 @@ def _glitch(habit: Habit, last: _Believed, series: Series, far: Far, number: int
     return lost, run, (*far, *((number + i, float(sizes[i])) for i in range(run)))
 
 
-def _departures(signal: Signal, slope: FloatArray, values: FloatArray, t_ns: IntArray) -> FloatArray:
-    """(n - 1, columns) how far each sample is from where those before it lead, all believed. slope: at the first."""
-    step: FloatArray = values[1:] - values[:-1]
-    if signal not in ANGLES:
+def _departures(
+    signal: Signal, leads: Sequence[bool], slope: FloatArray, values: FloatArray, t_ns: IntArray
+) -> FloatArray:
+    """(n - 1, columns) how far each sample is from where those before it lead. slope: at the first."""
+    step = _short(signal, values[1:] - values[:-1])
+    if not any(leads):
         return step
-    slopes = np.concatenate((slope[None], _slopes(signal, values, t_ns)[:-1]))
+    slopes = np.concatenate((slope[None], _slopes(signal, leads, values, t_ns)[:-1]))
     led: FloatArray = slopes * (t_ns[1:] - t_ns[:-1])[:, None]
     return _short(signal, step - led)
 
 
-def _slopes(signal: Signal, values: FloatArray, t_ns: IntArray) -> FloatArray:
-    """(n - 1, columns) slopes of an angle between samples [1/ns]; zeros of what is none, and of one stamp twice."""
+def _slopes(signal: Signal, leads: Sequence[bool], values: FloatArray, t_ns: IntArray) -> FloatArray:
+    """(n - 1, columns) slopes between samples [1/ns], zero where they do not lead and between equal stamps."""
     span_ns, step = (t_ns[1:] - t_ns[:-1])[:, None], _short(signal, values[1:] - values[:-1])
-    slopes: FloatArray = np.divide(step, span_ns, out=np.zeros_like(step), where=(span_ns != 0) & (signal in ANGLES))
+    where = (span_ns != 0) & (np.array(leads) if leads else False)
+    slopes: FloatArray = np.divide(step, span_ns, out=np.zeros_like(step), where=where)
     return slopes
 
 
@@ -481,8 +487,14 @@ def _short(signal: Signal, step: FloatArray) -> FloatArray:
 def _sizes(habit: Habit, step: FloatArray, span_ns: IntArray) -> FloatArray:
     """(n,) how large steps are, (n, columns): above 1 they leap."""
     span_ns = np.minimum(np.abs(span_ns), habit.ahead_ns)  # a longer one is misdated, or an outage
-    periods = np.maximum(span_ns / (habit.period_s * NS_PER_S), 1.0)
-    return np.asarray(np.fmax.reduce(np.abs(step) / habit.most_leap, axis=1) / periods, dtype=np.float64)
+    sizes = _by_period(step, span_ns / (habit.period_s * NS_PER_S), habit.leads) / habit.most_leap
+    return np.asarray(np.fmax.reduce(sizes, axis=1), dtype=np.float64)
+
+
+def _by_period(step: FloatArray, periods: FloatArray, leads: Sequence[bool]) -> FloatArray:
+    """(n, columns) steps over what they may grow by in so many periods."""
+    n = np.maximum(periods, 1.0)[:, None]
+    return np.asarray(np.abs(step) / np.where(np.array(leads or False), n * (n + 1) / 2, n), dtype=np.float64)
 
 
 def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
@@ -552,24 +564,31 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     """How a signal moved, but for how long it repeats."""
     spans_ns = np.concatenate([np.diff(one.t_ns) for one in parts])
     period_ns = float(np.median(spans_ns))
-    leaps, noises, pauses = [], [], []
+    held: list[FloatArray] = []
+    led: list[FloatArray] = []
+    noises, pauses = [], []
     for one in parts:
-        span_ns = np.diff(one.t_ns)
-        step = _departures(signal, np.full(one.values.shape[1], np.nan), one.values, one.t_ns)
-        step = np.nan_to_num(np.abs(step) / np.maximum(span_ns / period_ns, 1.0)[:, None])
+        span_ns, (n, columns) = np.diff(one.t_ns), one.values.shape
         starts = np.unique((one.t_ns[1:] - one.t_ns[0]) // NS_PER_S, return_index=True)[1]
-        counts = np.diff(starts, append=len(step))[:, None]
-        leaps.append(np.maximum.reduceat(step, starts, axis=0))
-        noises.append(np.sqrt(np.add.reduceat(np.square(step), starts, axis=0) / counts))
+        counts = np.diff(starts, append=n - 1)[:, None]
+        for leads, leaps in (((False,) * columns, held), ((True,) * columns, led)):
+            step = _departures(signal, leads, np.full(columns, np.nan), one.values, one.t_ns)
+            step = np.nan_to_num(_by_period(step, span_ns / period_ns, leads))
+            leaps.append(np.maximum.reduceat(step, starts, axis=0))
+            if leaps is held:
+                noises.append(np.sqrt(np.add.reduceat(np.square(step), starts, axis=0) / counts))
         pauses.append(np.maximum.reduceat(span_ns, starts))
+    plain, bent = (np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0) for leaps in (held, led))
+    leading = (bent < plain) & (signal not in HELD)
     quiet = QUIET_SHARE * np.quantile(np.concatenate(noises), CALM_SHARE, axis=0)
     lowest = float(np.nan_to_num(min(np.min(one.values[:, 0]) for one in parts)))
     return Habit(
         signal=signal,
         period_s=period_ns / NS_PER_S,
         pause_s=float(np.quantile(np.concatenate(pauses), USUAL_SHARE)) / NS_PER_S,
-        leap=tuple(np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0).tolist()),
+        leap=tuple(np.where(leading, bent, plain).tolist()),
         quiet=tuple(quiet.tolist()) if signal in SENSORS else (0.0,) * len(quiet),
         still=(0,),
         lowest=lowest,
+        leads=tuple(leading.tolist()),
     )
