@@ -336,9 +336,9 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
 
     The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
     (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
-    up and it moves. spans: first and last row of what flew [ns].
+    up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
     """
-    series = [one for one in telemetry.series if len(one)]
+    series = [one for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)]
     bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one.t_ns // HIDDEN_BIN_NS for one in series)]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):
