@@ -168,5 +168,5 @@ def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
 def _most_turn(slopes: FloatArray, fresh: int) -> FloatArray:
     """Largest known slope of the yaw set-point over 2 s, for the last `fresh` bins; infinite where none is known."""
     behind = np.concatenate((np.full(TURN_BINS, np.nan), slopes))[-(fresh + TURN_BINS - 1) :]
-    largest = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(behind, TURN_BINS), axis=1)
-    return np.nan_to_num(largest, nan=np.inf)
+    largest: FloatArray = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(behind, TURN_BINS), axis=1)
+    return np.where(np.isnan(largest), np.inf, largest)
