@@ -8,7 +8,7 @@ from detector.alerts import label_of
 from detector.config import SessionSettings
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
-from mavdiag.baseline import Baseline
+from mavdiag.baseline import Baseline, without_mute
 from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.wants import LABELS
@@ -57,7 +57,10 @@ class Judge:
 
 
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
-    """The baseline with all thresholds times a factor; its digest stays that of the file."""
+    """The baseline with all thresholds times a factor, without monitors that could not reach theirs then.
+
+    Its digest stays that of the file. Raises BaselineError if no monitor is left.
+    """
     if scale == 1.0:
         return baseline
     monitors = []
@@ -65,7 +68,10 @@ def rescaled(baseline: Baseline, scale: float) -> Baseline:
         old = entry.threshold
         new = replace(old, value=scale * old.value, session_allowance=scale * old.session_allowance)
         monitors.append(entry.model_copy(update={"threshold": new}))
-    return baseline.model_copy(update={"monitors": tuple(monitors)})
+    judging, refusals = without_mute(monitors, f"thresholds are taken times {scale:g}")
+    if not judging:
+        raise BaselineError(f"no monitor can judge: {refusals[0].monitor}: {refusals[0].reason}")
+    return baseline.model_copy(update={"monitors": judging, "not_judgeable": (*baseline.not_judgeable, *refusals)})
 
 
 def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:

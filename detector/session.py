@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import POLICY, Kind, Notice, Presenter, Told, figure, present, told_of
-from detector.judging import Judge, chain_for, not_judged, records_of, words_of
+from detector.judging import Judge, chain_for, not_judged, records_of, rescaled, words_of
 from detector.judging_notices import imu_notes, layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
 from detector.needs import Demand, demand_of
@@ -285,6 +285,9 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(self._held()), now))
+            scaled = rescaled(state.baseline, self._settings.threshold_scale)
+            lost = scaled.not_judgeable[len(state.baseline.not_judgeable) :]
+            self._effects += [Note(f"{one.monitor} not judged: {one.reason}") for one in lost]
             self._effects += notes_on(state.baseline, chain, self._settings.suspect)
             self._notices += layout_notices(state.baseline)
         lack = self._lack(inbox)

@@ -58,8 +58,7 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         statistic = max_j a_j,    rotor = argmax_j a_j
 
     m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
-    (`monitors.trim`), so that a few wild samples move nothing; ticks in which the nose begins or ends to turn are left
-    out, half of the ten at most.
+    (`monitors.trim`), so that a few wild samples move nothing; the more a turn takes, the less its tick counts.
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
@@ -132,9 +131,9 @@ class RotorTrim(TrimMonitor[RotorTrimSpec]):
         count = len(t_ns)
         valid, mean = unbroken(usable, window)[len(ticks) - count :], np.zeros((count, 5))
         if valid.any():
-            means, enough = window_means(ticks, window)
+            means = window_means(ticks, window)
             fresh = min(count, len(means))
-            mean[count - fresh :], valid[count - fresh :] = means[-fresh:], valid[count - fresh :] & enough[-fresh:]
+            mean[count - fresh :] = means[-fresh:]
         shift = np.where(valid[:, None], mean[:, :3] - spec.mean, 0.0)
         rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))
         rotors = rises(shift, spec.layout, spec.spread)

@@ -22,7 +22,7 @@ from mavdiag.monitors.trim import (
     start_ticks,
     tick_rows,
     turn_of,
-    unbroken_parts,
+    unbroken_runs,
     window_means,
     window_ticks,
     without_turn,
@@ -129,9 +129,9 @@ class TrimStep(TrimMonitor[TrimStepSpec]):
         window = window_ticks(WINDOW_S, context.dt_s)
         turn, found = turn_of(flights, window), [np.empty((0, 3))]
         first = TrimStepSpec(layout=layout, source=source, turn=turn, spread=UNKNOWN)
-        for part in (part for ticks in flights for part in unbroken_parts(ticks, 2 * window)):
-            straight = without_turn(part, turn)
-            shift, valid, _ = _followed(first, None, straight, np.ones(len(part), dtype=np.bool_), len(part), tick_s)
+        for run in (run for ticks in flights for run in unbroken_runs(ticks, 2 * window)):
+            straight, usable = without_turn(run, turn), np.ones(len(run), dtype=np.bool_)
+            shift, valid, _ = _followed(first, None, straight, usable, len(run), tick_s)
             found.append(shift[valid, :3])
         shifts = np.concatenate(found)
         if len(shifts) == 0:
@@ -168,11 +168,9 @@ def _followed(
     valid = unbroken(usable, 2 * window)[len(ticks) - count :]
     if not np.count_nonzero(valid):
         return shift, valid, reference
-    means, enough = window_means(ticks, window)  # of the ticks from each on
+    means = window_means(ticks, window)  # of the ticks from each on
     now = np.flatnonzero(valid)
     first = len(ticks) - count + now - window + 1
-    valid[now] = steady = enough[first] & enough[first - window]
-    now, first = now[steady], first[steady]
     large = LargeRise(spec.layout, spec.spread, HOLD)
     follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
     for i, new, old in zip(now.tolist(), means[first], means[first - window], strict=True):
