@@ -33,7 +33,6 @@ __all__ = [
     "SIGNALS",
     "SOURCES",
     "YAW_FLOOR",
-    "LargeRise",
     "Source",
     "loss_of",
     "rise_of",
@@ -175,24 +174,3 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
     found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
     return np.asarray(found.T, dtype=np.float64)
-
-
-class LargeRise:
-    """Whether the largest of `rises` is above a limit, of one shift at a time: for what must go tick by tick."""
-
-    def __init__(self, layout: RotorLayout, spread: Three, limit: float) -> None:
-        self._roll, self._pitch, self._yaw = (one * one for one in spread)
-        self._columns = [
-            (a, b, c, limit * a * a, limit * b * b, limit * c * c) for a, b, c in layout.unmixing.T.tolist()
-        ]
-
-    def __call__(self, shift: Sequence[float]) -> bool:
-        """shift: of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
-        roll, pitch, yaw, lean, nod = shift
-        more = TILT_TRIM**2 * (lean * lean + nod * nod)
-        w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
-        roll, pitch, yaw = roll * w0, pitch * w1, yaw * w2
-        for a, b, c, least_a, least_b, least_c in self._columns:
-            if roll * a + pitch * b + yaw * c > w0 * least_a + w1 * least_b + w2 * least_c:
-                return True
-        return False

@@ -79,8 +79,8 @@ class HealthyMotion:
         return any(self.heave.b)
 
 
-# Places in the parameters: forgetting of the drift, of the command and of the errors; SPEED_S in samples; period; samples
-# to settle; whether the errors of gain and speed are taken out, and whether the thrust explains anything; k0, k1 and
+# Places in the parameters: forgetting of the drift, the command and the errors; SPEED_S in samples; period; samples to
+# settle; whether the errors of gain and speed are taken out, and whether the thrust explains anything; k0, k1 and
 # prior of each channel; and of each model how many inputs and outputs it looks back, and where its coefficients and its
 # past stand.
 DRIFT, MEMORY, FOLLOW, SPEED, PERIOD, SETTLE, FOLLOWS, BY_THRUST, K0, K1, PRIOR, MODELS = *range(9), 11, 14, 17
@@ -200,7 +200,7 @@ def _explained(par: FloatArray, mem: FloatArray, i: int, simulated: float, r: fl
 def _compiled(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], None]:
     @cached
     def residuals(par: FloatArray, mem: FloatArray, samples: FloatArray, out: FloatArray) -> None:
-        """Of samples (k, 7) the residuals r and n, the mean squares of the command, and whether all is known: (k, 10)."""
+        """Of samples (k, 7) the residuals r and n, mean squares of the command, and whether all is known: (k, 10)."""
         for k in range(len(samples) if digest else 0):
             rates = (samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3])
             advance_residual(par, mem, rates, samples[k, 4], samples[k, 5], samples[k, 6] > 0.5)

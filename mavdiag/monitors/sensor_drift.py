@@ -120,7 +120,7 @@ def _mean(mem: FloatArray, length: int, last: int, count: int, column: int) -> f
 
 @jit
 def walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bool:
-    """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused of angles, e; whether they count."""
+    """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
     mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
     length = lag + 2 * mean + 1
     for j in range(4):
