@@ -224,8 +224,7 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     upset, rotors = upset_in(run.motion), _rotors(run.changes)
     takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
     seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
-    told = _Evidence(log, monitors, *seen, upset, judged_share)
-    verdict, reason = told.verdict()
+    verdict, reason = _Evidence(log, monitors, *seen, upset, judged_share).verdict()
     kind, since = _declared(run.changes)
     if kind is None and verdict is Verdict.FAULT and upset is not None:
         kind, since = FaultKind.LOSS_OF_CONTROL, upset.begin_s
