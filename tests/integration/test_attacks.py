@@ -168,6 +168,31 @@ def test_an_end_without_time_judges_no_more_and_still_ends() -> None:
     bench.close()
 
 
+class OneALook(Pacing):
+    """Time for one vehicle in each look."""
+
+    def judges(self, waited_s: float, spent_s: float, first: bool) -> bool:
+        return first
+
+
+def test_vehicles_of_one_source_do_not_delay_that_of_another() -> None:
+    strangers = [MadeVehicle(sysid) for sysid in range(2, 6)]
+    attack = ([frame for one in strangers for frame in one.samples(4)] for _ in itertools.count())
+    bench = Attacked(
+        Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
+    )
+    bench.fly(5.0, attack)
+    fleet = bench.daemon.fleet
+    assert set(fleet.vehicles) == set(range(1, 6))
+    fleet._pacing = OneALook()
+    judged = [fleet._judged[1]]
+    for _ in range(40):
+        bench.fly(TICK_S, attack)
+        judged.append(fleet._judged[1])
+    assert sum(after != before for before, after in itertools.pairwise(judged)) >= 19  # of 40; 8 by waiting alone
+    bench.close()
+
+
 @pytest.mark.parametrize("name", ATTACKS)
 def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_path: Path) -> None:
     fitter, journal = FakeFitter(baseline_for()), tmp_path / "j.jsonl"
