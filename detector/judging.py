@@ -1,11 +1,12 @@
 """Judging in flight: the chain at work, and which monitors do not judge."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
+from detector.sight import Sight
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
 from mavdiag.baseline import Baseline, without_mute
@@ -30,6 +31,7 @@ class Judge:
     flight_s: flight time so far.
     gauges: the latest value of every monitor that has one.
     pieces: what the latest step gave, for a display.
+    sight: whether it flies although nothing is judged.
     """
 
     baseline: Baseline
@@ -40,6 +42,7 @@ class Judge:
     flight_s: float = 0.0
     gauges: tuple[Gauge, ...] = ()
     pieces: tuple[Piece, ...] = ()
+    sight: Sight = field(default_factory=Sight)
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
         """Judge the next telemetry."""
@@ -48,7 +51,8 @@ class Judge:
         judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
         gauges = output.gauges or self.gauges
         counts = (judged, judged_s, flight_s)
-        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces), output
+        sight = self.sight.step(self.chain, telemetry, output)
+        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces, sight), output
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""

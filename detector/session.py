@@ -364,6 +364,11 @@ class Session:
 
     def _idle(self, judge: Judge, ground: Hindrance | None, now: Instant) -> None:
         """Say why nothing is judged if nothing is, and which monitors do not judge; what is found is said elsewhere."""
+        if hidden := judge.sight.hidden:
+            reason = f"not judged: {hidden}"
+            self._effects += [Note(reason)] if reason != self.state.reason else []
+            self._keep(reason=reason)
+            return self._say(Kind.HIDDEN, hidden, key=hidden)
         unjudged = not_judged(judge, self.state.streams, now)
         self._effects += [
             Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.unjudged
@@ -376,6 +381,7 @@ class Session:
         self._keep(reason=f"monitoring{why}", unjudged=unjudged)
         if diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
+        return None
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.state.reason)
