@@ -28,7 +28,7 @@ from mavdiag.monitors import (
     thrust_loss,
 )
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.unbalance import corner_of
+from mavdiag.monitors.vibration_band import corner_of
 from mavdiag.rows.grid import unbroken
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S

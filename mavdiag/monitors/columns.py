@@ -4,9 +4,8 @@ Rates are known half a filter window later than the rows that they are about. He
 newest row of their window, so that a column holds what is known when its row has come; columns before `lag` have none.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol
 
 import numpy as np
 
@@ -23,15 +22,28 @@ TRIM_MEMORY_S = 1.0  # of these conditions
 # Rows of what a monitor writes for each of its values.
 VALUE, SOUND, LEVEL, SIGNAL = 0, 1, 2, 3
 
-Kernel: TypeAlias = Callable[
-    [FloatArray, FloatArray, FloatArray, FloatArray, int, FloatArray, FloatArray, IntArray],
-    int,
-]
-"""A compiled monitor: par, mem, x, flags, lag, out, rotors, at -> how many values.
 
-par: what its fit says. mem: what it remembers, changed in place. x, flags: as above. out: (4, n) value, 1 where it is
-sound, level, signal. rotors: (n, R). at: (n,) number of the row, or of the rates, that each value is about.
-"""
+class Kernel(Protocol):
+    """A compiled monitor: columns in, values out; returns how many.
+
+    par: what its fit says. mem: what it remembers, changed in place. x, flags, lag: as in `Columns`. out: (4, n) value,
+    1 where it is sound, level, signal. rotors: (n, R). at: (n,) number of the row, or of the rates, that each value is
+    about.
+    """
+
+    def __call__(
+        self,
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+        /,
+    ) -> int:
+        """Take the next columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

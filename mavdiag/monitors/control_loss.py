@@ -56,7 +56,7 @@ def _compiled(digest: int) -> Kernel:
             sound = sound and math.isfinite(fast + left)
             out[VALUE, k] = out[LEVEL, k] = value if sound else 0.0
             out[SOUND, k], out[SIGNAL, k], at[k] = sound, math.sqrt(fast) if sound else 0.0, k
-        return x.shape[1] - lag
+        return len(at) - lag
 
     return run
 

@@ -18,12 +18,12 @@ from mavdiag.identify.data import triangle
 from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
 from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U
-from mavdiag.monitors.healthy import LIMIT, MEMORY_S, MOST, Three, cut_to_share, smoothed, three, variance_law
+from mavdiag.monitors.healthy import LIMIT, MEMORY_S, MOST, cut_to_share, smoothed, three, variance_law
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.running import FRESH, follow, mean_size, push, total
 from mavdiag.rows.windows import forgetting, window_all, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
 NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
@@ -144,7 +144,7 @@ def _compiled(digest: int) -> Kernel:
                 sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
                 level = math.sqrt(max(sum_, 0.0) / (3 * window))
             out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = level, sound, level, worst, k
-        return x.shape[1] - lag
+        return len(at) - lag
 
     return run
 

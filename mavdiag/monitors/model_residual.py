@@ -24,11 +24,11 @@ import numpy as np
 from mavdiag.errors import InputError
 from mavdiag.identify.model import ModelRecord
 from mavdiag.jit import cached, jit, source_digest
-from mavdiag.monitors.healthy import MEMORY_S, Three
+from mavdiag.monitors.healthy import MEMORY_S
 from mavdiag.monitors.run_length import at_rest, free_run
 from mavdiag.rows.running import follow
 from mavdiag.rows.windows import forgetting
-from mavdiag.telemetry import BoolArray, FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray, Three
 
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
 FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)

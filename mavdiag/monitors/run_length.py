@@ -142,7 +142,7 @@ def _compiled(digest: int) -> Kernel:
                 mem[COUNT] = mem[PEAK] = 0.0
             out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k] = mem[COUNT] * par[DT], sound, mem[PEAK], r
             at[k] = k
-        return x.shape[1] - lag
+        return len(at) - lag
 
     return run
 

@@ -17,10 +17,10 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, segments
 from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel
-from mavdiag.monitors.healthy import Three, joined_moments, moments, three
+from mavdiag.monitors.healthy import joined_moments, moments, three
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
 
 TICK_S = 0.1  # our choice

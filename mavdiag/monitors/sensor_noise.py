@@ -97,7 +97,7 @@ def _compiled(digest: int) -> Kernel:
             first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
             value = max(first - 2.0 * max(second, 0.0), 0.0)
             out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
-        return x.shape[1]
+        return len(at)
 
     return run
 

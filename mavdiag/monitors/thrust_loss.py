@@ -96,7 +96,7 @@ def _compiled(digest: int) -> Kernel:
                 towards = par[LOST + 2 * rotor] * p + par[LOST + 2 * rotor + 1] * q
                 rotors[i, rotor] = towards / size if size > 0.0 else 0.0
             out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, loss, up, i
-        return x.shape[1]
+        return len(at)
 
     return run
 
