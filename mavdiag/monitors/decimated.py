@@ -26,7 +26,8 @@ def stride_of(dt_s: float) -> int:
 
 def taps_of(window: int) -> FloatArray:
     """Of the smoothing of acceleration and thrust, which is that of the rates."""
-    return coefficients(window, min(2, window - 1))[0]
+    taps: FloatArray = coefficients(window, min(2, window - 1))[0]
+    return taps
 
 
 def decimator_memory(window: int) -> FloatArray:
