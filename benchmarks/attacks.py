@@ -10,8 +10,9 @@ seconds always go to watching and measuring the new vehicle. At least 0.9 is dem
 says, in its log or its summary, that frames or connections were refused. `ended` is the time from SIGTERM, sent while
 the attack goes on, to the end of the process; 10 s are allowed. Seed 8.
 
-A row takes its --seconds and the start of three processes; one that is not done `SPARE_S` later has its processes
-killed and is printed as NOT DONE. `--only` runs these rows and "nothing" of their links.
+A row takes its --seconds and the start of three processes. One whose vehicle does not fly `COMPILE_S` after its start,
+or that is not done `SPARE_S` after its --seconds, has its processes killed and is printed as NOT DONE. `--only` runs
+these rows and "nothing" of their links.
 """
 
 import argparse
@@ -30,7 +31,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,8 @@ from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.signing import STALE, Signing, stamp_at
 from mavdiag.logs.tlog import read_tlog
 
-SPARE_S = 40.0  # for the start of the processes and the end of the daemon
+SPARE_S = 40.0  # for the start of the daemon, and for the end of all processes
+COMPILE_S = 120.0  # for the start of the vehicle, which is compiled first
 START_S = 4.0  # from the vehicle's first message to the attacker's
 FLOOD = 300_000
 HEARTBEAT = (2, 3, 128, 0, 4, 3)
@@ -61,7 +63,7 @@ class Attack:
     frames: what is sent, without end.
     rate_hz: how fast; None for as fast as it goes.
     signed: the link.
-    told: what the daemon says of it; None if nothing is to be said.
+    told: a pattern of what the daemon says of it; None if nothing is to be said.
     beside: what is sent after this genuine frame, from the vehicle's own address.
     copied: genuine frames are sent from another port first, and delivered 30 ms later.
     clients: bytes that so many clients of a TCP server send, over and over; empty to stay idle.
@@ -168,9 +170,9 @@ def forged(log: Path, key: Path) -> Iterator[bytes]:
 
 
 def stale(log: Path, key: Path) -> Iterator[bytes]:
-    """Signed with the right key, on a link of its own, an hour ago."""
+    """Signed with the right key an hour ago, of a companion that is not heard now."""
     signing = Signing(read_key(key), link_id=9, stamp=stamp_at(time.time_ns()) - 60 * STALE)
-    encoder = Encoder(1, 1, signing)
+    encoder = Encoder(1, 100, signing)
     while True:
         yield encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT)
 
@@ -270,6 +272,8 @@ def metrics_flood(folder: Path, port: int, stop: threading.Event) -> str:
 
 
 ELSEWHERE, LEAPS, CLASHES = "sends in the name of vehicle 1", "whose stamps leap", "with the number of another frame"
+LEAPS_OR_CLASHES = f"{LEAPS}|{CLASHES}"  # the genuine frame of the forged one's number comes in the same look, or later
+NOT_NEWER = "not above the stream's last"
 ATTACKS = (
     Attack("nothing"),
     Attack("replay of an old flight", replayed, 4000.0, told=ELSEWHERE),
@@ -286,14 +290,15 @@ ATTACKS = (
     Attack("L gyro 1/s stamped 1 h ahead", beside=leaping(1.0, 3600.0, 1), told=CLASHES),
     Attack("L same, other running numbers", beside=leaping(1.0, 3600.0), told=LEAPS),
     Attack("L gyro 10/s stamped 0.3 s ahead", beside=leaping(10.0, 0.3), told=LEAPS),
-    Attack("L one frame stamped 10 s ahead", beside=leaping(1.0, 10.0, once=True), told=LEAPS),
-    Attack("L one frame stamped 25 s ahead", beside=leaping(1.0, 25.0, once=True), told=LEAPS),
-    Attack("L one frame stamped 120 s ahead", beside=leaping(1.0, 120.0, once=True), told=LEAPS),
+    Attack("L one frame stamped 10 s ahead", beside=leaping(1.0, 10.0, once=True), told=LEAPS_OR_CLASHES),
+    Attack("L one frame stamped 25 s ahead", beside=leaping(1.0, 25.0, once=True), told=LEAPS_OR_CLASHES),
+    Attack("L one frame stamped 120 s ahead", beside=leaping(1.0, 120.0, once=True), told=LEAPS_OR_CLASHES),
     Attack("L disarmed heartbeats 3/s", beside=Forger(3.0, MessageId.HEARTBEAT), told=CLASHES),
     Attack("L thrust 0 at 50 Hz", beside=Forger(50.0, MessageId.ATTITUDE_TARGET), told=CLASHES),
     Attack("signed: nothing", signed=True),
     Attack("signed: forged, stamp far ahead", forged, 4000.0, signed=True, told="signature wrong"),
-    Attack("signed: replayed", overheard, 4000.0, signed=True, told="not above the stream's last"),
+    Attack("signed: replayed", overheard, 4000.0, signed=True, told=ELSEWHERE),
+    Attack("signed: replayed beside", signed=True, beside=lambda genuine, now_s: genuine, told=NOT_NEWER),
     Attack("signed: stale", stale, 4000.0, signed=True, told="over a minute old"),
     Attack("signed: downgraded (not signed)", replayed, 4000.0, signed=True, told="unsigned"),
     Attack("F signed: copies come first", signed=True, copied=True, told=ELSEWHERE),
@@ -323,19 +328,18 @@ ATTACKS = (
 
 def send(frames: Iterator[bytes], port: int, rate_hz: float | None, stop: threading.Event) -> int:
     """Send until told to stop; returns how many datagrams went out."""
-    sent, began = 0, time.monotonic()
+    tried, sent, began = 0, 0, time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", port))
         for frame in frames:
             if stop.is_set():
                 break
-            try:
+            tried += 1
+            with contextlib.suppress(OSError):
                 link.send(frame)
-            except OSError:
-                continue
-            sent += 1
-            if rate_hz is not None and sent % 20 == 0:
-                time.sleep(max(0.0, began + sent / rate_hz - time.monotonic()))
+                sent += 1
+            if rate_hz is not None and tried % 20 == 0:
+                time.sleep(max(0.0, began + tried / rate_hz - time.monotonic()))
     return sent
 
 
@@ -440,10 +444,20 @@ def process(*command: str, said: Path) -> Iterator[subprocess.Popen[str]]:
         one.wait()
 
 
-def end_all(processes: Sequence[subprocess.Popen[str]]) -> None:
-    """Kill them."""
-    for one in processes:
-        one.kill()
+@contextlib.contextmanager
+def within(limit_s: float, *processes: subprocess.Popen[str]) -> Iterator[None]:
+    """Kill these processes if the block takes longer."""
+
+    def end_all() -> None:
+        for one in processes:
+            one.kill()
+
+    bound = threading.Timer(limit_s, end_all)
+    bound.start()
+    try:
+        yield
+    finally:
+        bound.cancel()
 
 
 def first_line(said: Path, limit_s: float) -> str:
@@ -512,11 +526,12 @@ def run(attack: Attack, files: tuple[Path, Path, Path], seconds: float, rate: in
         out = f"tcp:127.0.0.1:{port}" if attack.clients else f"udpout:127.0.0.1:{near}"
         command = ("sitl_plant", "run", "--out", out, "--rate", str(rate), "--json", *signing)
         plant = stack.enter_context(process(*command, said=folder / "plant"))
-        bound = threading.Timer(seconds + SPARE_S, end_all, [(plant, detector)])
-        bound.start()
-        stack.callback(bound.cancel)
         assert plant.stdout is not None
-        plant.stdout.readline()
+        with within(COMPILE_S, plant):
+            flies = bool(plant.stdout.readline())
+        if not flies:
+            return f"{attack.name:36} NOT DONE: the vehicle did not start in {COMPILE_S:g} s"
+        stack.enter_context(within(seconds + SPARE_S, plant, detector))
         time.sleep(START_S)
         attackers.begin()
         time.sleep(seconds - START_S)
@@ -543,7 +558,7 @@ def row(attack: Attack, lines: list[str], sent: int, flown_s: float, ended_s: fl
     others = len(set(re.findall(r"vehicle (\d+): received", text)) - {"1"})
     reboots = text.count("rebooted")
     overflowed = re.search(r"(\d+) datagrams overflowed", summary)
-    told = "-" if attack.told is None else "yes" if attack.told in text else "NO"
+    told = "-" if attack.told is None else "yes" if re.search(attack.told, text) else "NO"
     return (
         f"{attack.name:36} {sent:8} {told:>4} {share:5.2f} {judged_s:5.1f}/{flown_s:4.1f} {ended_s:5.2f} {lost:>5} "
         f"{events:>3} {reboots:3} {others:4} {overflowed[1] if overflowed else '-':>8} {state}"

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify import fit, freerun
+from mavdiag.identify import fit
 from mavdiag.identify.lab.sweep import window_sweep
 from mavdiag.identify.validate import r_squared
 from mavdiag.rows.savgol import SavgolFilter
@@ -125,22 +125,17 @@ def fastest(call: Callable[[], object], repeats: int = 7) -> float:
 
 def cost_table(flight_s: float) -> Table:
     """Streaming cost against a peer in the same run, in blocks of 20 and 50 samples; and of identification."""
-    from scipy.signal import lfilter, lfiltic, savgol_coeffs
+    from scipy.signal import lfilter, savgol_coeffs
 
     u, y = fly(2, 2, flight_s).rates(WINDOW)
-    model = fit(u, y, dt=DT_S)
     table = Table("part", "rows", "us per sample and column", "peer", "us", "ratio")
     filt, taps = SavgolFilter.smoother(WINDOW), savgol_coeffs(WINDOW, 2)
     settled, _ = filt.step(filt.start(6), np.zeros((WINDOW, 6)))
-    run, initial = freerun.start(model), lfiltic(model.b, model.a, np.zeros(2))
     for rows in (20, 50):
-        block, piece = np.random.default_rng(3).standard_normal((rows, 6)), u[:rows]
+        block = np.random.default_rng(3).standard_normal((rows, 6))
         ours = fastest(partial(filt.step, settled, block))
         peer = fastest(partial(lfilter, taps, np.ones(1), block, axis=0, zi=np.zeros((WINDOW - 1, 6))))
         _add(table, "Savitzky-Golay, window 101", rows, ours / 6, "scipy lfilter, FIR", peer / 6)
-        ours = fastest(partial(freerun.step, model, run, piece))
-        peer = fastest(partial(lfilter, model.b, model.a, piece, zi=initial))
-        _add(table, "free run, order (2, 2, 1)", rows, ours, "scipy lfilter, IIR", peer)
     ls, sriv = (fastest(partial(fit, u, y, dt=DT_S, method=method), 3) for method in ("ls", "sriv"))
     _add(table, "identification by SRIV", len(u), sriv, "by least squares", ls)
     return table

@@ -46,7 +46,7 @@ PROFILE, DT_S = "qdrone2", 0.001
 WINDOW = window_samples(DT_S)
 FRONT = Front(AlignSpec(DT_S, Grid.NATIVE), gate_for(PROFILE), RateSpec.of(DT_S, WINDOW))
 CONTEXT = LearnContext(airframe_of(qdrone2(), "emulated"), None, DT_S, WINDOW)
-KINDS: tuple[type[Monitor[Any, Any]], ...] = (Unbalance, RotorSignature, RotorTrim)
+KINDS: tuple[type[Monitor[Any]], ...] = (Unbalance, RotorSignature, RotorTrim)
 # shape, speed [m/s], heading [deg]
 PATHS = (
     ("square", 0.5, 0),
@@ -80,7 +80,7 @@ def fly(config: PlantConfig, duration_s: float) -> tuple[Rows, ...]:
     return rows_of(FRONT, flight_telemetry(config, duration_s)[0])
 
 
-def features(monitors: Sequence[Monitor[Any, Any]], rows: Sequence[Rows], rotor: int) -> FloatArray:
+def features(monitors: Sequence[Monitor[Any]], rows: Sequence[Rows], rotor: int) -> FloatArray:
     """x of a flight with a fault, as it is known at each of the times after the onset, (2, 3)."""
     out = np.empty((len(AFTER_S), 3))
     found = [(one, list(one.over(rows))) for one in monitors]

@@ -63,6 +63,7 @@ class Kind(StrEnum):
     LEARNED = "learned"
     NOT_LEARNED = "not learned"
     MONITORING = "monitoring"
+    HIDDEN = "flies, not judged"
     LINK_LOST = "link lost"
     LINK_BACK = "link back"
     REBOOT = "reboot"
@@ -119,6 +120,7 @@ POLICY: Mapping[Kind, Policy] = {
     Kind.LEARNED: Policy(Severity.INFO, "PROP baseline learned: {} monitors{}"),  # how many, ", N cannot"
     Kind.NOT_LEARNED: Policy(Severity.WARNING, "PROP not learned, goes on: {}"),  # reason
     Kind.MONITORING: Policy(Severity.INFO, "PROP monitoring{}", (300.0,)),  # ": reason" or "; what is not judged"
+    Kind.HIDDEN: Policy(Severity.WARNING, "PROP not judged: {}", (60.0,)),  # why, although it flies
     Kind.LINK_LOST: Policy(Severity.INFO, "PROP link lost"),
     Kind.LINK_BACK: Policy(Severity.INFO, "PROP link back after {}s"),  # how long
     Kind.REBOOT: Policy(Severity.INFO, "PROP vehicle rebooted, starting anew"),

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from detector.appender import check_appendable
 from detector.config import Settings, split_metrics_address, split_web_address
+from detector.judging import rescaled
 from detector.web.child import Place, check_installed
 from detector.web.token import read_token
 from mavdiag.airframe.airframe import Airframe
@@ -91,11 +92,12 @@ def _watched(settings: Settings) -> str:
 
 
 def _summary(baseline: Baseline, settings: Settings) -> str:
+    judging = len(rescaled(baseline, settings.threshold_scale).monitors)
     if settings.profile is not None:
         check_link(baseline, profile=settings.profile, dt_s=baseline.link.dt_s)
     return (
         f"{baseline.airframe.name}, {baseline.link.profile} at {1 / baseline.link.dt_s:.0f} Hz, "
-        f"{len(baseline.monitors)} monitors" + (f", grade {baseline.grade}" if baseline.grade else "")
+        f"{judging} monitors" + (f", grade {baseline.grade}" if baseline.grade else "")
     )
 
 

@@ -188,8 +188,9 @@ class Daemon:
             file.flush()
 
     def end(self) -> None:
-        """Record the open events, write the last line and the summary."""
-        self._carry_out(self.fleet.finish(self._now()))
+        """Judge what waits, record the open events, write the last line and the summary."""
+        now = self._now()
+        self._carry_out(self.fleet.finish(now, spent_s=lambda: self._now() - now))
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from detector.latency import Awaiting
-from detector.pacing import Delay, Pacing, by_waiting
+from detector.pacing import STOP_S, Delay, Pacing, by_turns
 from detector.session import Session
 from detector.states import State
 from detector.streams import METERED
@@ -216,16 +216,21 @@ class Fleet:
         for sysid in self._left:
             self.link.leave(sysid)
         turns: list[Turn] = []
-        for sysid, waited_s in by_waiting(self._judged, now):
+        for sysid, waited_s in by_turns(self._judged, now, self.link.source):
             if self._pacing.judges(waited_s, spent_s(), not turns):
                 turns.append(self._parted(sysid, now, partial(self._turn, sysid, now)))
                 self._judged[sysid] = now
                 self.delay = self.delay.waited(waited_s)
         return turns
 
-    def finish(self, now: Instant) -> list[Turn]:
-        """What is left to say when the daemon stops."""
-        return [self._parted(sysid, now, partial(self._last_turn, sysid)) for sysid in self.vehicles]
+    def finish(self, now: Instant, *, spent_s: Callable[[], float] = lambda: 0.0) -> list[Turn]:
+        """Judge what waits, and what is left to say when the daemon stops.
+
+        spent_s: time since the end began [s]; what still waits after `STOP_S` is not judged.
+        """
+        waiting = (sysid for sysid, _ in by_turns(self._judged, now, self.link.source))
+        judged = [self._parted(sysid, now, partial(self._turn, sysid, now)) for sysid in waiting if spent_s() < STOP_S]
+        return [*judged, *(self._parted(sysid, now, partial(self._last_turn, sysid)) for sysid in self.vehicles)]
 
     def _last_turn(self, sysid: int) -> Turn:
         return Turn(sysid, self.vehicles[sysid].session.finish())

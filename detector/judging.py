@@ -1,14 +1,15 @@
 """Judging in flight: the chain at work, and which monitors do not judge."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from detector.alerts import label_of
 from detector.config import SessionSettings
+from detector.sight import Sight
 from detector.streams import METERED, Streams
 from detector.values import EventClosed, EventOpened, Note, Record
-from mavdiag.baseline import Baseline
+from mavdiag.baseline import Baseline, without_mute
 from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.wants import LABELS
@@ -30,6 +31,7 @@ class Judge:
     flight_s: flight time so far.
     gauges: the latest value of every monitor that has one.
     pieces: what the latest step gave, for a display.
+    sight: whether it flies although nothing is judged.
     """
 
     baseline: Baseline
@@ -40,6 +42,7 @@ class Judge:
     flight_s: float = 0.0
     gauges: tuple[Gauge, ...] = ()
     pieces: tuple[Piece, ...] = ()
+    sight: Sight = field(default_factory=Sight)
 
     def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
         """Judge the next telemetry."""
@@ -48,7 +51,8 @@ class Judge:
         judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
         gauges = output.gauges or self.gauges
         counts = (judged, judged_s, flight_s)
-        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces), output
+        sight = self.sight.step(self.chain, telemetry, output)
+        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces, sight), output
 
     def end_flight(self) -> tuple["Judge", ChainOutput]:
         """The flight cannot be followed any longer: what is open is closed."""
@@ -57,7 +61,10 @@ class Judge:
 
 
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
-    """The baseline with all thresholds times a factor; its digest stays that of the file."""
+    """The baseline with all thresholds times a factor, without monitors that could not reach theirs then.
+
+    Its digest stays that of the file. Raises BaselineError if no monitor is left.
+    """
     if scale == 1.0:
         return baseline
     monitors = []
@@ -65,7 +72,10 @@ def rescaled(baseline: Baseline, scale: float) -> Baseline:
         old = entry.threshold
         new = replace(old, value=scale * old.value, session_allowance=scale * old.session_allowance)
         monitors.append(entry.model_copy(update={"threshold": new}))
-    return baseline.model_copy(update={"monitors": tuple(monitors)})
+    judging, refusals = without_mute(monitors, f"thresholds are taken times {scale:g}")
+    if not judging:
+        raise BaselineError(f"no monitor can judge: {refusals[0].monitor}: {refusals[0].reason}")
+    return baseline.model_copy(update={"monitors": judging, "not_judgeable": (*baseline.not_judgeable, *refusals)})
 
 
 def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) -> Chain:
@@ -116,5 +126,5 @@ def words_of(unjudged: Sequence[tuple[str, str]]) -> tuple[str, str]:
     return "".join(f"; {one} not judged: {why}" for one, why in unjudged), short
 
 
-def _names(monitor: Monitor[Any, Any]) -> frozenset[str]:
+def _names(monitor: Monitor[Any]) -> frozenset[str]:
     return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))

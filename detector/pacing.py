@@ -1,19 +1,24 @@
 """Which vehicles are judged in one look at the link, when there is more to do than a look has time for.
 
 Judging costs some milliseconds a vehicle, however little came from it. So under load fewer vehicles are judged in each
-look, those that have waited longest first, and each with more data: nothing is lost, and verdicts come later. How much
-later is told. A pure policy: the times are given.
+look, and each with more data: nothing is lost, and verdicts come later. How much later is told. Each source has one
+vehicle judged before any source has its second: who makes up vehicles delays those of his own source. A pure policy:
+the times are given.
 """
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 
+from mavdiag.link.sequence import Source
 from mavdiag.telemetry import Instant
 
-__all__ = ["Delay", "Pacing", "by_waiting"]
+__all__ = ["STOP_S", "Delay", "Pacing", "by_turns"]
 
 SHARE = 0.5  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
+STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
 LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
 
@@ -44,9 +49,21 @@ class Pacing:
         return self.budget_s is None or spent_s < self.budget_s or (first and waited_s > self.most_s)
 
 
-def by_waiting(judged: Mapping[int, Instant], now: Instant) -> list[tuple[int, float]]:
-    """System ids with the time since they were judged [s], the longest first."""
-    return sorted(((sysid, now - at) for sysid, at in judged.items()), key=lambda one: -one[1])
+def by_turns(
+    judged: Mapping[int, Instant], now: Instant, source_of: Callable[[int], Source]
+) -> list[tuple[int, float]]:
+    """System ids with the time since they were judged [s], in rounds: of each source the vehicle that waited longest,
+    then of each source the second, and so on. The source that had no turn for the longest time is the first.
+
+    >>> judged = {1: Instant(30), 2: Instant(10), 3: Instant(20)}
+    >>> [sysid for sysid, _ in by_turns(judged, Instant(40), lambda sysid: "one" if sysid == 1 else "other")]
+    [2, 1, 3]
+    """
+    queues: defaultdict[Source, list[int]] = defaultdict(list)
+    for sysid in sorted(judged, key=lambda sysid: judged[sysid].ns):
+        queues[source_of(sysid)].append(sysid)
+    rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
+    return [(sysid, now - judged[sysid]) for each in rounds for sysid in each if sysid is not None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Final
 
 from detector.alerts import POLICY, Kind, Notice, Presenter, Told, figure, present, told_of
-from detector.judging import Judge, chain_for, not_judged, records_of, words_of
+from detector.judging import Judge, chain_for, not_judged, records_of, rescaled, words_of
 from detector.judging_notices import imu_notes, layout_notices, notes_on, vehicle_notices
 from detector.named_values import NamedValues, named_values
 from detector.needs import Demand, demand_of
@@ -285,6 +285,9 @@ class Session:
             except BaselineError as error:
                 return self._off(Trigger.REFUSED, str(error))
             self._keep(judge=Judge(state.baseline, chain, chain.start(self._held()), now))
+            scaled = rescaled(state.baseline, self._settings.threshold_scale)
+            lost = scaled.not_judgeable[len(state.baseline.not_judgeable) :]
+            self._effects += [Note(f"{one.monitor} not judged: {one.reason}") for one in lost]
             self._effects += notes_on(state.baseline, chain, self._settings.suspect)
             self._notices += layout_notices(state.baseline)
         lack = self._lack(inbox)
@@ -361,6 +364,11 @@ class Session:
 
     def _idle(self, judge: Judge, ground: Hindrance | None, now: Instant) -> None:
         """Say why nothing is judged if nothing is, and which monitors do not judge; what is found is said elsewhere."""
+        if hidden := judge.sight.hidden:
+            reason = f"not judged: {hidden}"
+            self._effects += [Note(reason)] if reason != self.state.reason else []
+            self._keep(reason=reason)
+            return self._say(Kind.HIDDEN, hidden, key=hidden)
         unjudged = not_judged(judge, self.state.streams, now)
         self._effects += [
             Note(f"{label} not judged: {why}") for label, why in unjudged if (label, why) not in self.state.unjudged
@@ -373,6 +381,7 @@ class Session:
         self._keep(reason=f"monitoring{why}", unjudged=unjudged)
         if diagnosis.stage not in (Stage.FAULT, Stage.INSPECT) or unjudged:
             self._say(Kind.MONITORING, short, key=short)
+        return None
 
     def _faulted(self, inbox: Inbox, now: Instant) -> None:
         self._say(Kind.OFF, self.state.reason)

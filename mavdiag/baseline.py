@@ -7,6 +7,7 @@ not fit, naming the field; `check_link` refuses another link. `upgrade` reads th
 
 import hashlib
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -51,6 +52,7 @@ __all__ = [
     "parse",
     "sealed",
     "validated",
+    "without_mute",
 ]
 
 OLD_SCHEMAS = ("mavdiag.baseline/1", "mavdiag.baseline/2")
@@ -257,6 +259,19 @@ def _place(raw: dict[str, Any]) -> str:
         except ValidationError:
             continue
     return "airframe"
+
+
+def without_mute(monitors: Iterable[MonitorEntry], remedy: str) -> tuple[tuple[MonitorEntry, ...], tuple[Refusal, ...]]:
+    """Those whose statistic can pass its threshold, and a refusal of each other. remedy: what would help."""
+    judging, refusals = list[MonitorEntry](), list[Refusal]()
+    for entry in monitors:
+        monitor, limit = monitor_of(entry.spec), entry.threshold.value
+        if limit < monitor.reach:
+            judging.append(entry)
+        else:
+            text = f"its threshold {limit:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most); {remedy}"
+            refusals.append(Refusal(monitor=monitor.name, reason=text))
+    return tuple(judging), tuple(refusals)
 
 
 def check_link(baseline: Baseline, *, profile: str, dt_s: float) -> None:

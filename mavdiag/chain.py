@@ -30,6 +30,7 @@ from mavdiag.errors import BaselineError
 from mavdiag.link.samples import joined
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
+from mavdiag.monitors.columns import columns_of
 from mavdiag.rows.align import AlignSpec, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
@@ -56,7 +57,7 @@ class Slot:
     decides: its alarm is a fault by itself; else it is a suspicion.
     """
 
-    monitor: Monitor[Any, Any]
+    monitor: Monitor[Any]
     threshold: float
     decides: bool
 
@@ -293,8 +294,9 @@ class Chain:
         monitors, found, outside = [], [], []
         envelope = self.envelope.step(state.envelope, rows)
         flown = replace(rows, covered=partial(self.envelope.covers, envelope))
+        columns = columns_of(flown)
         for number, (slot, memory) in enumerate(zip(self.slots, state.monitors, strict=True)):
-            after, statistic = slot.monitor.step(memory, flown)
+            after, statistic = slot.monitor.judge(memory, flown, columns)
             statistic, denied = self.envelope.apply(number, statistic, envelope)
             monitors.append(after)
             found.append(statistic)

@@ -29,7 +29,7 @@ from mavdiag.errors import BaselineError, InputError, UsageError
 from mavdiag.judging import LogVerdict
 from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
-from mavdiag.monitors.run_length import MIN_PIECE_S, training_pieces
+from mavdiag.monitors.training import MIN_PIECE_S, training_pieces
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
 
 __all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "scan", "with_airframe"]

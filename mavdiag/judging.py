@@ -20,10 +20,9 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.align import measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.gate import SHOWS_FLIGHT, Border, Hidden, hidden_flight
-from mavdiag.rows.quality import believed
+from mavdiag.rows.gate import Border, Hidden, hidden_flight
 from mavdiag.rows.upsets import Upset, motion_of, upset_in
-from mavdiag.telemetry import Axis, FloatArray, Log, Signal, Telemetry, pandas_module
+from mavdiag.telemetry import Axis, FloatArray, Log, Signal, pandas_module
 from mavdiag.units import NS_PER_S
 
 __all__ = [
@@ -210,7 +209,8 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         return refused(refusal, 1 / dt_s)
     if log.motor_order:  # its outputs are by motor already
         chain = replace(chain, front=replace(chain.front, outputs=None))
-    parts = chain.front.pieces(log.telemetry, PIECE_ROWS)
+    telemetry = chain.front.align.believed(log.telemetry)
+    parts = chain.front.pieces(telemetry, PIECE_ROWS)
     first = _beginning(parts, baseline)
     likeness = _likeness(first, baseline)
     alike = likeness.sentence(baseline.airframe.name)
@@ -219,13 +219,12 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
     run = _run(chain, itertools.chain(first, parts), keep)
     events, coverage = _merged(run.events), run.state.coverage.closed()
     monitors = _summaries(chain, run.state, events)
-    hidden = hidden_flight(_believed(chain, log.telemetry), chain.front.gate, run.spans)
+    hidden = hidden_flight(telemetry, chain.front.gate, run.spans)
     flown_s = coverage.flown_s + sum(one.span_s for one in hidden)
     upset, rotors = upset_in(run.motion), _rotors(run.changes)
     takeoff_s = max((account.flight_s for account in run.state.accounts), default=0.0) - coverage.flown_s
     seen = (events, run.changes, coverage, hidden, flown_s, takeoff_s)
-    told = _Evidence(log, monitors, *seen, upset, judged_share)
-    verdict, reason = told.verdict()
+    verdict, reason = _Evidence(log, monitors, *seen, upset, judged_share).verdict()
     kind, since = _declared(run.changes)
     if kind is None and verdict is Verdict.FAULT and upset is not None:
         kind, since = FaultKind.LOSS_OF_CONTROL, upset.begin_s
@@ -248,12 +247,6 @@ def _judged(log: Log, baseline: Baseline, judged_share: float, keep: bool) -> Ju
         rotors,
     )
     return JudgedFlight(found, chain, tuple(run.kept), coverage.unjudged)
-
-
-def _believed(chain: Chain, telemetry: Telemetry) -> Telemetry:
-    """What tells flight from ground, without the samples that are not believed."""
-    series = tuple(one for one in telemetry.series if one.signal in SHOWS_FLIGHT)
-    return believed(chain.front.align.quality, {}, Telemetry(series))[1]
 
 
 def _beginning(parts: Iterator[Rows | Border], baseline: Baseline) -> list[Rows | Border]:

@@ -33,15 +33,19 @@ def example_rows(
 ) -> Rows:
     """n rows of one segment with the signals given, (n, k) each, in the units of `Block`.
 
-    Set-point and gyro are at rest if not given, other signals absent. Rates by Savitzky-Golay filters of 5 samples.
+    The set-point is at rest if not given, other signals are absent. The gyro, if not given, turns the nose as the
+    set-point commands and is at rest about the other axes. Rates by Savitzky-Golay filters of 5 samples.
     """
     absent, still, always = np.full((n, 3), np.nan), np.zeros((n, 3)), np.ones(n, dtype=np.bool_)
+    turning = np.zeros((n, 3))
+    if setpoint is not None and n > 1:
+        turning[:, 2] = np.gradient(setpoint[:, 2], dt_s)
     block = Block(
         segment=segment,
         dt_s=dt_s,
         t_ns=round(segment * 1e12) + np.round(np.arange(n) * dt_s * 1e9).astype(np.int64),
         setpoint=still if setpoint is None else setpoint,
-        rate=still if rate is None else rate,
+        rate=turning if rate is None else rate,
         force=absent if force is None else force,
         torque=absent if torque is None else torque,
         rate_setpoint=absent,

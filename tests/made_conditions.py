@@ -76,6 +76,7 @@ def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:
     bins = [k for k in bins if (k + 1) * BIN_NS <= int(rates.t_ns[-1]) // BIN_NS * BIN_NS]
     out: dict[Condition, list[float]] = {condition: [] for condition in Condition}
     tilts: list[tuple[float, float]] = []
+    slopes: list[float] = []
     before: dict[str, float] = {}
     for k in bins:
         inside = [i for i, t in enumerate(block.t_ns.tolist()) if t // BIN_NS == k and block.valid[i]]
@@ -103,8 +104,10 @@ def slowly(block: Block) -> tuple[list[int], dict[Condition, list[float]]]:
         step = {name: abs(now[name] - before.get(name, math.nan)) / 0.1 for name in now}
         accelerations = [one for one in (step["roll"], step["pitch"]) if math.isfinite(one)]
         out[Condition.COMMANDED_ACCELERATION].append(max(accelerations, default=math.nan))
+        slopes.append(step["yaw"])
+        commanded = max((one for one in slopes[-20:] if math.isfinite(one)), default=math.inf)
         turn = abs(_mean([block.rate[i, 2] for i in inside]))
-        out[Condition.YAW_RATE].append(step["yaw"] if math.isfinite(step["yaw"]) else turn)
+        out[Condition.YAW_RATE].append(min(turn, commanded))
         before = now
     return [(k + 1) * BIN_NS for k in bins], out
 

@@ -8,8 +8,8 @@ from mavdiag.thresholds.rule import BUDGET_PER_HOUR, Threshold, threshold_of
 
 
 def calibrated(
-    kind: type[Monitor[Any, Any]], flights: Flights, context: LearnContext, budget_per_hour: float = BUDGET_PER_HOUR
-) -> tuple[Monitor[Any, Any], Threshold]:
+    kind: type[Monitor[Any]], flights: Flights, context: LearnContext, budget_per_hour: float = BUDGET_PER_HOUR
+) -> tuple[Monitor[Any], Threshold]:
     """The monitor fitted to all flights, and its threshold from flights that a fit did not see."""
     scores = held_out_scores(flights, lambda rest: [kind(spec) for spec in kind.fit(rest, context)])
     monitor = kind(kind.fit(flights, context)[0])

@@ -10,7 +10,7 @@ from mavdiag.decision.alarm import Stage
 from mavdiag.identify import ArxModel, fit
 from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.monitors.run_length import Exceedance, exceedance
+from mavdiag.monitors.run_length import exceedances
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 from peers.contender import Learner, Scored, Scorer
@@ -67,7 +67,7 @@ def _thesis(healthy: tuple[Flown, ...]) -> Scorer:
     def score(one: Flown) -> Scored:
         r = _residuals(models, one)
         valid = np.ones(len(r), dtype=np.bool_)
-        fsd_s = [exceedance(Exceedance(), r[:, i], valid, margin=m, dt_s=dt_s)[1] for i, m in enumerate(margins)]
+        fsd_s = [exceedances(r[:, i], valid, m, dt_s)[0] for i, m in enumerate(margins)]
         return Scored.anonymous(one.t_s[-len(r) :] + one.delay_s, np.max(fsd_s, axis=0))
 
     return score

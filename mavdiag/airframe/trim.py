@@ -5,6 +5,14 @@
 
 o: motor outputs 0..1; or m itself from torque commands over thrust (a Crazyflie logs no outputs). a_j is the least-
 squares rise of rotor j alone that explains a shift m, c_j its column of C.
+
+A rotor that lost the share e of its thrust carries as much when it is commanded the share a more. Thrust goes with the
+command, for autopilots linearise it:
+
+    (1 - e)(1 + a) = 1
+
+A recorded ArduCopter's motors at 0.95, 0.90 and 0.80 rise by 0.054, 0.110 and 0.237, by this law 0.053, 0.111 and
+0.250. Where outputs go with the speed of the rotor, T ~ w^2, the same rise is a loss of nearly twice as much.
 """
 
 from collections.abc import Sequence
@@ -21,11 +29,13 @@ from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 __all__ = [
     "LEVEL_RATIO",
     "MIN_OUTPUT",
+    "MOST_LOSS",
     "SIGNALS",
     "SOURCES",
     "YAW_FLOOR",
-    "LargeRise",
     "Source",
+    "loss_of",
+    "rise_of",
     "rises",
     "shown_trim",
     "source_among",
@@ -41,6 +51,7 @@ YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed 
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
 NO_TILT = np.zeros((1, 2))
+MOST_LOSS = 1 / 3  # of a rotor's thrust; with less left no output can answer (our choice)
 MIN_OUTPUT = 0.05  # mean output or thrust below which nothing flies (our choice)
 
 Source: TypeAlias = Literal["actuator", "torque"]
@@ -49,6 +60,20 @@ SIGNALS: dict[Source, frozenset[Signal]] = {
     "actuator": frozenset({Signal.ACTUATOR}),
     "torque": frozenset({Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT}),
 }
+
+
+def rise_of(loss: float) -> float:
+    """By how much a rotor is commanded more [fraction of hover] that lost this share of its thrust, below 1.
+
+    >>> rise_of(0.2), loss_of(0.25)
+    (0.25, 0.2)
+    """
+    return loss / (1.0 - loss)
+
+
+def loss_of(rise: float) -> float:
+    """The share of its thrust that a rotor lost which is commanded so much more [fraction of hover]."""
+    return rise / (1.0 + rise)
 
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
@@ -149,24 +174,3 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
     found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
     return np.asarray(found.T, dtype=np.float64)
-
-
-class LargeRise:
-    """Whether the largest of `rises` is above a limit, of one shift at a time: for what must go tick by tick."""
-
-    def __init__(self, layout: RotorLayout, spread: Three, limit: float) -> None:
-        self._roll, self._pitch, self._yaw = (one * one for one in spread)
-        self._columns = [
-            (a, b, c, limit * a * a, limit * b * b, limit * c * c) for a, b, c in layout.unmixing.T.tolist()
-        ]
-
-    def __call__(self, shift: Sequence[float]) -> bool:
-        """shift: of roll, pitch and yaw trim, and of the commanded roll and pitch [rad]."""
-        roll, pitch, yaw, lean, nod = shift
-        more = TILT_TRIM**2 * (lean * lean + nod * nod)
-        w0, w1, w2 = 1.0 / (self._roll + more), 1.0 / (self._pitch + more), 1.0 / self._yaw
-        roll, pitch, yaw = roll * w0, pitch * w1, yaw * w2
-        for a, b, c, least_a, least_b, least_c in self._columns:
-            if roll * a + pitch * b + yaw * c > w0 * least_a + w1 * least_b + w2 * least_c:
-                return True
-        return False

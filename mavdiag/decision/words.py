@@ -1,12 +1,12 @@
 """A diagnosis in a pilot's words: which rotor, and what it does. The figures behind them are in the journal.
 
 The phrase is that of the monitor whose evidence leads (`Monitor.phrase`). "2.6x" is times its threshold. Thrust that is
-lost is the share l of its thrust that a rotor lost which is commanded the share a more to lift the same: as thrust goes
-with the command, (1 - l)(1 + a) = 1.
+lost is the share of its thrust that a rotor lost which is commanded more to lift the same (`airframe.trim.loss_of`).
 """
 
 import math
 
+from mavdiag.airframe.trim import loss_of
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
@@ -60,4 +60,4 @@ def _phrase(finding: Change | Diagnosis) -> str:
     rise = max(finding.statistic, 0.0)
     times = rise / finding.threshold
     shown = ">99" if times > 99 else f"{times:.0f}" if times >= 9.95 else f"{times:.1f}"
-    return _template(finding).format(times=shown, lost=f"{100.0 * rise / (1.0 + rise):.0f}")
+    return _template(finding).format(times=shown, lost=f"{100.0 * loss_of(rise):.0f}")

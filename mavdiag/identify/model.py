@@ -142,8 +142,7 @@ class ArxModel:
         """Free-run output for the inputs u, (n,) -> (n,): no measured output enters (T 5.5).
 
         Without a past the model starts from rest. past_u, past_y: inputs and outputs before u[0], oldest first; as
-        many of the last rows as the model reaches back are used, missing ones count as zero. A stream is simulated
-        with `mavdiag.identify.freerun`.
+        many of the last rows as the model reaches back are used, missing ones count as zero.
         """
         from scipy.signal import lfilter, lfiltic  # 0.8 s to import: only offline work pays it
 

@@ -1,11 +1,9 @@
 """The least damage that a baseline would notice, and what it is worth for that: grades A to D.
 
 A damage is put into the healthy flights by what the monitors are made of, and held against their thresholds. A rotor
-that loses the share e of its thrust turns faster to carry as much, T ~ w^2, so its command rises by
-
-    a = 1/sqrt(1 - e) - 1      of hover, and the rise of this rotor that a monitor of the trim shows by the same a,
-
-and an unbalance that was not there adds to the vibration as power does, for its phase is any:
+that loses the share e of its thrust is commanded more (`airframe.trim.rise_of`), and the rise of this rotor that a
+monitor of the trim shows is so much higher. An unbalance that was not there adds to the vibration as power does, for
+its phase is any:
 
     v^2 = v_healthy^2 + x^2,   x = U Omega^2/m      [m/s^2] of an unbalance U
 
@@ -20,6 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.trim import MOST_LOSS, loss_of
 from mavdiag.baseline import Baseline
 from mavdiag.baseline_parts import Grade, LeastDamage
 from mavdiag.errors import IdentificationError
@@ -30,9 +29,7 @@ from mavdiag.units import G_MM_PER_KG_M
 __all__ = ["accepted", "grade_of", "least_damage"]
 
 MISSED = 0.05  # share of the seconds in which it may go unnoticed
-# of a rotor's thrust: grades A, B (both our choice), C. At the usual thrust-to-weight ratio of 2 a rotor that lost half
-# has no reserve left in hover: what is noticed later is noticed by the fall
-LOSS_LIMITS = (0.10, 0.20, 0.50)
+LOSS_LIMITS = (0.10, 0.20, MOST_LOSS)  # of a rotor's thrust: grades A, B (both our choice), C
 VIBRATION_LIMITS_M_S2 = (3.0, 10.0, 30.0)  # A, B, C (our choice); above 30 ArduPilot calls it too much to fly with
 GRADES: tuple[Grade, ...] = ("A", "B", "C", "D")
 
@@ -53,7 +50,7 @@ def least_damage(found: Sequence[Course], limits: Mapping[str, float], airframe:
     least = np.maximum(np.min(rises, axis=0), 0.0) if rises else np.empty(0)
     m_s2 = min(vibration)
     return LeastDamage(
-        thrust_loss=tuple(float(f"{1 - 1 / (1 + a) ** 2:.3g}") for a in least.tolist()),
+        thrust_loss=tuple(float(f"{loss_of(a):.3g}") for a in least.tolist()),
         vibration_m_s2=float(f"{m_s2:.3g}") if math.isfinite(m_s2) else None,
         unbalance_g_mm=_unbalance(m_s2, airframe),
     )
@@ -66,7 +63,7 @@ def _unbalance(m_s2: float, airframe: Airframe) -> float | None:
 
 
 def grade_of(least: LeastDamage, *, weak: bool, blind: Sequence[str] = ()) -> Grade:
-    """A: a rotor's loss of 10 % or a vibration of 3 m/s^2 is noticed; B: 20 %, 10 m/s^2; C: 50 %, 30 m/s^2; else D.
+    """A: a rotor's loss of 10 % or a vibration of 3 m/s^2 is noticed; B: 20 %, 10 m/s^2; C: a third, 30 m/s^2; else D.
 
     The better of the two counts, and is B at most where the other is not seen at all. C where the link shows neither:
     such a baseline judges by motion alone. weak: its flights speak against it, which is D. blind: monitors that were

@@ -20,7 +20,7 @@ from mavdiag.thresholds.heldout import Scores, by_axis, folds, scored
 
 __all__ = ["Fitted", "fits"]
 
-Kind = type[Monitor[Any, Any]]
+Kind = type[Monitor[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +106,7 @@ def fits(
 
 def _settled(
     kind: Kind, gathered: _Gathered, flights: Flights, rests: Sequence[Flights], context: LearnContext
-) -> tuple[Fitted, list[list[Monitor[Any, Any]]]]:
+) -> tuple[Fitted, list[list[Monitor[Any]]]]:
     """The fits of a monitor to all flights, and its monitors by a fit to the rest of each fold."""
     try:
         if kind in gathered.errors:

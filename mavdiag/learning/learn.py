@@ -8,7 +8,7 @@ from typing import Any
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.fingerprint import fingerprint_of
-from mavdiag.baseline import Baseline, sealed
+from mavdiag.baseline import Baseline, sealed, without_mute
 from mavdiag.baseline_parts import HealthyScores, Link, MonitorEntry, Provenance, Refusal, SourceLog, Window
 from mavdiag.errors import IdentificationError, InputError, UsageError
 from mavdiag.identify import Method, Order
@@ -155,9 +155,7 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
     found = courses([entry.spec for entry in baseline.monitors], flights)
     limits = {entry.spec.kind: entry.threshold.value for entry in baseline.monitors}
     least = least_damage(found, limits, baseline.airframe)
-    mute = [entry for entry in baseline.monitors if entry.threshold.value >= monitor_of(entry.spec).reach]
-    judging = tuple(entry for entry in baseline.monitors if entry not in mute)
-    refusals = tuple(_mute(entry) for entry in mute)
+    judging, refusals = without_mute(baseline.monitors, "learn from calmer flights, or from more of them")
     if not judging:
         raise IdentificationError(f"no monitor can judge such flights ({'; '.join(one.reason for one in refusals)})")
     said = [str(one) for one in suspicions(found, baseline.airframe)]
@@ -169,15 +167,9 @@ def assessed(baseline: Baseline, flights: Sequence[LearntFlight]) -> Baseline:
             "not_judgeable": (*baseline.not_judgeable, *refusals),
             "least_damage": least,
             "weak": weak,
-            "grade": grade_of(least, weak=bool(weak), blind=[entry.spec.kind for entry in mute]),
+            "grade": grade_of(least, weak=bool(weak), blind=[one.monitor for one in refusals]),
         }
     )
-
-
-def _mute(entry: MonitorEntry) -> Refusal:
-    monitor = monitor_of(entry.spec)
-    text = f"its threshold {entry.threshold.value:.3g} {monitor.unit} cannot be reached ({monitor.reach:.3g} at most)"
-    return Refusal(monitor=monitor.name, reason=f"{text}; learn from calmer flights, or from more of them")
 
 
 def _filtered(airframe: Airframe, flight: Log) -> Airframe:

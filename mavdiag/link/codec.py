@@ -44,7 +44,8 @@ UNFINISHED = -1
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
 SHORTEST_V1, SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 TEXT_BYTES = 50  # STATUSTEXT.text
-FALSE_MARKERS = 64  # in one datagram; what comes behind them is garbage, so that a large one costs little (our choice)
+# What came at once is searched up to so many false markers, or one in so many bytes; the rest is garbage (our choice).
+FALSE_MARKERS = 64
 
 _search_marker = re.compile(rb"[\xfd\xfe]").search
 _header_v1 = struct.Struct("<xBBBBB").unpack_from  # length, seq, sysid, compid, msgid
@@ -201,7 +202,7 @@ class Decoder:
         """Frames of the buffer, and how many bytes are done with: all of them if it is whole."""
         frames: list[Frame] = []
         at, end, take = 0, len(buffer), self.take
-        left = FALSE_MARKERS if whole else end
+        left = max(FALSE_MARKERS, end // FALSE_MARKERS)
         while at < end:
             after = take(buffer, at, host_ns, frames, whole)
             if after > at:

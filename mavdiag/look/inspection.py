@@ -28,7 +28,7 @@ from mavdiag.monitors import (
     thrust_loss,
 )
 from mavdiag.monitors.base import Monitor
-from mavdiag.monitors.unbalance import corner_of
+from mavdiag.monitors.vibration_band import corner_of
 from mavdiag.rows.grid import unbroken
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
@@ -220,7 +220,7 @@ def monitor_states(
     """Each monitor of the registry, or of a baseline: whether it can work, else what is missing."""
     rates = {one.signal: one.rate_hz or 0.0 for one in found if any(v is not None for v in one.highest)}
     if baseline is None:
-        rows: dict[str, tuple[type[Monitor[Any, Any]], frozenset[Signal]]] = {m.name: (m, m.needs) for m in MONITORS}
+        rows: dict[str, tuple[type[Monitor[Any]], frozenset[Signal]]] = {m.name: (m, m.needs) for m in MONITORS}
     else:
         fits = (monitor_of(entry.spec) for entry in baseline.monitors)
         rows = {monitor.name: (type(monitor), monitor.signals) for monitor in fits}
@@ -264,7 +264,7 @@ def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> t
     return tuple(missing.values())
 
 
-def _stream(log: Log, kind: type[Monitor[Any, Any]], rates: Mapping[str, float]) -> tuple[str, ...]:
+def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float]) -> tuple[str, ...]:
     """Why the gyro's stream does not carry what a monitor looks for."""
     rate_hz = rates.get(Signal.BODY_RATE, 0.0)
     if not rate_hz or Signal.BODY_RATE not in kind.needs:

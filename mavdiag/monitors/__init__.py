@@ -21,7 +21,7 @@ from mavdiag.monitors.vibration_level import VibrationLevel
 
 __all__ = ["BY_NAME", "MONITORS", "NEED_LAYOUT", "by_name", "monitor_of"]
 
-MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
+MONITORS: tuple[type[Monitor[Any]], ...] = (
     RunLength,
     Innovation,
     RotorSignature,
@@ -35,12 +35,12 @@ MONITORS: tuple[type[Monitor[Any, Any]], ...] = (
     ThrustLoss,
 )
 
-BY_NAME: Mapping[str, type[Monitor[Any, Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})
+BY_NAME: Mapping[str, type[Monitor[Any]]] = MappingProxyType({monitor.name: monitor for monitor in MONITORS})
 
 NEED_LAYOUT = tuple(monitor.name for monitor in MONITORS if monitor.needs_layout)
 
 
-def by_name(name: str) -> type[Monitor[Any, Any]]:
+def by_name(name: str) -> type[Monitor[Any]]:
     """The monitor of that name. Raises UsageError, listing the names, if there is none.
 
     >>> by_name("fsd").label
@@ -52,6 +52,6 @@ def by_name(name: str) -> type[Monitor[Any, Any]]:
 
 
 @lru_cache(maxsize=256)
-def monitor_of(spec: Any) -> Monitor[Any, Any]:
+def monitor_of(spec: Any) -> Monitor[Any]:
     """The monitor that works by a fit, ready to start; the same one for the same fit, since it remembers nothing."""
     return BY_NAME[spec.kind](spec)

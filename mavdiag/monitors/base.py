@@ -14,17 +14,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
 from mavdiag.identify import Method, Order
+from mavdiag.monitors.columns import Columns, Kernel, columns_of
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
 from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Axis, BoolArray, Signal
+from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal
 from mavdiag.thresholds.guard import Guard
 
 __all__ = [
@@ -40,7 +42,6 @@ __all__ = [
     "segments",
 ]
 
-State = TypeVar("State")
 Spec = TypeVar("Spec")
 
 
@@ -145,7 +146,7 @@ class Feature:
     RISE = "rise"  # share of the hover command, from `rotors`
 
 
-class Monitor(ABC, Generic[Spec, State]):
+class Monitor(ABC, Generic[Spec]):
     """One statistic; `axis` is None where it concerns the whole vehicle.
 
     name: key in the baseline, the journal and the scan report.
@@ -162,6 +163,8 @@ class Monitor(ABC, Generic[Spec, State]):
     feature: what its level means for the fault, a name of `Feature`; None if nothing.
     needs_layout: it cannot be fitted where the rotor layout is not known.
     doubt: what a verdict adds where no deciding monitor without a doubt has an alarm; empty if nothing.
+    run: its equation, compiled (`monitors.columns`).
+    by_rates: its values are about the times of rates, which are known half a filter window later than rows.
     spec_type: the frozen dataclass of its fit, with `kind: Literal[name]`; what the baseline stores.
     """
 
@@ -177,10 +180,13 @@ class Monitor(ABC, Generic[Spec, State]):
     evidence: ClassVar[RotorEvidence | None] = None
     needs_layout: ClassVar[bool] = False
     doubt: ClassVar[str] = ""
+    run: ClassVar[Kernel]
+    by_rates: ClassVar[bool] = False
     spec_type: ClassVar[type[Any]]
 
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
+        self._parameters: dict[float, FloatArray] = {}
 
     @classmethod
     @abstractmethod
@@ -259,16 +265,46 @@ class Monitor(ABC, Generic[Spec, State]):
         """What its level means for the fault, a name of `Feature`; None if nothing."""
         return None
 
-    @abstractmethod
-    def start(self) -> State:
-        """A fresh state, before the first row of a segment."""
+    @property
+    def rotors(self) -> int:
+        """For how many rotors it gives evidence."""
+        return 0
+
+    def period_s(self, dt_s: float) -> float:
+        """Span of flight that one value stands for [s], at a row period."""
+        return dt_s
 
     @abstractmethod
-    def step(self, state: State, rows: Rows) -> tuple[State, Statistic]:
+    def parameters(self, dt_s: float) -> FloatArray:
+        """What `run` reads of its fit, at a row period [s]."""
+
+    @abstractmethod
+    def memory(self, dt_s: float) -> FloatArray:
+        """What `run` remembers, before the first row of a segment."""
+
+    def start(self) -> FloatArray:
+        """A fresh state, before the first row of a segment: nothing, until the row period is known."""
+        return np.empty(0)
+
+    def step(self, state: FloatArray, rows: Rows) -> tuple[FloatArray, Statistic]:
         """Take the next rows of the same segment. Any cut into chunks gives the same values.
 
         The chain calls `start` at the border of every segment and flight; a monitor need not look for it.
         """
+        return self.judge(state, rows, columns_of(rows))
+
+    def judge(self, state: FloatArray, rows: Rows, columns: Columns) -> tuple[FloatArray, Statistic]:
+        """As `step`, with the columns of the rows at hand."""
+        dt_s, n = rows.block.dt_s, columns.flags.shape[1]
+        if dt_s not in self._parameters:
+            self._parameters[dt_s] = self.parameters(dt_s)
+        memory = state.copy() if len(state) else self.memory(dt_s)
+        out, rotors, at = np.empty((4, n)), np.empty((n, self.rotors)), np.empty(n, dtype=np.int64)
+        count = self.run(self._parameters[dt_s], memory, columns.x, columns.flags, columns.lag, out, rotors, at)
+        t_ns = rows.rates.t_ns if self.by_rates else rows.block.t_ns
+        value, sound, level, signal = out[:, :count]
+        found = Statistic(t_ns[at[:count]], self.period_s(dt_s), value, sound > 0.5, level, signal, rotors[:count])
+        return memory, found
 
     def over(self, flight: Sequence[Rows]) -> Iterator[Statistic]:
         """Judge a whole flight, from a fresh state at every segment."""

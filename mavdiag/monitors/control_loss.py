@@ -4,6 +4,7 @@ Beyond some rate an attitude controller has lost the vehicle, whatever the reaso
 a sensor that lies. What the other monitors say from then on is about the upset and no longer about its cause.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -11,13 +12,12 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import InputError
+from mavdiag.jit import cached, source_digest
 from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, check_delay
+from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U, Y
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.telemetry import Signal
+from mavdiag.telemetry import FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["ControlLoss", "ControlLossSpec"]
 
 LEAST_RAD_S = 7.0  # 400 deg/s beyond the command; emulated flights whose position jumps reach 5.7 (our choice)
 MIN_RATE_HZ = 20.0  # below it an upset is over between two samples (our choice)
@@ -34,7 +34,34 @@ class ControlLossSpec:
         check_delay("control_loss", self.delay_s)
 
 
-class ControlLoss(Monitor[ControlLossSpec, None]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The rate without a command at each row whose rates became known."""
+        for i in range(lag, x.shape[1] if digest else lag):
+            k, fast, left, sound = i - lag, 0.0, 0.0, flags[COMMANDED, i] > 0.5
+            for axis in range(3):
+                y, apart = x[Y + axis, i], x[Y + axis, i] - x[U + axis, i]
+                fast, left = fast + y * y, left + apart * apart
+            value = min(math.sqrt(fast), math.sqrt(left))
+            sound = sound and math.isfinite(fast + left)
+            out[VALUE, k] = out[LEVEL, k] = value if sound else 0.0
+            out[SOUND, k], out[SIGNAL, k], at[k] = sound, math.sqrt(fast) if sound else 0.0, k
+        return len(at) - lag
+
+    return run
+
+
+class ControlLoss(Monitor[ControlLossSpec]):
     """Statistic: how fast the body turns without a command [rad/s].
 
         s = min(|y|, |y - u|)          y: smoothed gyro, u: commanded body rate, as the model relates them
@@ -63,6 +90,7 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
     kind = FaultKind.LOSS_OF_CONTROL
     clear_s = 1.0
     guard = Guard(least=LEAST_RAD_S)
+    by_rates = True
     spec_type = ControlLossSpec
     unit = "rad/s"
 
@@ -84,16 +112,12 @@ class ControlLoss(Monitor[ControlLossSpec, None]):
         """Half the window of the rate filters [s]."""
         return self.spec.delay_s
 
-    def start(self) -> None:
-        """Nothing is remembered."""
+    def parameters(self, dt_s: float) -> FloatArray:
+        """None."""
+        return np.empty(0)
 
-    def step(self, state: None, rows: Rows) -> tuple[None, Statistic]:
-        """The rate without a command at each row whose rates became known."""
-        rates = rows.rates
-        left = rates.y - rates.u
-        fast = np.sqrt(np.einsum("nk,nk->n", rates.y, rates.y))
-        value = np.minimum(fast, np.sqrt(np.einsum("nk,nk->n", left, left)))
-        valid = rates.commanded & np.isfinite(value)
-        if np.count_nonzero(valid) < len(valid):
-            value, fast = np.where(valid, value, 0.0), np.where(valid, fast, 0.0)
-        return None, Statistic(rates.t_ns, rates.dt_s, value, valid, value, fast)
+    def memory(self, dt_s: float) -> FloatArray:
+        """Nothing is remembered."""
+        return np.empty(0)
+
+    run = staticmethod(_compiled(source_digest()))

@@ -7,21 +7,6 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray, Three
 
-__all__ = [
-    "MEMORY_S",
-    "Moments",
-    "Three",
-    "cut_to_share",
-    "joined_moments",
-    "moments",
-    "parted",
-    "smoothed",
-    "three",
-    "variance_law",
-    "variance_law_of",
-    "whole",
-]
-
 MEMORY_S = 0.35  # of the mean square of the command (METHOD section 4)
 MIN_SHARE = 0.05  # of the mean square, left to k0 however busy the set-point (our choice)
 # Healthy rms; what is larger counts only where more rows have it than a glitch spoils. A Gaussian residual reaches it
@@ -75,23 +60,6 @@ def smoothed(x: FloatArray, alpha: float, start: FloatArray | None = None) -> Fl
     before = np.zeros(x.shape[1]) if start is None else start
     out, _ = lfilter([alpha], [1.0, alpha - 1.0], x, axis=0, zi=(1.0 - alpha) * before[None])
     return np.asarray(out, dtype=np.float64)
-
-
-def parted(z: FloatArray) -> FloatArray:
-    """Of normalised residuals, (n, k): sum of squares up to `LIMIT`, that beyond it, and whether one is, (n, 3).
-
-    >>> parted(np.array([[1.0, 2.0], [8.0, 0.0]])).tolist()
-    [[5.0, 0.0, 0.0], [36.0, 28.0, 1.0]]
-    """
-    squares = np.square(np.minimum(np.abs(z), MOST))
-    below = np.minimum(squares, LIMIT**2)
-    usual, most = np.einsum("nk->n", below), np.einsum("nk->n", squares)
-    return np.stack((usual, most - usual, most > usual), axis=1)
-
-
-def whole(mean: FloatArray, rows: int, glitch: int) -> FloatArray:
-    """Mean square, (n,), of means of `parted`, (n, 3), over so many rows: all where more than `glitch` are large."""
-    return np.asarray(mean[:, 0] + np.where(mean[:, 2] * rows > glitch + 0.5, mean[:, 1], 0.0), dtype=np.float64)
 
 
 def three(values: Sequence[float] | FloatArray) -> Three:

@@ -8,33 +8,22 @@ is trimmed away leaves no trace in it.
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify.data import triangle
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
-from mavdiag.monitors.healthy import MEMORY_S, MOST, Three, cut_to_share, parted, three, variance_law, whole
+from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U
+from mavdiag.monitors.healthy import LIMIT, MEMORY_S, MOST, cut_to_share, smoothed, three, variance_law
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import (
-    EmaState,
-    MeanState,
-    ema,
-    forgetting,
-    row_max,
-    sliding_mean,
-    start_ema,
-    start_mean,
-    window_all,
-    window_rows,
-)
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
-
-__all__ = ["Innovation", "InnovationSpec", "InnovationState"]
+from mavdiag.rows.running import FRESH, follow, mean_size, push, total
+from mavdiag.rows.windows import forgetting, window_all, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 
 NA = NB = LAG = 4  # METHOD section 5; 2 to 5 change no verdict on the recorded flights
 WINDOW_S = 1.0  # our choice; 0.7 to 1.3 s change no verdict
@@ -83,24 +72,6 @@ class InnovationSpec:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class InnovationState:
-    """What the next rows need.
-
-    waiting_ns, waiting: (w,) and (w, 3), raw gyro whose commanded rate is not known yet.
-    past, past_valid: (4, 6) commanded and measured rates of the last rows, and (4,) whether they may be used.
-    busy: (3,) exponential mean of the squared command.
-    mean: of the squared normalised innovation of the three axes together.
-    """
-
-    waiting_ns: IntArray
-    waiting: FloatArray
-    past: FloatArray
-    past_valid: BoolArray
-    busy: EmaState
-    mean: MeanState
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
     """n rows and the 4 before them.
 
@@ -115,7 +86,70 @@ class _Pairs:
     busy: FloatArray
 
 
-class Innovation(Monitor[InnovationSpec, InnovationState]):
+# Places in the parameters, of each axis mean, k0, k1, a and b, and in the memory, of each axis the last inputs and
+# outputs, the newest first, and the mean square of the command.
+WINDOW, ALPHA, AXES = range(3)
+OF_AXIS = 3 + NA + NB
+GOOD, SAME, ROWS = range(3)
+OF_PAST = NB + NA + 1
+MEAN = ROWS + 3 * OF_PAST
+
+
+@jit
+def _error(par: FloatArray, mem: FloatArray, axis: int, u: float, y: float) -> float:
+    """z of an axis, after its next command and raw rate."""
+    of, past = AXES + axis * OF_AXIS, ROWS + axis * OF_PAST
+    busy = follow(mem, past + NB + NA, u * u, par[ALPHA])
+    e = y - par[of]
+    for i in range(NA):
+        e += par[of + 3 + i] * mem[past + NB + i] - par[of + 3 + NA + i] * mem[past + i]
+    for i in range(NA - 1, 0, -1):
+        mem[past + i], mem[past + NB + i] = mem[past + i - 1], mem[past + NB + i - 1]
+    mem[past], mem[past + NB] = u, y - par[of]
+    return float(e / math.sqrt(par[of + 1] + par[of + 2] * busy))
+
+
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The level at each row whose commanded rate became known."""
+        window = int(par[WINDOW])
+        for i in range(lag, x.shape[1] if digest else lag):
+            k, known, same, usual, most, worst = i - lag, flags[COMMANDED, i] > 0.5, True, 0.0, 0.0, 0.0
+            for axis in range(3):
+                u, y = x[U + axis, i], x[GYRO + axis, i]
+                known = known and math.isfinite(u) and math.isfinite(y)
+                u, y = u if math.isfinite(u) else 0.0, y if math.isfinite(y) else 0.0
+                same = same and y - par[AXES + axis * OF_AXIS] == mem[ROWS + axis * OF_PAST + NB]
+                z = abs(_error(par, mem, axis, u, y))
+                worst, square = max(worst, z), min(z, MOST) ** 2
+                usual, most = usual + min(square, LIMIT * LIMIT), most + square
+            mem[SAME] = mem[SAME] + 1.0 if same else 0.0
+            mem[GOOD] = mem[GOOD] + 1.0 if known and mem[SAME] < STILL_ROWS else 0.0
+            sound, level = mem[GOOD] > LAG, 0.0
+            if sound:  # the last second of *valid* rows: a gap within a segment does not start the window anew
+                row = MEAN + FRESH
+                mem[row], mem[row + 1], mem[row + 2] = usual, most - usual, 1.0 if most > usual else 0.0
+                sound = push(mem, MEAN, window, 3, True)
+                many = total(mem, MEAN, 3, 2) > GLITCH_ROWS + 0.5
+                sum_ = total(mem, MEAN, 3, 0) + (total(mem, MEAN, 3, 1) if many else 0.0)
+                level = math.sqrt(max(sum_, 0.0) / (3 * window))
+            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = level, sound, level, worst, k
+        return len(at) - lag
+
+    return run
+
+
+class Innovation(Monitor[InnovationSpec]):
     """Statistic: rms of the normalised one-step prediction error over 1 s and three axes [times healthy rms].
 
         e(t) = A(z^-1) y(t) - B(z^-1) u(t),    z = e / sqrt(k0 + k1 EMA_0.35s(u^2)),    s = sqrt(mean_1s,3 axes z^2)
@@ -146,6 +180,7 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
     phrase = "attitude unlike the model"
     needs = frozenset({Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT})
     depends = frozenset({Condition.YAW_RATE, Condition.HEIGHT, Condition.THROTTLE, Condition.COMMANDED_ACCELERATION})
+    by_rates = True
     spec_type = InnovationSpec
     unit = "x healthy rms"
 
@@ -204,80 +239,42 @@ class Innovation(Monitor[InnovationSpec, InnovationState]):
         """Its window, and the memory of the command [s]."""
         return self.spec.window_s + self.spec.memory_s
 
-    def __init__(self, spec: InnovationSpec) -> None:
-        super().__init__(spec)
-        self._mean, self._a, self._b = np.array(spec.mean), np.array(spec.a), np.array(spec.b)
-        self._k0, self._k1 = np.array(spec.k0), np.array(spec.k1)
-
     @property
     def reach(self) -> float:
         """Where a normalised error is cut."""
         return MOST
 
-    def start(self) -> InnovationState:
-        """No row yet."""
-        return _fresh()
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `AXES`."""
+        spec = self.spec
+        axes = zip(spec.mean, spec.k0, spec.k1, spec.a, spec.b, strict=True)
+        each = [x for mean, k0, k1, a, b in axes for x in (mean, k0, k1, *a, *b)]
+        return np.array([window_rows(spec.window_s, dt_s), forgetting(spec.memory_s, dt_s), *each])
 
-    def step(self, state: InnovationState, rows: Rows) -> tuple[InnovationState, Statistic]:
-        """The level at each row whose commanded rate became known."""
-        spec, rates = self.spec, rows.rates
-        state, pairs = _pair(state, rows, spec.memory_s)
-        e = _errors(pairs.u, pairs.y - self._mean, self._a, self._b)
-        z = e / np.sqrt(self._k0 + self._k1 * pairs.busy)
-        # The last second of *valid* rows: a gap within a segment leaves them out, and does not start the window anew.
-        used, count = pairs.valid, int(np.count_nonzero(pairs.valid))
-        squares, window = parted(z), window_rows(spec.window_s, rates.dt_s)
-        kept, all_of_them = squares if count == len(z) else squares[used], np.ones(count, dtype=np.bool_)
-        mean_state, mean, full = sliding_mean(state.mean, kept, all_of_them, window)
-        level = np.sqrt(np.maximum(whole(mean, window, GLITCH_ROWS) / 3, 0.0))
-        if count < len(z):
-            some, known, level, full = level, full, np.zeros(len(z)), np.zeros(len(z), dtype=np.bool_)
-            level[used], full[used] = some, known
-        worst = row_max(np.abs(z))
-        state = InnovationState(state.waiting_ns, state.waiting, state.past, state.past_valid, state.busy, mean_state)
-        return state, Statistic(rates.t_ns, rates.dt_s, level, full, level, worst)
+    def memory(self, dt_s: float) -> FloatArray:
+        """No row yet: as if the gyro had repeated zero."""
+        mem = np.zeros(MEAN + mean_size(window_rows(self.spec.window_s, dt_s), 3))
+        mem[SAME] = STILL_ROWS
+        for axis, mean in enumerate(self.spec.mean):
+            first = ROWS + axis * OF_PAST + NB
+            mem[first : first + NA] = -mean
+        return mem
+
+    run = staticmethod(_compiled(source_digest()))
 
 
-def _fresh() -> InnovationState:
-    never = np.zeros(LAG, dtype=np.bool_)
-    nothing = np.empty(0, dtype=np.int64)
-    return InnovationState(nothing, np.empty((0, 3)), np.zeros((LAG, 6)), never, start_ema(np.zeros(3)), start_mean(3))
-
-
-def _pair(state: InnovationState, rows: Rows, memory_s: float) -> tuple[InnovationState, _Pairs]:
-    """Give each commanded rate the raw gyro of its own time."""
-    block, rates = rows.block, rows.rates
-    waiting_ns = np.concatenate((state.waiting_ns, block.t_ns))
-    waiting = np.concatenate((state.waiting, block.rate))
-    if len(rates) == 0:
-        nothing = np.empty((0, 3))
-        kept = replace(state, waiting_ns=waiting_ns, waiting=waiting)
-        return kept, _Pairs(state.past[:, :3], state.past[:, 3:], np.empty(0, dtype=np.bool_), nothing)
-    used, good = len(rates), rates.commanded
-    if np.array_equal(waiting_ns[:used], rates.t_ns):  # the usual case
-        fresh = np.concatenate((rates.u, waiting[:used]), axis=1)
-    else:
-        at = np.minimum(waiting_ns.searchsorted(rates.t_ns), len(waiting_ns) - 1)
-        fresh = np.concatenate((rates.u, waiting[at]), axis=1)
-        used, good = int(at[-1]) + 1, good & (waiting_ns[at] == rates.t_ns)
-    if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
-        finite = np.isfinite(fresh)
-        good, fresh = good & finite.all(axis=1), np.where(finite, fresh, 0.0)
-    both = np.concatenate((state.past, fresh))
-    valid = np.concatenate((state.past_valid, good & ~_still(both[:, 3:])))
-    unbroken = window_all(valid, LAG + 1)
-    busy, trace = ema(state.busy, np.square(both[LAG:, :3]), forgetting(memory_s, rates.dt_s))
-    state = InnovationState(waiting_ns[used:], waiting[used:], both[-LAG:], valid[-LAG:], busy, state.mean)
-    return state, _Pairs(both[:, :3], both[:, 3:], unbroken, trace)
-
-
-def _still(y: FloatArray) -> BoolArray:
-    """(n,) whether a row is the same as the three before it, (LAG + n, 3)."""
-    changed = (y[1:] != y[:-1]).any(axis=1)[LAG - STILL_ROWS :]
-    stirred: BoolArray = np.logical_or.reduce(
-        [changed[i : len(changed) - STILL_ROWS + 1 + i] for i in range(STILL_ROWS)]
-    )
-    return ~stirred
+def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:
+    """The pairs of a segment: none, or one."""
+    rates = [rows.rates for rows in segment]
+    u, y, good = (np.concatenate([getattr(one, name) for one in rates]) for name in ("u", "gyro", "commanded"))
+    if len(good):
+        known = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+        u, y = (np.concatenate((np.zeros((LAG, 3)), np.where(np.isfinite(one), one, 0.0))) for one in (u, y))
+        changed = np.concatenate(([False], (y[1:] != y[:-1]).any(axis=1)))
+        stirred = ~window_all(~changed, STILL_ROWS)[LAG - STILL_ROWS + 1 :]
+        valid = np.concatenate((np.zeros(LAG, dtype=np.bool_), good & known & stirred))
+        busy = smoothed(np.square(u[LAG:]), forgetting(MEMORY_S, rates[0].dt_s))
+        yield _Pairs(u, y, window_all(valid, LAG + 1), busy)
 
 
 def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -287,14 +284,6 @@ def _errors(u: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray) -> Float
         e[axis] = np.correlate(y[:, axis], [*a[axis, ::-1], 1.0])
         e[axis] -= np.correlate(u[:-1, axis], b[axis, ::-1])
     return e.T
-
-
-def _pairs_of(segment: Sequence[Rows]) -> Iterator[_Pairs]:
-    """The pairs of each stretch of rows of a segment."""
-    state = _fresh()
-    for rows in segment:
-        state, pairs = _pair(state, rows, MEMORY_S)
-        yield pairs
 
 
 def _training_pairs(summaries: Summaries) -> list[_Pairs]:

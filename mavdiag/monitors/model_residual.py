@@ -16,28 +16,19 @@ motion that began before the first row cannot be simulated: the first 1.5 s of a
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import InputError
-from mavdiag.identify import freerun
-from mavdiag.identify.freerun import FreeRunState
 from mavdiag.identify.model import ModelRecord
-from mavdiag.monitors.decimated import Decimator, DecimatorState
-from mavdiag.monitors.healthy import MEMORY_S, Three
-from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import EmaState, ema, forgetting, raised, start_ema
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray
-
-__all__ = [
-    "DRIFT_S",
-    "HealthyMotion",
-    "ModelResidual",
-    "ResidualState",
-    "Residuals",
-    "without_jolts",
-]
+from mavdiag.jit import cached, jit, source_digest
+from mavdiag.monitors.healthy import MEMORY_S
+from mavdiag.monitors.run_length import at_rest, free_run
+from mavdiag.rows.running import follow
+from mavdiag.rows.windows import forgetting
+from mavdiag.telemetry import BoolArray, FloatArray, Three
 
 DRIFT_S = 1.0  # our choice; 0.5 to 2 s find the same faults
 FOLLOW_S = 10.0  # memory of the gain error; 5 to 20 s judge alike (our choice)
@@ -88,209 +79,160 @@ class HealthyMotion:
         return any(self.heave.b)
 
 
+# Places in the parameters: forgetting of the drift, the command and the errors; SPEED_S in samples; period; samples to
+# settle; whether the errors of gain and speed are taken out, and whether the thrust explains anything; k0, k1 and
+# prior of each channel; and of each model how many inputs and outputs it looks back, and where its coefficients and its
+# past stand.
+DRIFT, MEMORY, FOLLOW, SPEED, PERIOD, SETTLE, FOLLOWS, BY_THRUST, K0, K1, PRIOR, MODELS = *range(9), 11, 14, 17
+HEAD = MODELS + 12
+# Places in the memory: samples so far; what is known of the present one, the residuals r and n of it; running means of
+# the heave and the thrust, of r, of the squared command; the last heave and thrust; the last simulated values, running
+# means of these and their slopes, of their 5 products (each of three channels), of n squared.
+SEEN, KNOWN, R, N, LEVEL, SLOW, BUSY, HEAVE, SIMULATED, TREND, PRODUCTS, UNREST = (
+    0,
+    1,
+    2,
+    5,
+    8,
+    10,
+    13,
+    16,
+    18,
+    21,
+    27,
+    42,
+)
+OWN = 45  # the models' past follows
+
+
+def residual_parameters(motion: HealthyMotion, follows: bool, tail_at: int) -> tuple[list[float], list[float], int]:
+    """See `MODELS`: the head; the coefficients, which are to stand from `tail_at` on; and the length of the memory.
+
+    follows: the errors of gain and speed are taken out.
+    """
+    period_s, own, models, tail = motion.period_s, OWN, list[float](), list[float]()
+    for record in (motion.roll, motion.pitch, motion.heave):
+        inputs, back = len(record.b), len(record.a) - 1
+        models += [inputs, back, tail_at + len(tail), own]
+        tail += [*record.b, *record.a[1:]]
+        own += inputs - 1 + back
+    alphas = [forgetting(memory_s, period_s) for memory_s in (DRIFT_S, MEMORY_S, FOLLOW_S)]
+    prior = [k0 * (CORRELATION_S / (FOLLOW_S * GAIN_RMS**2)) for k0 in motion.k0]
+    flags = [float(follows), float(motion.uses_thrust)]
+    head = [*alphas, SPEED_S / period_s, period_s, SETTLE_S / period_s, *flags, *motion.k0, *motion.k1, *prior, *models]
+    return head, tail, own
+
+
+def residual_memory(size: int) -> FloatArray:
+    """Before the first sample."""
+    mem = np.zeros(size)
+    mem[UNREST : UNREST + 3] = 1.0
+    return mem
+
+
+@jit
+def advance_residual(
+    par: FloatArray, mem: FloatArray, rates: tuple[float, float, float, float], heave: float, thrust: float, valid: bool
+) -> None:
+    """Take the next sample: roll and pitch rate commanded, the same measured, vertical acceleration and thrust.
+
+    What is no number counts as zero or, of heave and thrust, as it was last.
+    """
+    known_thrust = math.isfinite(thrust)
+    u0, u1, y0, y1 = rates
+    u0, u1 = u0 if math.isfinite(u0) else 0.0, u1 if math.isfinite(u1) else 0.0
+    y0, y1 = y0 if math.isfinite(y0) else 0.0, y1 if math.isfinite(y1) else 0.0
+    heave = heave if math.isfinite(heave) else mem[HEAVE]
+    thrust = thrust if known_thrust else mem[HEAVE + 1]
+    if mem[SEEN] == 0.0:  # the means begin with the first values, the models at rest in the first rates
+        mem[LEVEL] = mem[HEAVE] = heave
+        mem[LEVEL + 1] = mem[HEAVE + 1] = thrust
+        at_rest(mem, int(par[MODELS + 3]), int(par[MODELS]), int(par[MODELS + 1]), u0, y0)
+        at_rest(mem, int(par[MODELS + 7]), int(par[MODELS + 4]), int(par[MODELS + 5]), u1, y1)
+    lift = heave - follow(mem, LEVEL, heave, par[DRIFT])
+    push_ = thrust - follow(mem, LEVEL + 1, thrust, par[DRIFT])
+    slope = (thrust - mem[HEAVE + 1]) / par[PERIOD]
+    mem[HEAVE], mem[HEAVE + 1] = heave, thrust
+    known = valid and mem[SEEN] >= par[SETTLE]
+    for i in range(3):
+        command = u0 if i == 0 else u1 if i == 1 else push_
+        measured = y0 if i == 0 else y1 if i == 1 else lift
+        moved = slope if i == 2 else command
+        of = MODELS + 4 * i
+        f = free_run(par, int(par[of + 2]), int(par[of]), int(par[of + 1]), mem, int(par[of + 3]), command)
+        r = measured - f if known else 0.0  # what is not known is not unexplained
+        r -= follow(mem, SLOW + i, r, par[DRIFT])
+        if par[FOLLOWS] > 0.5:
+            r -= _explained(par, mem, i, f, r)
+        busy = follow(mem, BUSY + i, moved * moved, par[MEMORY])
+        n = r / math.sqrt(par[K0 + i] + par[K1 + i] * busy)
+        if abs(n) > JOLT:
+            most = JOLT * math.sqrt(max(mem[UNREST + i], 1.0))
+            n = min(max(n, -most), most)
+        follow(mem, UNREST + i, n * n, par[FOLLOW])
+        mem[R + i], mem[N + i] = r, n
+    mem[SEEN] += 1.0
+    mem[KNOWN] = 1.0 if known and (known_thrust or par[BY_THRUST] < 0.5) else 0.0
+
+
+@jit
+def _explained(par: FloatArray, mem: FloatArray, i: int, simulated: float, r: float) -> float:
+    """What the errors of gain and speed, as known before this sample, explain of it."""
+    df = (simulated - mem[SIMULATED + i]) * par[SPEED]
+    mem[SIMULATED + i] = simulated
+    f = simulated - follow(mem, TREND + 2 * i, simulated, par[DRIFT])
+    df -= follow(mem, TREND + 2 * i + 1, df, par[DRIFT])
+    # [ mean f f + prior   mean f df          ] [ g ]   [ mean f r  ]
+    # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
+    of = PRODUCTS + 5 * i
+    ff, fd, dd = mem[of] + par[PRIOR + i], mem[of + 1], mem[of + 2] + par[PRIOR + i]
+    fr, dr = mem[of + 3], mem[of + 4]
+    determinant = ff * dd - fd * fd
+    g, h = (dd * fr - fd * dr) / determinant, (ff * dr - fd * fr) / determinant
+    follow(mem, of, f * f, par[FOLLOW])
+    follow(mem, of + 1, f * df, par[FOLLOW])
+    follow(mem, of + 2, df * df, par[FOLLOW])
+    follow(mem, of + 3, f * r, par[FOLLOW])
+    follow(mem, of + 4, df * r, par[FOLLOW])
+    return float(g * f + h * df)
+
+
+def _compiled(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], None]:
+    @cached
+    def residuals(par: FloatArray, mem: FloatArray, samples: FloatArray, out: FloatArray) -> None:
+        """Of samples (k, 7) the residuals r and n, mean squares of the command, and whether all is known: (k, 10)."""
+        for k in range(len(samples) if digest else 0):
+            rates = (samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3])
+            advance_residual(par, mem, rates, samples[k, 4], samples[k, 5], samples[k, 6] > 0.5)
+            for i in range(3):
+                out[k, i], out[k, 3 + i], out[k, 6 + i] = mem[R + i], mem[N + i], mem[BUSY + i]
+            out[k, 9] = mem[KNOWN]
+
+    return residuals
+
+
+_residuals = _compiled(source_digest())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What the models do not explain.
+    """What the models do not explain of the samples of a segment.
 
-    t_ns: (k,) time of the newest row behind it.
     r: (k, 3) residuals of roll and pitch rate [rad/s] and heave [m/s^2].
     n: (k, 3) the same, normalised.
     busy: (k, 3) exponential mean square of what was commanded.
     valid: (k,) all that it rests on was known.
     """
 
-    t_ns: IntArray
     r: FloatArray
     n: FloatArray
     busy: FloatArray
     valid: BoolArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualState:
-    """What the next rows need.
-
-    waiting: rows of an unfinished sample.
-    seen: samples since the segment began.
-    runs: the three simulations; empty before the first sample.
-    level: (2,) running mean of acceleration and thrust.
-    drift: (3,) running mean of the residuals.
-    busy: (3,) running mean square of what was commanded.
-    heave: (2,) the last acceleration and thrust that were known; they hold until the next ones.
-    errors: what the correction of gain and speed needs.
-    unrest: (3,) running mean square of n.
-    """
-
-    waiting: DecimatorState
-    seen: int
-    runs: tuple[FreeRunState, ...]
-    level: EmaState
-    drift: EmaState
-    busy: EmaState
-    heave: FloatArray
-    errors: "_Errors"
-    unrest: EmaState
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Errors:
-    """Memory of the gain and speed errors.
-
-    simulated: (3,) the last simulated values. slow: (6,) running means of f and df/dt. sums: (15,) running means of
-    f f, f df, df df, f r and df r, each of roll, pitch and heave. means: (15,) their values.
-    """
-
-    simulated: FloatArray
-    slow: EmaState
-    sums: EmaState
-    means: FloatArray
-
-
-class ModelResidual:
-    """The healthy models at work: rows in, residuals out. follows: the errors of gain and speed are taken out."""
-
-    def __init__(self, motion: HealthyMotion, follows: bool = True) -> None:
-        self.motion, self._follows = motion, follows
-        self._decimator = Decimator(motion.stride, motion.window)
-        self._models = tuple(record.model() for record in (motion.roll, motion.pitch, motion.heave))
-        self._k0, self._k1 = np.array(motion.k0), np.array(motion.k1)
-        self._drift = forgetting(DRIFT_S, motion.period_s)
-        self._memory = forgetting(MEMORY_S, motion.period_s)
-        self._follow = forgetting(FOLLOW_S, motion.period_s)
-        self._prior = self._k0 * (CORRELATION_S / (FOLLOW_S * GAIN_RMS**2))
-
-    def start(self) -> ResidualState:
-        """Before the first row."""
-        return ResidualState(
-            waiting=self._decimator.start(),
-            seen=0,
-            runs=(),
-            level=start_ema(np.zeros(2)),
-            drift=start_ema(np.zeros(3)),
-            busy=start_ema(np.zeros(3)),
-            heave=np.zeros(2),
-            errors=_no_errors(),
-            unrest=start_ema(np.ones(3)),
-        )
-
-    def step(self, state: ResidualState, rows: Rows) -> tuple[ResidualState, Residuals]:
-        """The residuals that the next rows complete."""
-        waiting, samples = self._decimator.step(state.waiting, rows)
-        k = len(samples.t_ns)
-        if k == 0:
-            empty = np.empty((0, 3))
-            return replace(state, waiting=waiting), Residuals(samples.t_ns, empty, empty, empty, samples.valid)
-        u, y, heave = _finite(samples.u), _finite(samples.y), held(samples.heave, state.heave)
-        if not state.runs:
-            state = self._begin(state, u, y, heave)
-        level, mean = ema(state.level, heave, self._drift)
-        slope = _steps(heave[:, 1:], state.heave[1:]) / self.motion.period_s
-        runs, r, simulated = self._simulate(state, u, y, heave - mean)
-        settled = np.arange(state.seen, state.seen + k) >= SETTLE_S / self.motion.period_s
-        known = samples.valid & settled
-        if np.count_nonzero(known) < k:  # what is not known is not unexplained
-            r[~known] = 0.0
-        drift, slow = ema(state.drift, r, self._drift)
-        r -= slow
-        errors = state.errors
-        if self._follows:
-            errors, explained = self._explained(errors, simulated, r)
-            r -= explained
-        busy, trace = ema(state.busy, np.square(np.concatenate((u, slope), axis=1)), self._memory)
-        unrest, n = without_jolts(state.unrest, r / np.sqrt(self._k0 + self._k1 * trace), self._follow)
-        state = ResidualState(waiting, state.seen + k, runs, level, drift, busy, heave[-1], errors, unrest)
-        if self.motion.uses_thrust:
-            known = known & np.isfinite(samples.heave[:, 1])
-        return state, Residuals(samples.t_ns, r, n, trace, known)
-
-    def _begin(self, state: ResidualState, u: FloatArray, y: FloatArray, heave: FloatArray) -> ResidualState:
-        """Start the models from the first measured rates at rest in them, and the means from the first values."""
-        rates = [
-            freerun.start(model, np.full(len(model.b), u[0, i]), np.full(len(model.a), y[0, i]))
-            for i, model in enumerate(self._models[:2])
-        ]
-        runs = (*rates, freerun.start(self._models[2]))
-        return replace(state, runs=runs, level=start_ema(heave[0]), heave=heave[0])
-
-    def _simulate(
-        self, state: ResidualState, u: FloatArray, y: FloatArray, lift: FloatArray
-    ) -> tuple[tuple[FreeRunState, ...], FloatArray, FloatArray]:
-        """Measured less simulated roll rate, pitch rate and a_z, and the simulated, (k, 3). lift: a_z and thrust."""
-        runs, r, y_sim = [], np.empty((3, len(u))), np.empty((3, len(u)))
-        pairs = ((u[:, 0], y[:, 0]), (u[:, 1], y[:, 1]), (lift[:, 1], lift[:, 0]))
-        for i, (command, measured) in enumerate(pairs):
-            run, simulated = freerun.step(self._models[i], state.runs[i], command)
-            runs.append(run)
-            r[i], y_sim[i] = measured - simulated, simulated
-        return tuple(runs), r.T, y_sim.T
-
-    def _explained(self, errors: _Errors, simulated: FloatArray, r: FloatArray) -> tuple[_Errors, FloatArray]:
-        """What the errors of gain and speed, as known before each sample, explain of it: (k, 3)."""
-        df = _steps(simulated, errors.simulated) * (SPEED_S / self.motion.period_s)
-        both = np.concatenate((simulated, df), axis=1)
-        slow, trace = ema(errors.slow, both, self._drift)
-        both -= trace
-        f, df = both[:, :3], both[:, 3:]
-        # [ mean f f + prior   mean f df          ] [ g ]   [ mean f r  ]
-        # [ mean f df          mean df df + prior ] [ h ] = [ mean df r ]
-        products = np.concatenate((f * f, f * df, df * df, f * r, df * r), axis=1)
-        sums, means = ema(errors.sums, products, self._follow)
-        before = np.concatenate((errors.means[None], means[:-1]))
-        ff, fd, dd, fr, dr = (before[:, i : i + 3] for i in range(0, 15, 3))
-        ff, dd = ff + self._prior, dd + self._prior
-        determinant = ff * dd - fd * fd
-        g, h = (dd * fr - fd * dr) / determinant, (ff * dr - fd * fr) / determinant
-        return _Errors(simulated[-1], slow, sums, means[-1]), g * f + h * df
-
-
-def _no_errors() -> _Errors:
-    return _Errors(np.zeros(3), start_ema(np.zeros(6)), start_ema(np.zeros(15)), np.zeros(15))
-
-
-def without_jolts(unrest: EmaState, n: FloatArray, alpha: float) -> tuple[EmaState, FloatArray]:
-    """n, (k, 3), clipped at `JOLT` times its rms of the last seconds; at least at `JOLT`.
-
-    The mean square is that of the samples that are not clipped whatever came before, and what each other one adds,
-    which decays: so one sample after the other is looked at only where one is large.
-    """
-    large = np.abs(n) > JOLT
-    if not np.count_nonzero(large):
-        return ema(unrest, np.square(n), alpha)[0], n
-    unrest, trace = ema(unrest, np.square(np.where(large, 0.0, n)), alpha)
-    out, added, kept = n.copy(), np.zeros(n.shape[1]), 1.0 - alpha
-    for column in range(n.shape[1]):
-        more, last = 0.0, 0  # what the large ones have added, after the row before `last`
-        for row in np.flatnonzero(large[:, column]).tolist():
-            more *= kept ** (row - last)
-            square, value = float(trace[row, column]) / kept + more, float(n[row, column])
-            most = JOLT * math.sqrt(square) if square > 1.0 else JOLT
-            clipped = min(max(value, -most), most)
-            out[row, column], more, last = clipped, kept * more + alpha * clipped * clipped, row + 1
-        added[column] = more * kept ** (len(n) - last)
-    return raised(unrest, added, alpha), out
-
-
-def _steps(x: FloatArray, before: FloatArray) -> FloatArray:
-    """Differences of rows, (n, k) after (k,) -> (n, k)."""
-    out = np.empty_like(x)
-    out[0] = x[0] - before
-    np.subtract(x[1:], x[:-1], out=out[1:])
-    return out
-
-
-def held(x: FloatArray, before: FloatArray) -> FloatArray:
-    """x, (n, k), with the last known value where it is no number; before: (k,) the one before the first row.
-
-    >>> held(np.array([[np.nan], [2.0], [np.nan]]), np.array([1.0])).T.tolist()
-    [[1.0, 2.0, 2.0]]
-    """
-    if math.isfinite(float(np.add.reduce(x, axis=None))):
-        return x
-    both = np.concatenate((before[None], x))
-    at = np.maximum.accumulate(np.where(np.isfinite(both), np.arange(len(both))[:, None], 0), axis=0)
-    return np.take_along_axis(both, at, axis=0)[1:]
-
-
-def _finite(x: FloatArray) -> FloatArray:
-    """x with zeros for what is no number; such samples are marked invalid."""
-    return x if math.isfinite(float(np.add.reduce(x, axis=None))) else np.where(np.isfinite(x), x, 0.0)
+def residuals_of(motion: HealthyMotion, samples: FloatArray, follows: bool = True) -> Residuals:
+    """The residuals of a whole segment. samples: (k, 7) as `monitors.decimated` has them."""
+    head, tail, size = residual_parameters(motion, follows, HEAD)
+    out = np.empty((len(samples), 10))
+    _residuals(np.array([*head, *tail]), residual_memory(size), samples, out)
+    return Residuals(out[:, :3], out[:, 3:6], out[:, 6:9], out[:, 9] > 0.5)

@@ -16,20 +16,30 @@ from mavdiag.errors import IdentificationError, InputError
 from mavdiag.identify import Method
 from mavdiag.identify import fit as identify
 from mavdiag.identify.model import ModelRecord
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import Feature, LearnContext, Monitor, RotorEvidence, Summaries, Summary
-from mavdiag.monitors.decimated import Decimated, stride_of
+from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALUE, Kernel
+from mavdiag.monitors.decimated import NEWEST, decimate, decimator_memory, stride_of, taps_of
 from mavdiag.monitors.healthy import cut_to_share, smoothed
-from mavdiag.monitors.model_residual import DRIFT_S, HealthyMotion, ModelResidual, Residuals, ResidualState
-from mavdiag.monitors.motion_fit import gathered, samples_of, with_variances
+from mavdiag.monitors.model_residual import (
+    DRIFT_S,
+    HEAD,
+    KNOWN,
+    HealthyMotion,
+    N,
+    R,
+    advance_residual,
+    residual_memory,
+    residual_parameters,
+)
+from mavdiag.monitors.motion_fit import by_segment, gathered, with_variances
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import forgetting, spans, window_all, window_mean
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.rows.running import FRESH, mean_size, push, total
+from mavdiag.rows.windows import forgetting, spans
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["RotorSignature", "RotorSignatureSpec", "RotorSignatureState"]
 
 WINDOW_S = 10.0  # our choice: in wind a correlation over 3 s (METHOD section 4 has 4 s) scatters too much
 LEAST_S = 3.0  # of unbroken flight before anything is judged; the level's window (our choice)
@@ -74,16 +84,106 @@ class RotorSignatureSpec:
         return max(2, round(min(LEAST_S, self.window_s) / self.motion.period_s))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RotorSignatureState:
-    """Memory of the residuals, and of the window's samples: (h, 9) products, (h,) whether they may be used."""
+# Places in the parameters, behind those of the residuals: of the decimator; samples of the window and of the level's;
+# how many rotors; where the memory of the decimator and of this monitor begin; where the rotors' patterns stand.
+DECIMATOR = HEAD
+SAMPLES, LEAST, ROTORS, SAMPLED, MINE, PATTERNS = range(DECIMATOR + 3, DECIMATOR + 9)
+TAIL = DECIMATOR + 9
+# Of a rotor: the arm; what makes of products the mean square along the arm, and across it; of correlations the S_j.
+ARM, ALONG, ACROSS, SIGNS, OF_ROTOR = 0, 2, 5, 8, 11
+PRODUCTS = len(HEALTHY_PRODUCTS)
+COUNT, RUN, MEAN = 0, 1, 2  # places in this monitor's memory: samples so far, valid ones in a row; its two means
 
-    inner: ResidualState
-    products: FloatArray
-    valid: BoolArray
+
+@jit
+def _products(mem: FloatArray, to: int) -> None:
+    """n_r^2, n_p^2, n_r n_p, n_h^2, n_r n_h, n_p n_h, then r_r^2, r_p^2, r_r r_p before normalising."""
+    roll, pitch, heave = mem[N], mem[N + 1], mem[N + 2]
+    mem[to], mem[to + 1], mem[to + 2] = roll * roll, pitch * pitch, roll * pitch
+    mem[to + 3], mem[to + 4], mem[to + 5] = heave * heave, roll * heave, pitch * heave
+    roll, pitch = mem[R], mem[R + 1]
+    mem[to + 6], mem[to + 7], mem[to + 8] = roll * roll, pitch * pitch, roll * pitch
 
 
-class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
+@jit
+def _along(par: FloatArray, of: int, mem: FloatArray, at: int, columns: int, first: int, rows: int) -> float:
+    """Mean square along an arm, of the means of roll^2, pitch^2 and roll pitch."""
+    found = 0.0
+    for j in range(3):
+        found += par[of + j] * total(mem, at, columns, first + j) / rows
+    return found
+
+
+@jit
+def _judge(par: FloatArray, mem: FloatArray, out: FloatArray, rotors: FloatArray, k: int) -> None:
+    """The statistic of the present window."""
+    window, least, at = int(par[SAMPLES]), int(par[LEAST]), int(par[MINE]) + MEAN
+    recent = at + FRESH + 2 * PRODUCTS + window * PRODUCTS
+    roll = math.sqrt(max(total(mem, at, PRODUCTS, 0) / window, LEAST_POWER))
+    pitch = math.sqrt(max(total(mem, at, PRODUCTS, 1) / window, LEAST_POWER))
+    heave = math.sqrt(max(total(mem, at, PRODUCTS, 3) / window, LEAST_POWER))
+    roll_pitch = total(mem, at, PRODUCTS, 2) / window / (roll * pitch)
+    roll_heave = total(mem, at, PRODUCTS, 4) / window / (roll * heave)
+    pitch_heave = total(mem, at, PRODUCTS, 5) / window / (pitch * heave)
+    best, highest = 0, -1.0
+    for rotor in range(rotors.shape[1]):
+        of = int(par[PATTERNS]) + OF_ROTOR * rotor
+        likeness = par[of + SIGNS] * roll_pitch + par[of + SIGNS + 1] * roll_heave + par[of + SIGNS + 2] * pitch_heave
+        across = max(_along(par, of + ACROSS, mem, at, PRODUCTS, 0, window), 1.0)
+        along = max(_along(par, of + ALONG, mem, at, PRODUCTS, 0, window), 0.0)
+        strength = math.sqrt(along / across) * math.exp(LIKENESS_WEIGHT * likeness)
+        rotors[k, rotor] = likeness
+        if strength > highest:
+            best, highest = rotor, strength
+    of = int(par[PATTERNS]) + OF_ROTOR * best
+    out[VALUE, k] = highest
+    out[LEVEL, k] = math.sqrt(max(_along(par, of + ALONG, mem, recent, 3, 0, least), 0.0))
+    out[SIGNAL, k] = mem[N] * par[of + ARM] + mem[N + 1] * par[of + ARM + 1]
+
+
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The statistic about every 10 ms, at the time of the newest row that it rests on."""
+        sampled, mine, window, least = int(par[SAMPLED]), int(par[MINE]), int(par[SAMPLES]), int(par[LEAST])
+        recent, k = mine + MEAN + FRESH + 2 * PRODUCTS + window * PRODUCTS, 0
+        for i in range(x.shape[1] if digest else 0):
+            if not decimate(par, DECIMATOR, mem, sampled, x, flags, lag, i):
+                continue
+            of, row = sampled + NEWEST, mine + MEAN + FRESH
+            rates = (mem[of], mem[of + 1], mem[of + 2], mem[of + 3])
+            advance_residual(par, mem, rates, mem[of + 4], mem[of + 5], mem[of + 6] > 0.5)
+            if mem[KNOWN] > 0.5:
+                _products(mem, row)
+                mem[mine + RUN] += 1.0
+            else:
+                for j in range(PRODUCTS):
+                    mem[row + j] = HEALTHY_PRODUCTS[j]
+                mem[mine + RUN] = 0.0
+            for j in range(3):
+                mem[recent + FRESH + j] = mem[row + 6 + j]
+            push(mem, mine + MEAN, window, PRODUCTS, True)
+            push(mem, recent, least, 3, True)
+            mem[mine + COUNT] += 1.0
+            if mem[mine + COUNT] >= least:
+                _judge(par, mem, out, rotors, k)
+                out[SOUND, k], at[k] = mem[mine + RUN] >= least, i
+                k += 1
+        return k
+
+    return run
+
+
+class RotorSignature(Monitor[RotorSignatureSpec]):
     """Statistic: how much one rotor's arm moves beyond the model, weighed by how much it looks like a rotor [x rms].
 
         A_j^2 = mean_10s (g_j . (n_roll, n_pitch))^2,    g_j: unit vector of rotor j's (roll, pitch) effect
@@ -135,16 +235,9 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
     unit = "x healthy rms"
     feature = Feature.MOTION
 
-    def __init__(self, spec: RotorSignatureSpec) -> None:
-        super().__init__(spec)
-        effects = _effects(spec.layout)
-        self._arms, self._square, self._signs = effects[:, :2], _square(effects), _signs(effects)
-        self._across = _square(np.column_stack((-effects[:, 1], effects[:, 0])))
-        self._residual = ModelResidual(spec.motion)
-
     @classmethod
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
-        """Whether the flight has a set-point, and then an accelerometer; the decimated samples (`motion_fit`)."""
+        """Whether the flight has a set-point, and then an accelerometer; the decimated samples (`gathered`)."""
         flown = [rows.block for rows in flight if rows.rates.commanded.any()]
         felt = any((block.valid & np.isfinite(block.force[:, 2])).any() for block in flown)
         return (np.array([bool(flown), felt]), *gathered(flight, _unknown(context)))
@@ -175,36 +268,38 @@ class RotorSignature(Monitor[RotorSignatureSpec, RotorSignatureState]):
         """Its window, and what the high-pass keeps [s]."""
         return self.spec.window_s + DRIFT_S
 
-    def start(self) -> RotorSignatureState:
-        """No row yet."""
-        missing = self.spec.samples - self.spec.least  # so the first value comes after `least` samples
-        healthy = np.tile(np.array(HEALTHY_PRODUCTS)[:, None], missing).T
-        return RotorSignatureState(self._residual.start(), healthy, np.ones(missing, dtype=np.bool_))
+    @property
+    def rotors(self) -> int:
+        """Those of the layout."""
+        return self.spec.layout.rotors
 
-    def step(self, state: RotorSignatureState, rows: Rows) -> tuple[RotorSignatureState, Statistic]:
-        """The statistic about every 10 ms, at the time of the newest row that it rests on."""
-        window = self.spec.samples
-        inner, d = self._residual.step(state.inner, rows)
-        fresh = _products(d)
-        if np.count_nonzero(d.valid) < len(d.valid):
-            fresh = np.where(d.valid[:, None], fresh, HEALTHY_PRODUCTS)
-        products = np.concatenate((state.products, fresh))
-        valid = np.concatenate((state.valid, d.valid))
-        mean, full = window_mean(products, window), window_all(valid[window - self.spec.least :], self.spec.least)
-        known = len(mean)
-        likeness = _correlations(mean) @ self._signs
-        across = np.maximum(mean[:, :3] @ self._across, 1.0)
-        along = np.maximum(mean[:, :3] @ self._square, 0.0)
-        strength = np.sqrt(along / across) * np.exp(LIKENESS_WEIGHT * likeness)
-        best = strength.argmax(axis=1)
-        at = np.arange(known)
-        recent = window_mean(products[window - self.spec.least :, 6:], self.spec.least)
-        level = np.sqrt(np.maximum(recent @ self._square, 0.0))[at, best]
-        latest = len(d.t_ns) - known
-        signal = np.einsum("nk,nk->n", d.n[latest:, :2], self._arms[best])
-        period_s = self.spec.motion.period_s
-        found = Statistic(d.t_ns[latest:], period_s, strength[at, best], full, level, signal, likeness)
-        return RotorSignatureState(inner, products[known:], valid[known:]), found
+    def period_s(self, dt_s: float) -> float:
+        """Time between two samples [s]."""
+        return self.spec.motion.period_s
+
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `PATTERNS`."""
+        spec, motion, effects = self.spec, self.spec.motion, _effects(self.spec.layout)
+        across = np.column_stack((-effects[:, 1], effects[:, 0]))
+        patterns = np.column_stack((effects[:, :2], _square(effects).T, _square(across).T, _signs(effects).T)).ravel()
+        head, tail, size = residual_parameters(motion, True, TAIL)
+        taps, begin = taps_of(motion.window), TAIL + len(tail)
+        sampler = [motion.stride, motion.window, begin]
+        mine = size + len(decimator_memory(motion.window))
+        own = [spec.samples, spec.least, self.rotors, size, mine, begin + len(taps)]
+        return np.array([*head, *sampler, *own, *tail, *taps, *patterns])
+
+    def memory(self, dt_s: float) -> FloatArray:
+        """No row yet; the window holds what healthy samples have on average."""
+        spec, window = self.spec, self.spec.samples
+        mean = np.zeros(mean_size(window, PRODUCTS))
+        mean[FRESH + PRODUCTS : FRESH + 2 * PRODUCTS] = window * np.array(HEALTHY_PRODUCTS)
+        mean[FRESH + 2 * PRODUCTS :] = np.repeat(HEALTHY_PRODUCTS, window)
+        before = residual_memory(residual_parameters(spec.motion, True, TAIL)[2])
+        parts = (before, decimator_memory(spec.motion.window), np.zeros(MEAN), mean, np.zeros(mean_size(spec.least, 3)))
+        return np.concatenate(parts)
+
+    run = staticmethod(_compiled(source_digest()))
 
 
 def _unknown(context: LearnContext) -> HealthyMotion:
@@ -238,17 +333,6 @@ def _effects(layout: RotorLayout) -> FloatArray:
     return np.column_stack((arms, -np.ones(layout.rotors)))
 
 
-def _products(d: Residuals) -> FloatArray:
-    """(k, 9): n_r^2, n_p^2, n_r n_p, n_h^2, n_r n_h, n_p n_h, then r_r^2, r_p^2, r_r r_p before normalising."""
-    out = np.empty((9, len(d.t_ns)))
-    roll, pitch, heave = d.n.T
-    out[0], out[1], out[2] = roll * roll, pitch * pitch, roll * pitch
-    out[3], out[4], out[5] = heave * heave, roll * heave, pitch * heave
-    roll, pitch = d.r[:, 0], d.r[:, 1]
-    out[6], out[7], out[8] = roll * roll, pitch * pitch, roll * pitch
-    return out.T
-
-
 def _square(effects: FloatArray) -> FloatArray:
     """(3, rotors): turns means of roll^2, pitch^2 and roll pitch into the mean square along each arm."""
     a, b = effects[:, 0], effects[:, 1]
@@ -262,34 +346,24 @@ def _signs(effects: FloatArray) -> FloatArray:
     return np.asarray(weights / np.abs(weights).sum(axis=0), dtype=np.float64)
 
 
-def _correlations(mean: FloatArray) -> FloatArray:
-    """Roll-pitch, roll-heave and pitch-heave, (n, 3)."""
-    roll, pitch, _, heave = np.sqrt(np.maximum(mean.T[:4], LEAST_POWER))
-    return np.stack((mean[:, 2] / (roll * pitch), mean[:, 4] / (roll * heave), mean[:, 5] / (pitch * heave))).T
-
-
-def _pieces(flights: Summaries, motion: HealthyMotion) -> list[Decimated]:
-    """Unbroken valid stretches, a like share of every flight."""
+def _pieces(flights: Summaries, motion: HealthyMotion) -> list[FloatArray]:
+    """Samples of unbroken valid stretches, a like share of every flight."""
     least = math.ceil(MIN_PIECE_S / motion.period_s)
     found = [
-        (one, first, stop)
+        segment[first:stop]
         for flight in flights
-        for one in samples_of(flight)
-        for first, stop in spans(one.valid)
+        for segment in by_segment(flight)
+        for first, stop in spans(segment[:, 6] > 0.5)
         if stop - first >= least
     ]
-    taken = cut_to_share([stop - first for _, first, stop in found], TRAIN_SAMPLES, least)
-    return [_cut(one, slice(first, first + most)) for (one, first, _), most in zip(found, taken, strict=True)]
+    taken = cut_to_share([len(piece) for piece in found], TRAIN_SAMPLES, least)
+    return [piece[:most] for piece, most in zip(found, taken, strict=True)]
 
 
-def _cut(one: Decimated, kept: slice) -> Decimated:
-    return Decimated(one.t_ns, one.u[kept], one.y[kept], one.heave[kept], one.valid[kept])
-
-
-def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
+def _rate(pieces: Sequence[FloatArray], axis: int, motion: HealthyMotion, context: LearnContext) -> ModelRecord:
     """The rate model of one axis: of order 3 if the flights carry it, else of order 2."""
     near = next(((one.motion.roll, one.motion.pitch)[axis].model() for one in context.near), None)
-    u, y = [one.u[:, axis] for one in pieces], [one.y[:, axis] for one in pieces]
+    u, y = [piece[:, axis] for piece in pieces], [piece[:, 2 + axis] for piece in pieces]
     reason = ""
     for order in ORDERS:
         try:
@@ -299,10 +373,11 @@ def _rate(pieces: Sequence[Decimated], axis: int, motion: HealthyMotion, context
     raise IdentificationError(f"{('roll', 'pitch')[axis]}: {reason}")
 
 
-def _heave(pieces: Sequence[Decimated], motion: HealthyMotion) -> ModelRecord:
+def _heave(pieces: Sequence[FloatArray], motion: HealthyMotion) -> ModelRecord:
     """Vertical acceleration on thrust, both less their 1 s mean; nothing where thrust is unknown or not moved."""
     alpha = forgetting(DRIFT_S, motion.period_s)
-    moved = [one.heave - smoothed(one.heave, alpha, one.heave[0]) for one in pieces if np.isfinite(one.heave).all()]
+    heaves = [piece[:, 4:6] for piece in pieces if np.isfinite(piece[:, 4:6]).all()]
+    moved = [heave - smoothed(heave, alpha, heave[0]) for heave in heaves]
     u, y = [one[:, 1] for one in moved], [one[:, 0] for one in moved]
     try:
         return ModelRecord.of(identify(u, y, HEAVE_ORDER, dt=motion.period_s, method=Method.LS))

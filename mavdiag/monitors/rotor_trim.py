@@ -6,30 +6,36 @@ the centre or a damaged blade all shift the trim.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import SOURCES, rises, source_among, spread_from
+from mavdiag.airframe.trim import SOURCES, source_among, spread_from
 from mavdiag.errors import InputError
+from mavdiag.jit import cached, source_digest
 from mavdiag.monitors.base import Feature, LearnContext, Summaries
-from mavdiag.monitors.healthy import Three, joined_moments, moments
+from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, VALID, VALUE, Kernel
+from mavdiag.monitors.healthy import joined_moments, moments
 from mavdiag.monitors.trim import (
-    TickState,
+    KNOWN,
+    MEAN,
+    RUN,
+    WINDOW,
+    WINDOW_S,
     TrimMonitor,
     TrimSpec,
+    highest_rise,
     mean_of,
-    start_ticks,
-    tick_rows,
+    rise,
+    take_row,
+    take_tick,
     turn_of,
-    window_means,
+    window_mean,
     window_ticks,
     windows_of,
 )
-from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max, unbroken
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.thresholds.guard import Guard
 
 
@@ -42,7 +48,6 @@ class RotorTrimSpec(TrimSpec):
     """
 
     kind: Literal["rotor_trim"] = "rotor_trim"
-    spread: Three
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, self.spread)) or min(*self.spread, self.window_s) <= 0:
@@ -50,15 +55,49 @@ class RotorTrimSpec(TrimSpec):
         self.check()
 
 
-class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The best single-rotor rise at the end of each tick."""
+        k = 0
+        for i in range(x.shape[1] if digest else 0):
+            if not take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+                continue
+            take_tick(par, mem, mem[KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
+            sound = mem[RUN] >= par[WINDOW]
+            roll = pitch = yaw = lean = nod = 0.0
+            if sound:
+                roll = window_mean(par, mem, 0, 0) - par[MEAN]
+                pitch = window_mean(par, mem, 0, 1) - par[MEAN + 1]
+                yaw = window_mean(par, mem, 0, 2) - par[MEAN + 2]
+                lean, nod = window_mean(par, mem, 0, 3), window_mean(par, mem, 0, 4)
+            value = highest_rise(par, roll, pitch, yaw, lean, nod)
+            for rotor in range(rotors.shape[1]):
+                rotors[k, rotor] = rise(par, rotor, roll, pitch, yaw, 0.0, 0.0)
+            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, sound, value, yaw, i
+            k += 1
+        return k
+
+    return run
+
+
+class RotorTrim(TrimMonitor[RotorTrimSpec]):
     """Statistic: the rise of ONE rotor's command that explains the trim shift best [fraction of hover].
 
         m: trim averaged over 5 s,    mu: the healthy one,    a_j: rise of rotor j that explains m - mu (`trim`)
         statistic = max_j a_j,    rotor = argmax_j a_j
 
     m is the mean of ten ticks, each the median of half a second without what a turn takes of the yaw trim
-    (`monitors.trim`), so that a few wild samples move nothing; ticks in which the nose begins or ends to turn are left
-    out, half of the ten at most.
+    (`monitors.trim`), so that a few wild samples move nothing; the more a turn takes, the less its tick counts.
 
     A payload, a weak battery or a shifted centre of mass move roll and pitch, not yaw; these have at least three times
     yaw's spread, so the evidence is mostly yaw, and roll and pitch settle which rotor it is. Wind that holds the
@@ -102,33 +141,11 @@ class RotorTrim(TrimMonitor[RotorTrimSpec, TickState]):
         sd_yaw is widened by 0.002, sd_roll and sd_pitch are at least 3 sd_yaw.
         """
         layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
-        spec = RotorTrimSpec(layout=layout, source=source, spread=(1.0, 1.0, 1.0))
-        flights, window = (
-            [one[1 + SOURCES.index(source)] for one in summaries],
-            window_ticks(spec.window_s, context.dt_s),
-        )
-        turn = turn_of(flights, window)
-        mean = mean_of(flights, turn, window)
-        found = joined_moments([moments(windows_of(ticks, turn, window)[:, :3]) for ticks in flights])
-        spread = spread_from(found.about(np.array(mean)))
-        return (RotorTrimSpec(layout=layout, source=source, mean=mean, turn=turn, spread=spread),)
+        flights = [summary[1 + SOURCES.index(source)] for summary in summaries]
+        turn = turn_of(flights, window_ticks(WINDOW_S, context.dt_s))
+        monitor = cls.before(layout, source, turn)
+        mean = mean_of(monitor, flights, context.dt_s)
+        found = joined_moments([moments(windows_of(monitor, ticks, context.dt_s)[:, :3]) for ticks in flights])
+        return (replace(monitor.spec, mean=mean, spread=spread_from(found.about(np.array(mean)))),)
 
-    def start(self) -> TickState:
-        """No row yet."""
-        return start_ticks()
-
-    def step(self, state: TickState, rows: Rows) -> tuple[TickState, Statistic]:
-        """The best single-rotor rise twice a second."""
-        spec, dt_s = self.spec, rows.block.dt_s
-        window = window_ticks(spec.window_s, dt_s)
-        state, t_ns, ticks, usable = self.taken(state, rows, 1)
-        count = len(t_ns)
-        valid, mean = unbroken(usable, window)[len(ticks) - count :], np.zeros((count, 5))
-        if valid.any():
-            means, enough = window_means(ticks, window)
-            fresh = min(count, len(means))
-            mean[count - fresh :], valid[count - fresh :] = means[-fresh:], valid[count - fresh :] & enough[-fresh:]
-        shift = np.where(valid[:, None], mean[:, :3] - spec.mean, 0.0)
-        rise = row_max(rises(shift, spec.layout, spec.spread, mean[:, 3:]))
-        rotors = rises(shift, spec.layout, spec.spread)
-        return state, Statistic(t_ns, tick_rows(dt_s) * dt_s, rise, valid, rise, shift[:, 2], rotors)
+    run = staticmethod(_compiled(source_digest()))

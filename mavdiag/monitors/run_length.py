@@ -14,35 +14,16 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify import ArxModel, freerun
-from mavdiag.identify.freerun import FreeRunState
+from mavdiag.identify import ArxModel
 from mavdiag.identify.model import ModelRecord
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
-from mavdiag.monitors.training import MIN_PIECE_S, SETTLE_S, train, trained, training_pieces, training_spans
+from mavdiag.monitors.columns import COMMANDED, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U, Y
+from mavdiag.monitors.training import SETTLE_S, trained, training_spans
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.rates import RateBlock
-from mavdiag.rows.statistic import Statistic
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray, Signal
-
-__all__ = [
-    "MIN_PIECE_S",
-    "Exceedance",
-    "MarginRule",
-    "Residual",
-    "Run",
-    "RunLength",
-    "RunLengthSpec",
-    "RunLengthState",
-    "exceedance",
-    "longest_runs",
-    "margin_of",
-    "residuals",
-    "runs",
-    "train",
-    "training_pieces",
-]
 
 
 class MarginRule(StrEnum):
@@ -76,26 +57,6 @@ class RunLengthSpec:
         check_delay("fsd", self.delay_s)
 
 
-@dataclass(frozen=True, slots=True)
-class Exceedance:
-    """The run that is still open.
-
-    rows: its number of rows.
-    peak: its highest |r| - margin [unit of r].
-    """
-
-    rows: int = 0
-    peak: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class RunLengthState:
-    """The model's memory, None before the first row, and the open run."""
-
-    model: FreeRunState | None
-    run: Exceedance
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
     """The residual of one segment: t_ns, r [rad/s], valid: (n,)."""
@@ -116,7 +77,77 @@ class Run:
     peak: float
 
 
-class RunLength(Monitor[RunLengthSpec, RunLengthState]):
+# Places in the parameters and in the memory; the coefficients of B and then of A follow, and the past of u and y.
+DT, MARGIN, AXIS, INPUTS, OUTPUTS_BACK, TAPS = range(6)
+BEGUN, COUNT, PEAK, PAST = range(4)
+
+
+@jit
+def free_run(par: FloatArray, taps: int, inputs: int, back: int, mem: FloatArray, past: int, u: float) -> float:
+    """The next output y(t) = b_0 u(t) + b_1 u(t-1) + .. - a_1 y(t-1) - .. of a simulation (T 5.5).
+
+    taps: where b_0 .. b_(inputs-1) and then a_1 .. a_back stand. past: of inputs - 1 inputs and then of `back` outputs,
+    the newest first.
+    """
+    y, outputs = par[taps] * u, past + inputs - 1
+    for i in range(1, inputs):
+        y += par[taps + i] * mem[past + i - 1]
+    for i in range(back):
+        y -= par[taps + inputs + i] * mem[outputs + i]
+    for i in range(inputs - 2, 0, -1):
+        mem[past + i] = mem[past + i - 1]
+    if inputs > 1:
+        mem[past] = u
+    for i in range(back - 1, 0, -1):
+        mem[outputs + i] = mem[outputs + i - 1]
+    if back:
+        mem[outputs] = y
+    return float(y)
+
+
+@jit
+def at_rest(mem: FloatArray, past: int, inputs: int, back: int, u: float, y: float) -> None:
+    """Begin a simulation as if u and y had been the same for ever."""
+    for i in range(inputs - 1):
+        mem[past + i] = u
+    for i in range(back):
+        mem[past + inputs - 1 + i] = y
+
+
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """FSD of each row whose rates became known."""
+        axis, inputs, back = int(par[AXIS]), int(par[INPUTS]), int(par[OUTPUTS_BACK])
+        for i in range(lag, x.shape[1] if digest else lag):
+            k, u, y = i - lag, x[U + axis, i], x[Y + axis, i]
+            if mem[BEGUN] == 0.0:
+                mem[BEGUN] = 1.0
+                at_rest(mem, PAST, inputs, back, u, y if math.isfinite(y) else 0.0)
+            r = y - free_run(par, TAPS, inputs, back, mem, PAST, u)
+            sound = flags[COMMANDED, i] > 0.5 and math.isfinite(r)
+            excess = abs(r) - par[MARGIN]
+            if sound and excess > 0.0:
+                mem[COUNT], mem[PEAK] = mem[COUNT] + 1.0, max(mem[PEAK], excess)
+            else:
+                mem[COUNT] = mem[PEAK] = 0.0
+            out[VALUE, k], out[SOUND, k], out[LEVEL, k], out[SIGNAL, k] = mem[COUNT] * par[DT], sound, mem[PEAK], r
+            at[k] = k
+        return len(at) - lag
+
+    return run
+
+
+class RunLength(Monitor[RunLengthSpec]):
     """Statistic: the fault signature duration FSD, the time [s] that |r| has been above the margin without a break.
 
     With r = y - y_sim (free run) of one axis and the margin M from healthy flights,
@@ -151,12 +182,9 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
     )
     decides = False
     clear_s = 0.0
+    by_rates = True
     spec_type = RunLengthSpec
     unit = "s"
-
-    def __init__(self, spec: RunLengthSpec) -> None:
-        super().__init__(spec)
-        self._model = spec.model.model()
 
     @classmethod
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
@@ -204,43 +232,39 @@ class RunLength(Monitor[RunLengthSpec, RunLengthState]):
         """Until the model has answered to it [s]."""
         return SETTLE_S
 
-    def start(self) -> RunLengthState:
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `TAPS`."""
+        model = self.spec.model
+        head = [dt_s, self.spec.margin_rad_s, self.spec.axis.column, len(model.b), len(model.a) - 1]
+        return np.array([*head, *model.b, *model.a[1:]])
+
+    def memory(self, dt_s: float) -> FloatArray:
         """No row yet, and no run is open."""
-        return RunLengthState(None, Exceedance())
+        return np.zeros(PAST + len(self.spec.model.b) + len(self.spec.model.a))
 
-    def step(self, state: RunLengthState, rows: Rows) -> tuple[RunLengthState, Statistic]:
-        """FSD of each of the next rows."""
-        rates, spec = rows.rates, self.spec
-        model, r = _residual(self._model, spec.axis, state.model, rates)
-        valid = rates.commanded & np.isfinite(r)
-        run, fsd_s, peak = exceedance(state.run, r, valid, margin=spec.margin_rad_s, dt_s=rates.dt_s)
-        return RunLengthState(model, run), Statistic(rates.t_ns, rates.dt_s, fsd_s, valid, peak, r)
+    run = staticmethod(_compiled(source_digest()))
 
 
-def exceedance(
-    state: Exceedance, r: FloatArray, valid: BoolArray, *, margin: float, dt_s: float
-) -> tuple[Exceedance, FloatArray, FloatArray]:
-    """Trace the runs through the next rows: FSD so far [s] and highest |r| - margin so far, (n,), 0 outside of runs.
+def exceedances(r: FloatArray, valid: BoolArray, margin: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """FSD so far [s] and highest |r| - margin so far, (n,), of whole records; 0 outside of runs.
 
     A run is a stretch of consecutive judged rows with |r| > margin; a row that must not be judged ends it.
 
-    >>> r, all_valid = np.array([0.0, 2.0, -3.0, 0.5, 4.0]), np.ones(5, dtype=bool)
-    >>> state, fsd_s, peak = exceedance(Exceedance(), r, all_valid, margin=1.0, dt_s=0.1)
-    >>> fsd_s.tolist(), peak.tolist(), state
-    ([0.0, 0.1, 0.2, 0.0, 0.1], [0.0, 1.0, 2.0, 0.0, 3.0], Exceedance(rows=1, peak=3.0))
+    >>> fsd_s, peak = exceedances(np.array([0.0, 2.0, -3.0, 0.5, 4.0]), np.ones(5, dtype=bool), margin=1.0, dt_s=0.1)
+    >>> fsd_s.tolist(), peak.tolist()
+    ([0.0, 0.1, 0.2, 0.0, 0.1], [0.0, 1.0, 2.0, 0.0, 3.0])
     """
     excess = np.abs(r) - margin
     count, peak = np.zeros(len(r)), np.zeros(len(r))
     for first, stop in spans(valid & (excess > 0)):
-        carried = state if first == 0 else Exceedance()
-        count[first:stop] = np.arange(carried.rows + 1, carried.rows + 1 + stop - first)
-        peak[first:stop] = np.maximum(np.maximum.accumulate(excess[first:stop]), carried.peak)
-    return (Exceedance(int(count[-1]), float(peak[-1])) if len(r) else state), count * dt_s, peak
+        count[first:stop] = np.arange(1, stop - first + 1)
+        peak[first:stop] = np.maximum.accumulate(excess[first:stop])
+    return count * dt_s, peak
 
 
 def runs(residual: Residual, margin: float) -> tuple[Run, ...]:
     """The runs above the margin in one segment, in order of time."""
-    _, fsd_s, peak = exceedance(Exceedance(), residual.r, residual.valid, margin=margin, dt_s=residual.dt_s)
+    fsd_s, peak = exceedances(residual.r, residual.valid, margin, residual.dt_s)
     t_ns = residual.t_ns
     return tuple(
         Run(int(t_ns[first]), int(t_ns[stop - 1]), float(fsd_s[stop - 1]), float(peak[stop - 1]))
@@ -275,11 +299,10 @@ def residuals(flight: Sequence[Rows], axis: Axis, model: ArxModel) -> list[Resid
     """Free-run residual of each segment of a flight."""
     found = []
     for segment in segments(flight):
-        state, parts = None, []
-        for rows in segment:
-            state, r = _residual(model, axis, state, rows.rates)
-            parts.append((rows.rates.t_ns, r, rows.rates.commanded))
-        t_ns, r, valid = (np.concatenate(column) for column in zip(*parts, strict=True))
+        t_ns, u, y, valid = (
+            np.concatenate([getattr(rows.rates, name) for rows in segment]) for name in ("t_ns", "u", "y", "commanded")
+        )
+        r = _residual(model, u[:, axis.column], y[:, axis.column])
         found.append(Residual(t_ns, r, valid, segment[0].rates.dt_s))
     return found
 
@@ -318,19 +341,11 @@ def _levels(
         first, stop = int(ends[begin]), int(ends[end])
         if first == stop:
             continue
-        rest_u, rest_y = np.full(len(model.b), u[first]), np.full(len(model.a), np.nan_to_num(y[first]))
-        r = y[first:stop] - model.simulate(u[first:stop], rest_u, rest_y)
-        yield np.abs(r[commanded[first:stop]])
+        yield np.abs(_residual(model, u[first:stop], y[first:stop])[commanded[first:stop]])
 
 
-def _residual(
-    model: ArxModel, axis: Axis, state: FreeRunState | None, rates: RateBlock
-) -> tuple[FreeRunState | None, FloatArray]:
-    """Measured less simulated rate of the next rows, (n,) [rad/s]."""
-    u, y = rates.u[:, axis.column], rates.y[:, axis.column]
-    if len(y) == 0:
-        return state, np.empty(0)
-    if state is None:
-        state = freerun.start(model, np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0])))
-    state, y_sim = freerun.step(model, state, u)
-    return state, y - y_sim
+def _residual(model: ArxModel, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Measured less simulated rate of a whole segment, (n,) [rad/s]."""
+    if len(u) == 0:
+        return u
+    return y - model.simulate(u, np.full(len(model.b), u[0]), np.full(len(model.a), np.nan_to_num(y[0])))

@@ -6,25 +6,22 @@ accelerometer reads g on average. And an estimator that must correct the attitud
 cameras, again and again to the same side, has two sensors that disagree.
 """
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.monitors.healthy import Three, joined_moments, moments, three
+from mavdiag.monitors.columns import ATTITUDE, FORCE, LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel
+from mavdiag.monitors.healthy import joined_moments, moments, three
 from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max, window_mean
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["SensorDrift", "SensorDriftSpec", "SensorDriftState"]
 
 TICK_S = 0.1  # our choice
 MEAN_S = 2.0  # of the attitude that the gyro does not explain, now and then (our choice)
@@ -40,7 +37,6 @@ LEAST_VERTICAL = 0.08  # m/s^2 (our choice)
 STEEP_RAD, FAST_RAD_S = 0.7, 6.0  # beyond it small angles do not hold, and an upset begins (our choice)
 LIMIT = 1e6  # a value is cut here
 GRAVITY = 9.80665
-ANGLES = np.array([1.0, 1.0, 0.0])  # which of the three disagreements are angles
 COLUMNS = 5  # of the history: tilt about two axes, heading, vertical acceleration, turned angle
 MIN_RATE_HZ = 20.0  # below it turns are not followed from sample to sample (our choice)
 
@@ -81,23 +77,134 @@ class SensorDriftSpec:
         return max(1, round(span_s / (self.tick * self.dt_s)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorDriftState:
-    """What the next rows need.
-
-    rows: (r, 9) gyro, accelerometer and attitude of rows that wait for their tick; t_ns, valid: (r,) of them.
-    angle: (4,) integrals since the last gap: of the gyro about north and east, of its turning, and of |its turning|.
-    history: (h, COLUMNS) of the last ticks without a gap.
-    """
-
-    rows: FloatArray
-    t_ns: IntArray
-    valid: BoolArray
-    angle: FloatArray
-    history: FloatArray
+# Places in the parameters; and in the memory: rows of the tick and valid ones, sums of the tick, angles since the last
+# gap, ticks since then, the history.
+DT, TICK, MEAN, LAG, LIFT, VERTICAL, BIAS, SPREADS = *range(7), 9
+ROWS, SOUND_ROWS, SUMS, ANGLE, TICKS, HISTORY = 0, 1, 2, 10, 14, 15
 
 
-class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
+@jit
+def _felt(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
+    """Add a row to its tick: what the gyro turns and what is seen (`_ticks`). True where it is the tick's last one."""
+    p, q, r = x[RATE, i] - par[BIAS], x[RATE + 1, i] - par[BIAS + 1], x[RATE + 2, i] - par[BIAS + 2]
+    phi, theta, psi = x[ATTITUDE, i], x[ATTITUDE + 1, i], x[ATTITUDE + 2, i]
+    ax, ay, az = x[FORCE, i], x[FORCE + 1, i], x[FORCE + 2, i]
+    known = valid and abs(phi) < STEEP_RAD and abs(theta) < STEEP_RAD and math.isfinite(ax + ay + az + psi)
+    for axis in range(3):
+        known = known and abs(x[RATE + axis, i]) < FAST_RAD_S
+    if known:
+        c, s, sin_phi, cos_phi = math.cos(psi), math.sin(psi), math.sin(phi), math.cos(phi)
+        turn = (q * sin_phi + r * cos_phi) / math.cos(theta)
+        down = math.cos(theta) * (sin_phi * ay + cos_phi * az) - math.sin(theta) * ax
+        mem[SUMS] += p * c - q * s
+        mem[SUMS + 1] += p * s + q * c
+        mem[SUMS + 2] += turn
+        mem[SUMS + 3] += abs(turn)
+        mem[SUMS + 4] += phi * c - theta * s
+        mem[SUMS + 5] += phi * s + theta * c
+        mem[SUMS + 6] += psi
+        mem[SUMS + 7] += down + (GRAVITY - par[VERTICAL])
+        mem[SOUND_ROWS] += 1.0
+    mem[ROWS] += 1.0
+    return bool(mem[ROWS] >= par[TICK])
+
+
+@jit
+def _mean(mem: FloatArray, length: int, last: int, count: int, column: int) -> float:
+    """Mean of so many ticks of the history, up to the tick `last`."""
+    found = 0.0
+    for number in range(last - count + 1, last + 1):
+        found += mem[HISTORY + number % length * COLUMNS + column]
+    return found / count
+
+
+@jit
+def walk(par: FloatArray, mem: FloatArray, whole: bool, found: FloatArray) -> bool:
+    """Take a tick, whose means stand at `SUMS`: |dE|, |dY|, |V| and what is excused, e; whether they count."""
+    mean, lag, lift, span_s = int(par[MEAN]), int(par[LAG]), int(par[LIFT]), par[TICK] * par[DT]
+    length = lag + 2 * mean + 1
+    for j in range(4):
+        found[j] = 0.0
+        mem[ANGLE + j] = mem[ANGLE + j] if whole else 0.0
+    if not whole:
+        mem[TICKS] = 0.0
+        return False
+    last = int(mem[TICKS])
+    row = HISTORY + last % length * COLUMNS
+    for j in range(4):
+        mem[ANGLE + j] += mem[SUMS + j] * span_s
+        mem[row + j] = mem[SUMS + 4 + j] - (mem[ANGLE + j] if j < 3 else 0.0)
+    mem[row + 4] = mem[ANGLE + 3]
+    mem[TICKS] = last + 1.0
+    now = last - mean + 1  # windows are counted by their first tick
+    if now >= mean:
+        then = max(now - lag, 0)
+        before = then + mean - 1
+        north = _mean(mem, length, last, mean, 0) - _mean(mem, length, before, mean, 0)
+        east = _mean(mem, length, last, mean, 1) - _mean(mem, length, before, mean, 1)
+        found[0] = math.hypot(north, east)
+        found[1] = abs(_mean(mem, length, last, mean, 2) - _mean(mem, length, before, mean, 2))
+        turned = _mean(mem, length, last, mean, 4) - _mean(mem, length, before, mean, 4)
+        found[3] = TURN_SHARE * turned + (now - then) * (USUAL_BIAS * span_s)
+    if last + 1 >= 2 * lift:
+        late, early = _mean(mem, length, last, lift, 3), _mean(mem, length, last - lift, lift, 3)
+        found[2] = min(abs(late), abs(early)) if late * early > 0.0 else 0.0
+    return last + 1 >= 2 * mean
+
+
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
+        k, found = 0, np.empty(4)
+        for i in range(x.shape[1] if digest else 0):
+            if not _felt(par, mem, x, i, flags[VALID, i] > 0.5):
+                continue
+            for j in range(8):
+                mem[SUMS + j] /= par[TICK]
+            out[SOUND, k] = walk(par, mem, mem[SOUND_ROWS] >= par[TICK], found)
+            mem[ROWS] = mem[SOUND_ROWS] = 0.0
+            for j in range(8):
+                mem[SUMS + j] = 0.0
+            angle = max(found[0] / (par[SPREADS] + found[3]), found[1] / (par[SPREADS + 1] + found[3]))
+            value = min(max(angle, found[2] / par[SPREADS + 2]), LIMIT)
+            out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, found[0], i
+            k += 1
+        return k
+
+    return run
+
+
+def _compiled_walk(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
+    @cached
+    def squares(par: FloatArray, mem: FloatArray, ticks: FloatArray, sums: FloatArray) -> int:
+        """How many ticks (k, 9) count, and the sums of squares of what is beyond the excused, added to (3,)."""
+        count, found = 0, np.empty(4)
+        for k in range(len(ticks) if digest else 0):
+            for j in range(8):
+                mem[SUMS + j] = ticks[k, j]
+            if walk(par, mem, ticks[k, 8] > 0.5, found):
+                count += 1
+                for j in range(3):
+                    sums[j] += max(found[j] - (found[3] if j < 2 else 0.0), 0.0) ** 2
+        return count
+
+    return squares
+
+
+_walk_squares = _compiled_walk(source_digest())
+
+
+class SensorDrift(Monitor[SensorDriftSpec]):
     """Statistic: the greatest of three disagreements of the inertial sensors [times healthy rms].
 
         E = (phi + i theta) e^(i psi) - integral (p + i q) e^(i psi) dt           tilt that the gyro does not explain
@@ -163,90 +270,34 @@ class SensorDrift(Monitor[SensorDriftSpec, SensorDriftState]):
         tilt, heading, lift = np.maximum(rms, (LEAST_ANGLE, LEAST_ANGLE, LEAST_VERTICAL)).tolist()
         return (replace(spec, tilt=tilt, heading=heading, lift=lift),)
 
-    def __init__(self, spec: SensorDriftSpec) -> None:
-        super().__init__(spec)
-        self._spreads = np.array([spec.tilt, spec.heading, spec.lift])
-
     @property
     def reach(self) -> float:
         """Where a value is cut."""
         return LIMIT
 
-    def start(self) -> SensorDriftState:
-        """No row yet."""
-        return _fresh()
+    def period_s(self, dt_s: float) -> float:
+        """A tick [s]."""
+        return self.spec.tick * self.spec.dt_s
 
-    def step(self, state: SensorDriftState, rows: Rows) -> tuple[SensorDriftState, Statistic]:
-        """The greatest disagreement every 0.1 s, at the time of the newest row that it rests on."""
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `SPREADS`."""
         spec = self.spec
-        state, t_ns, parts, excused, full = _advance(spec, state, rows.block)
-        value = np.minimum(row_max(parts / (self._spreads + excused[:, None] * ANGLES)), LIMIT)
-        return state, Statistic(t_ns, spec.tick * spec.dt_s, value, full, value, parts[:, 0])
+        spans = [spec.ticks(span_s) for span_s in (MEAN_S, LAG_S, VERTICAL_S)]
+        return np.array([spec.dt_s, spec.tick, *spans, spec.vertical, *spec.bias, spec.tilt, spec.heading, spec.lift])
+
+    def memory(self, dt_s: float) -> FloatArray:
+        """No row yet."""
+        return np.zeros(HISTORY + COLUMNS * (self.spec.ticks(LAG_S) + 2 * self.spec.ticks(MEAN_S) + 1))
+
+    run = staticmethod(_compiled(source_digest()))
 
 
-def _fresh() -> SensorDriftState:
-    t_ns, valid = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_)
-    return SensorDriftState(np.empty((0, 9)), t_ns, valid, np.zeros(4), np.empty((0, COLUMNS)))
-
-
-def _joined(state: SensorDriftState, block: Block) -> tuple[FloatArray, IntArray, BoolArray]:
-    """The rows that wait and the next ones: values, times, and whether they may be used."""
-    fresh = np.concatenate((block.rate, block.force, block.attitude), axis=1)
-    known = block.valid & block.known(Signal.SPECIFIC_FORCE) & block.known(Signal.ATTITUDE)
-    lean, turn = np.abs(block.attitude[:, :2]), np.abs(block.rate)
-    if not (np.maximum.reduce(lean, axis=None) < STEEP_RAD and np.maximum.reduce(turn, axis=None) < FAST_RAD_S):
-        known = known & (lean < STEEP_RAD).all(axis=1) & (turn < FAST_RAD_S).all(axis=1)
-    if np.count_nonzero(known) < len(known):
-        fresh = np.where(known[:, None], fresh, 0.0)
-    rows = np.concatenate((state.rows, fresh))
-    return rows, np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, known))
-
-
-def _advance(
-    spec: SensorDriftSpec, state: SensorDriftState, block: Block
-) -> tuple[SensorDriftState, IntArray, FloatArray, FloatArray, BoolArray]:
-    """The ticks that the next rows complete: times, (n, 3) |dE|, |dY| and |V|, e [rad], and whether they count."""
-    tick = spec.tick
-    rows, t_ns, valid = _joined(state, block)
-    n = len(rows) // tick
-    used = n * tick
-    whole: BoolArray = np.logical_and.reduce(valid[:used].reshape(n, tick), axis=1)
-    steps, seen = _ticks(spec, rows[:used], n)
-    (angle, history), parts, excused, full = _walked(spec, (state.angle, state.history), steps, seen, whole)
-    state = SensorDriftState(rows[used:], t_ns[used:], valid[used:], angle, history)
-    return state, t_ns[tick - 1 : used : tick], parts, excused, full
-
-
-def _walked(
-    spec: SensorDriftSpec, memory: tuple[FloatArray, FloatArray], steps: FloatArray, seen: FloatArray, whole: BoolArray
-) -> tuple[tuple[FloatArray, FloatArray], FloatArray, FloatArray, BoolArray]:
-    """Angle and history after the next ticks, and of each tick what `_advance` gives."""
-    n, least = len(whole), 2 * spec.ticks(MEAN_S)
-    parts, excused, full = np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=np.bool_)
-    angle, history = memory
-    for first, stop, good in _stretches(whole):
-        if not good:
-            angle, history = np.zeros(4), np.empty((0, COLUMNS))
-            continue
-        sums = np.add.accumulate(np.concatenate((angle[None], steps[first:stop])), axis=0)
-        fresh = np.concatenate((seen[first:stop], sums[1:, 3:]), axis=1)
-        fresh[:, :3] -= sums[1:, :3]
-        angle, past = sums[-1], len(history)
-        history = np.concatenate((history, fresh))
-        found = _disagreements(spec, history, past)
-        parts[first:stop], excused[first:stop] = found[:, :3], found[:, 3]
-        full[first + max(0, least - 1 - past) : stop] = True
-        history = history[-(spec.ticks(LAG_S) + least) :]
-    return (angle, history), parts, excused, full
-
-
-def _stretches(flags: BoolArray) -> list[tuple[int, int, bool]]:
-    """Spans of equal flags: first, stop, flag."""
-    same = np.count_nonzero(flags)
-    if same in (0, len(flags)):
-        return [(0, len(flags), bool(same))] if len(flags) else []
-    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-    return [(a, b, bool(flags[a])) for a, b in itertools.pairwise(edges)]
+def _known_rows(blocks: Sequence[Block]) -> tuple[FloatArray, BoolArray]:
+    """Gyro, accelerometer and attitude of rows, (n, 9), zero where one must not be used, and where they may be."""
+    rows = np.concatenate([np.concatenate((one.rate, one.force, one.attitude), axis=1) for one in blocks])
+    known = np.concatenate([one.valid for one in blocks]) & np.isfinite(rows).all(axis=1)
+    known &= (np.abs(rows[:, 6:8]) < STEEP_RAD).all(axis=1) & (np.abs(rows[:, :3]) < FAST_RAD_S).all(axis=1)
+    return np.where(known[:, None], rows, 0.0), known
 
 
 def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
@@ -267,29 +318,6 @@ def _ticks(spec: SensorDriftSpec, rows: FloatArray, n: int) -> tuple[FloatArray,
     return means[:, :4] * (tick * spec.dt_s), means[:, 4:]
 
 
-def _disagreements(spec: SensorDriftSpec, history: FloatArray, past: int) -> FloatArray:
-    """|dE|, |dY|, |V| and e at the ticks from `past` on of an unbroken history, (h, 4); zero where it is too short."""
-    h, mean, lag, lift = len(history), spec.ticks(MEAN_S), spec.ticks(LAG_S), spec.ticks(VERTICAL_S)
-    out = np.zeros((h - past, 4))
-    first = max(past - mean + 1, mean)  # windows are counted by their first tick
-    if first <= h - mean:
-        now = np.arange(first, h - mean + 1)
-        then = np.maximum(now - lag, 0)
-        change = window_mean(history[first:], mean)
-        change -= window_mean(history[then[0] : then[-1] + mean], mean)[then - then[0]]
-        late = out[first + mean - 1 - past :]
-        late[:, 0] = np.hypot(change[:, 0], change[:, 1])
-        late[:, 1] = np.abs(change[:, 2])
-        late[:, 3] = TURN_SHARE * change[:, 4] + (now - then) * (USUAL_BIAS * spec.tick * spec.dt_s)
-    first = max(past - lift + 1, lift)
-    if first <= h - lift:
-        means = window_mean(history[first - lift :, 3:4], lift)[:, 0]
-        late, early = means[lift:], means[: len(means) - lift]
-        least = np.minimum(np.abs(late), np.abs(early))
-        out[first + lift - 1 - past :, 2] = np.where(late * early > 0, least, 0.0)
-    return out
-
-
 def _before(context: LearnContext) -> SensorDriftSpec:
     """What is known before any flight: no bias."""
     return SensorDriftSpec(dt_s=context.dt_s, bias=(0.0, 0.0, 0.0), vertical=0.0, tilt=1.0, heading=1.0, lift=1.0)
@@ -302,11 +330,10 @@ def _gathered(spec: SensorDriftSpec, segment: Sequence[Rows], number: int) -> tu
     cos psi, sin psi, sin phi / cos theta and cos phi / cos theta, whether they are whole, and the segment's number,
     (k, 14); and of their rows what turns about the vertical and the last two, (k tick, 3).
     """
-    joined = [_joined(_fresh(), rows.block) for rows in segment]
-    n = sum(len(one[2]) for one in joined) // spec.tick
+    rows, known = _known_rows([rows.block for rows in segment])
+    n = len(rows) // spec.tick
     used = n * spec.tick
-    rows = np.concatenate([one[0] for one in joined])[:used]
-    whole = np.concatenate([one[2] for one in joined])[:used].reshape(n, spec.tick).all(axis=1)
+    rows, whole = rows[:used], known[:used].reshape(n, spec.tick).all(axis=1)
     (_, q, r), (phi, theta, psi) = rows[:, :3].T, rows[:, 6:].T
     each = np.stack((np.cos(psi), np.sin(psi), np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)))
     means = np.add.reduce(each.reshape(4, n, spec.tick), axis=2).T / spec.tick
@@ -327,13 +354,11 @@ def _squares(spec: SensorDriftSpec, ticks: FloatArray, turns: FloatArray) -> tup
     turning = np.abs(turns[:, 0] - q * turns[:, 1] - r * turns[:, 2])
     steps[:, 3] = turning.reshape(-1, spec.tick).sum(axis=1) * spec.dt_s
     seen[:, 3] -= spec.vertical
-    count, squares = 0, np.zeros(3)
+    count, squares, monitor = 0, np.zeros(3), SensorDrift(spec)
+    walked = np.column_stack((steps / span_s, seen, ticks[:, 12]))
     for number in np.unique(ticks[:, 13]):
-        here = ticks[:, 13] == number
-        memory = (np.zeros(4), np.empty((0, COLUMNS)))
-        _, parts, excused, full = _walked(spec, memory, steps[here], seen[here], ticks[here, 12] > 0.5)
-        found = np.maximum(parts - excused[:, None] * ANGLES, 0.0)[full]
-        count, squares = count + len(found), squares + np.square(found).sum(axis=0)
+        mem = monitor.memory(spec.dt_s)
+        count += _walk_squares(monitor.parameters(spec.dt_s), mem, walked[ticks[:, 13] == number], squares)
     return count, squares
 
 

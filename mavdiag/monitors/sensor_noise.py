@@ -12,15 +12,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import FaultKind, Flights, LearnContext, Monitor, Summaries, Summary, segments
-from mavdiag.rows.block import Block
+from mavdiag.monitors.columns import LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_all, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.rows.running import FRESH, mean_size, push, total
+from mavdiag.rows.windows import window_all, window_rows
+from mavdiag.telemetry import FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["SensorNoise", "SensorNoiseSpec", "SensorNoiseState"]
 
 WINDOW_S = 0.5  # our choice: that of the unbalance monitor, so that the two are equally quick
 ORDER = 4  # of the difference: it leaves 0.0006 of a motion at 5 Hz at 200 Hz (our choice)
@@ -52,16 +51,58 @@ class SensorNoiseSpec:
             raise InputError("sensor_noise: the healthy noise and the window must be positive")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorNoiseState:
-    """The last 4 rows, (4, 6), whether they may be used, (4,), and the mean of the squares."""
-
-    rows: FloatArray
-    valid: BoolArray
-    mean: MeanState
+# Places in the memory: how many rows in a row are known, the last 4 rows, and the mean of the squares.
+RUN, ROWS, MEAN = 0, 1, 1 + ORDER * AXES
 
 
-class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
+@jit
+def _difference(mem: FloatArray, axis: int, value: float) -> float:
+    """The fourth difference of an axis, after its next value."""
+    first = ROWS + axis * ORDER
+    a, b, c, d = mem[first], mem[first + 1], mem[first + 2], mem[first + 3]
+    mem[first], mem[first + 1], mem[first + 2], mem[first + 3] = b, c, d, value
+    return float(value - 4.0 * d + 6.0 * c - 4.0 * b + a)
+
+
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The lead of the noisiest axis at each row. par: rows of the window, and the healthy rms."""
+        window = int(par[0])
+        for i in range(x.shape[1] if digest else 0):
+            known = flags[VALID, i] > 0.5
+            for axis in range(AXES):
+                known = known and math.isfinite(x[RATE + axis, i])
+            mem[RUN] = mem[RUN] + 1.0 if known else 0.0
+            whole = mem[RUN] > ORDER
+            for axis in range(AXES):
+                d = _difference(mem, axis, x[RATE + axis, i] if known else 0.0)
+                z = min(abs(d) / par[1 + axis], LIMIT)
+                mem[MEAN + FRESH + axis] = z * z
+            full = push(mem, MEAN, window, AXES, whole)
+            first, second = -math.inf, -math.inf
+            for axis in range(AXES):
+                power = total(mem, MEAN, AXES, axis) / window
+                second = max(second, min(first, power))
+                first = max(first, power)
+            first, second = math.log(max(first, LEAST_POWER)), math.log(max(second, LEAST_POWER))
+            value = max(first - 2.0 * max(second, 0.0), 0.0)
+            out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, value, first, i
+        return len(at)
+
+    return run
+
+
+class SensorNoise(Monitor[SensorNoiseSpec]):
     """Statistic: by how much the noise of one sensor axis rose while the others did not [ln of power].
 
         d = fourth difference of the axis,    L_i = ln(mean_0.5s d_i^2 / healthy),    i = gyro x, y, z, accel x, y, z
@@ -103,11 +144,11 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         """How many rows have a fourth difference, and the sum of their squares, (6,)."""
         count, squares = 0, np.zeros(AXES)
         for segment in segments(flight):
-            state = _fresh()
-            for rows in segment:
-                state, d, valid = _differences(state, rows.block)
-                count += int(np.count_nonzero(valid))
-                squares += np.einsum("nk,nk->k", d[valid], d[valid])
+            blocks = [rows.block for rows in segment]
+            known = np.concatenate([one.valid & one.known(Signal.SPECIFIC_FORCE) & one.finite_rate() for one in blocks])
+            rows = np.concatenate([np.concatenate((one.rate, one.force), axis=1) for one in blocks])
+            d = np.diff(rows, ORDER, axis=0)[window_all(known, ORDER + 1)]
+            count, squares = count + len(d), squares + np.einsum("nk,nk->k", d, d)
         return np.array([count]), squares
 
     @classmethod
@@ -136,47 +177,12 @@ class SensorNoise(Monitor[SensorNoiseSpec, SensorNoiseState]):
         """The logarithm of the power at which differences are cut: 3.58."""
         return 2.0 * math.log(LIMIT)
 
-    def start(self) -> SensorNoiseState:
+    def parameters(self, dt_s: float) -> FloatArray:
+        """Rows of the window, healthy rms."""
+        return np.array([window_rows(self.spec.window_s, dt_s), *self.spec.rms])
+
+    def memory(self, dt_s: float) -> FloatArray:
         """No row yet."""
-        return _fresh()
+        return np.zeros(MEAN + mean_size(window_rows(self.spec.window_s, dt_s), AXES))
 
-    def step(self, state: SensorNoiseState, rows: Rows) -> tuple[SensorNoiseState, Statistic]:
-        """The lead of the noisiest axis at each of the next rows."""
-        spec, block = self.spec, rows.block
-        before = state.mean
-        state, d, valid = _differences(state, block)
-        z = np.minimum(np.abs(d / spec.rms), LIMIT)
-        mean_state, mean, full = sliding_mean(before, z * z, valid, window_rows(spec.window_s, block.dt_s))
-        first, second = (np.log(np.maximum(one, LEAST_POWER)) for one in _highest(mean))
-        value = np.maximum(first - 2.0 * np.maximum(second, 0.0), 0.0)
-        state = SensorNoiseState(state.rows, state.valid, mean_state)
-        return state, Statistic(block.t_ns, block.dt_s, value, full, value, first)
-
-
-def _highest(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The highest and the second highest value of each row, (n, k) -> (n,) each, k at least 2."""
-    first, second = np.maximum(x[:, 0], x[:, 1]), np.minimum(x[:, 0], x[:, 1])
-    for column in x.T[2:]:
-        second = np.maximum(second, np.minimum(first, column))
-        first = np.maximum(first, column)
-    return first, second
-
-
-def _fresh() -> SensorNoiseState:
-    return SensorNoiseState(np.zeros((ORDER, AXES)), np.zeros(ORDER, dtype=np.bool_), start_mean(AXES))
-
-
-def _differences(state: SensorNoiseState, block: Block) -> tuple[SensorNoiseState, FloatArray, BoolArray]:
-    """Fourth differences of each row, (n, 6), zero where a row behind them is unknown, and (n,) whether all are."""
-    fresh = np.concatenate((block.rate, block.force), axis=1)
-    known = block.valid & block.known(Signal.SPECIFIC_FORCE) & block.finite_rate()
-    if np.count_nonzero(known) < len(known):
-        fresh = np.where(known[:, None], fresh, 0.0)
-    both, flags = np.concatenate((state.rows, fresh)), np.concatenate((state.valid, known))
-    whole = window_all(flags, ORDER + 1)
-    d = both
-    for _ in range(ORDER):
-        d = d[1:] - d[:-1]
-    if np.count_nonzero(whole) < len(whole):
-        d[~whole] = 0.0
-    return SensorNoiseState(both[-ORDER:], flags[-ORDER:], state.mean), d, whole
+    run = staticmethod(_compiled(source_digest()))

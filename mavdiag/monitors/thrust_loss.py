@@ -13,15 +13,15 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import InputError
+from mavdiag.jit import cached, source_digest
 from mavdiag.monitors.base import FaultKind, LearnContext, Monitor, RotorEvidence, Summaries, Summary
+from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, THRUST, VALID, VALUE, Kernel
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import EmaState, MeanState, ema, forgetting, sliding_mean, start_ema, start_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.rows.running import FRESH, follow, mean_size, push, total
+from mavdiag.rows.windows import forgetting, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["ThrustLoss", "ThrustLossSpec", "ThrustLossState"]
 
 WINDOW_S = 0.1  # our choice: four time constants of a motor
 MEMORY_S = 3.0  # of what the command gives: battery and payload change it more slowly (our choice)
@@ -56,15 +56,52 @@ class ThrustLossSpec:
             raise InputError("thrust_loss: the healthy specific force per command must be positive")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ThrustLossState:
-    """What the command gave lately, (1,) in units of the healthy one, and the means of the last 0.1 s."""
-
-    usual: EmaState
-    mean: MeanState
+# Places in the parameters and in the memory.
+WINDOW, PER_COMMAND, ALPHA, LOST = range(4)
+USUAL, MEAN = 0, 1
 
 
-class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The missing share at each row."""
+        window, per_command, count = int(par[WINDOW]), par[PER_COMMAND], rotors.shape[1]
+        for i in range(x.shape[1] if digest else 0):
+            up, thrust, turning = -x[FORCE + 2, i], x[THRUST, i], 0.0
+            for axis in range(3):
+                turning += x[RATE + axis, i] * x[RATE + axis, i]
+            known = flags[VALID, i] > 0.5 and math.isfinite(turning) and math.isfinite(up) and thrust > MIN_THRUST
+            up, thrust = up if known else per_command, thrust if known else 1.0
+            usual = follow(mem, USUAL, min(max(up / (per_command * thrust), 0.0), CUT), par[ALPHA])
+            row = MEAN + FRESH
+            mem[row], mem[row + 1], mem[row + 2], mem[row + 3] = up, thrust, x[RATE, i], x[RATE + 1, i]
+            mem[row + 4] = math.sqrt(turning)
+            full = push(mem, MEAN, window, COLUMNS, known)
+            mean_up, mean_thrust = total(mem, MEAN, COLUMNS, 0) / window, total(mem, MEAN, COLUMNS, 1) / window
+            p, q = total(mem, MEAN, COLUMNS, 2) / window, total(mem, MEAN, COLUMNS, 3) / window
+            rate = total(mem, MEAN, COLUMNS, 4) / window
+            loss = 1.0 - mean_up / (max(mean_thrust, MIN_THRUST) * per_command * max(usual, 1.0 / CUT))
+            value = max(min(loss, PER_RAD_S * rate), 0.0) if rate < TUMBLING_RAD_S else 0.0
+            size = math.hypot(p, q)
+            for rotor in range(count):
+                towards = par[LOST + 2 * rotor] * p + par[LOST + 2 * rotor + 1] * q
+                rotors[i, rotor] = towards / size if size > 0.0 else 0.0
+            out[VALUE, i], out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = value, full, loss, up, i
+        return len(at)
+
+    return run
+
+
+class ThrustLoss(Monitor[ThrustLossSpec]):
     """Statistic: share of the thrust that is missing while the vehicle turns [1].
 
         k = (-f_z)/(per_command T),    loss = 1 - mean_0.1s(-f_z)/(mean_0.1s(T) per_command EMA_3s(k))
@@ -122,51 +159,31 @@ class ThrustLoss(Monitor[ThrustLossSpec, ThrustLossState]):
         """Of the accelerometer its z."""
         return block.known(signal, ONLY_Z if signal is Signal.SPECIFIC_FORCE else ALL)
 
-    def __init__(self, spec: ThrustLossSpec) -> None:
-        super().__init__(spec)
-        lost = np.empty((0, 2)) if spec.layout is None else -spec.layout.mixing[:, :2]
-        sizes = np.linalg.norm(lost, axis=1)
-        self._lost = (lost / np.where(sizes > 0, sizes, np.inf)[:, None]).T
-
     @property
     def reach(self) -> float:
         """All of the thrust."""
         return 1.0
 
-    def start(self) -> ThrustLossState:
+    @property
+    def rotors(self) -> int:
+        """Those of the layout."""
+        return 0 if self.spec.layout is None else self.spec.layout.rotors
+
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `LOST`: of each rotor the unit vector of roll and pitch rate that its loss begins."""
+        spec = self.spec
+        lost = np.empty((0, 2)) if spec.layout is None else -spec.layout.mixing[:, :2]
+        sizes = np.linalg.norm(lost, axis=1)
+        lost = lost / np.where(sizes > 0, sizes, np.inf)[:, None]
+        return np.array([window_rows(WINDOW_S, dt_s), spec.per_command, forgetting(MEMORY_S, dt_s), *lost.ravel()])
+
+    def memory(self, dt_s: float) -> FloatArray:
         """The command gives what it gave in health."""
-        return ThrustLossState(start_ema(np.ones(1)), start_mean(COLUMNS))
+        mem = np.zeros(MEAN + mean_size(window_rows(WINDOW_S, dt_s), COLUMNS))
+        mem[USUAL] = 1.0
+        return mem
 
-    def step(self, state: ThrustLossState, rows: Rows) -> tuple[ThrustLossState, Statistic]:
-        """The missing share at each of the next rows."""
-        spec, block = self.spec, rows.block
-        known = _known(block)
-        columns = np.empty((COLUMNS, len(block)))
-        if np.count_nonzero(known) == len(block):
-            thrust, up, rate = block.thrust, -block.force[:, 2], block.rate
-        else:
-            thrust = np.where(known, block.thrust, 1.0)
-            up = np.where(known, -block.force[:, 2], spec.per_command)
-            rate = np.where(known, block.rate.T, 0.0).T
-        given = np.minimum(np.maximum(up / (spec.per_command * thrust), 0.0), CUT)
-        usual, trace = ema(state.usual, given[:, None], forgetting(MEMORY_S, block.dt_s))
-        columns[0], columns[1], columns[2:4] = up, thrust, rate.T[:2]
-        np.sqrt(np.einsum("nk,nk->n", rate, rate), out=columns[4])
-        mean_state, mean, full = sliding_mean(state.mean, columns.T, known, window_rows(WINDOW_S, block.dt_s))
-        expected = np.maximum(mean[:, 1], MIN_THRUST) * spec.per_command * np.maximum(trace[:, 0], 1.0 / CUT)
-        loss = 1.0 - mean[:, 0] / expected
-        value = np.maximum(np.minimum(loss, PER_RAD_S * mean[:, 4]), 0.0)
-        value = np.where(mean[:, 4] < TUMBLING_RAD_S, value, 0.0)
-        rotors = self._towards(mean[:, 2:4])
-        return ThrustLossState(usual, mean_state), Statistic(block.t_ns, block.dt_s, value, full, loss, up, rotors)
-
-    def _towards(self, turning: FloatArray) -> FloatArray:
-        """Cosine of mean roll and pitch rate, (n, 2), with what the loss of each rotor turns, (n, rotors)."""
-        sizes = np.sqrt(np.einsum("nk,nk->n", turning, turning))
-        sizes = np.where(sizes > 0, sizes, np.inf)
-        cosine: FloatArray = np.einsum("kr,nk->rn", self._lost, turning)
-        cosine /= sizes
-        return cosine.T
+    run = staticmethod(_compiled(source_digest()))
 
 
 def _known(block: Block) -> BoolArray:

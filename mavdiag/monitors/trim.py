@@ -1,41 +1,55 @@
 """What the two monitors of the trim share: ticks of half a second, what a turn takes of them, and the healthy trim.
 
-    m_yaw = b0 + b1 r + b2 dr/dt
+    g = b1 r + b2 dr/dt,    tick = median over its parts of m_yaw - g,    weight = 1/(1 + (max |g|/G)^2)
 
 A vehicle whose nose turns has its rotors commanded apart: a steady turn against the drag of its rotation, the start and
-the stop of a turn for its inertia. b1 and b2 are fitted to the healthy flights by least squares on means of 5 s, and
-what they explain is taken off (REVIEW H1: 5 s means of a real ArduCopter's healthy yaw trim 0.131 -> 0.009).
+the stop of a turn for its inertia. A tick has five parts of 0.1 s, and g is taken off each of them: means of both sides
+obey the law however fast the nose turns, medians would not. The median then hides a few wild samples. b1 and b2 are
+fitted to the ticks of the healthy flights by least squares (REVIEW H1: 5 s means of a real ArduCopter's healthy yaw
+trim 0.131 -> 0.009). The law errs by a share of g, so a window is the mean of its ticks weighted as above, where the
+tick before counts too, for rotors lag. Nothing here depends much on when a tick begins.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.trim import SIGNALS, SOURCES, YAW_FLOOR, Source, sources_of, tilt_of, trim_of
+from mavdiag.airframe.trim import (
+    MIN_OUTPUT,
+    MOST_LOSS,
+    SIGNALS,
+    SOURCES,
+    TILT_TRIM,
+    YAW_FLOOR,
+    Source,
+    rise_of,
+    sources_of,
+)
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import Flights, LearnContext, Monitor, RotorEvidence, Summary, segments
+from mavdiag.monitors.columns import LEAN, OUTPUTS, RATE, THRUST, TORQUE, TRIM_CONDITIONS, VALID, columns_of
 from mavdiag.monitors.healthy import three
 from mavdiag.rows.block import ALL, Block
-from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.windows import window_sums
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 
-MOST_RISE = 0.5  # of hover: a rotor that lost a third of its thrust; with less no output can answer (our choice)
+MOST_RISE = rise_of(MOST_LOSS)
 WINDOW_S = 5.0  # our choice; 3.5 s works as well on the recorded flights
-TICK_S = 0.5  # a value twice a second (our choice)
-# rad/s^2: a tick in which the yaw rate changes faster is left out of its window, and the one after it: a median hides
-# the peak that turned the vehicle, and rotors lag (our choice: PX4 steps its heading with 5; the largest 5 s mean in
-# health 0.014 -> 0.001). Of a window so large a share must remain (our choice).
-STEADY, LEAST_SHARE = 0.8, 0.4
+TICK_S, PART_S = 0.5, 0.1  # a value twice a second, of parts longer than a rotor's lag (our choices)
+# G, of hover: where a turn takes so much its tick counts half. In the loop the law errs by a fifth (ArduCopter) and a
+# sixth (PX4, which steps its heading) of what a turn takes: here by 0.004, as a tick scatters anyway (our choice).
+TURN_TRIM = 0.02
 # What is held of b1 [1/(rad/s)] and b2 [1/(rad/s^2)] before any flight, and its standard deviation. b2 is I_zz over
 # weight and drag arm of the rotors, 0.04 for a QDrone 2 and an ArduCopter of 3 kg; b1 is 0.11 for the latter.
 PRIOR, PRIOR_SD = np.array([0.0, 0.04]), np.array([0.1, 0.04])
+NO_TICKS = np.empty((0, 2, 8))
+UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
-State = TypeVar("State")
 Spec = TypeVar("Spec", bound="TrimSpec")
 
 
@@ -46,6 +60,7 @@ class TrimSpec:
     layout: where the rotors are.
     source: where the trim comes from: the motors' outputs, or the torque commands over the thrust.
     mean: healthy roll, pitch and yaw trim [fraction of hover].
+    spread: of the 5 s means of roll, pitch and yaw trim [fraction of hover].
     turn: b1 and b2, the yaw trim that a yaw rate of 1 rad/s and a yaw acceleration of 1 rad/s^2 take.
     window_s: length of the means [s].
     """
@@ -55,6 +70,7 @@ class TrimSpec:
     source: Source
     mean: Three = (0.0, 0.0, 0.0)
     turn: tuple[float, float] = (0.0, 0.0)
+    spread: Three
     window_s: float = WINDOW_S
 
     def check(self) -> None:
@@ -66,34 +82,207 @@ class TrimSpec:
             raise InputError(f"{self.kind}: the healthy trim and what a turn takes of it must be finite")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TickState:
-    """What the next rows need.
+# Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
+# of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the unmixing C,
+# (3, rotors).
+TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN, UNMIXING = *range(7), 8, 11, 14, 17, 21
+# And in the memory: rows of the tick, known ones, whether a trim changed, the first one; usable ticks in a row, ticks
+# so far, weight of the last; what a monitor has of its own; then the parts, the last two of the tick before in front.
+ROW, KNOWN, MOVED, FIRST, RUN, TICKS, WEIGHT, MINE, SUMS = 0, 1, 2, 3, 6, 7, 8, 9, 20
 
-    t_ns, rows, known: (h,), (6, h) and (h,) rows of an unfinished tick: trim, commanded roll and pitch, yaw rate.
-    end_rate: yaw rate at the end of the tick before [rad/s]; nan if there is none.
-    steady: whether that tick was.
-    ticks, usable: (k, 6) and (k,) the last ticks, without what a turn takes (`without_turn`).
+
+@jit
+def found_at(par: FloatArray) -> int:
+    """Where the parts of the last tick stand: of each trim, lean, yaw rate and acceleration."""
+    return SUMS + 6 * (int(par[PARTS]) + 2) + int(par[PARTS])
+
+
+@jit
+def _ring_at(par: FloatArray) -> int:
+    """Where the ticks of two windows stand: trim less what the turn takes, lean, both times the weight; weight."""
+    return found_at(par) + 7 * int(par[PARTS])
+
+
+@jit
+def _trim(par: FloatArray, x: FloatArray, i: int, axis: int) -> float:
+    """Trim of a row [fraction of hover], not finite where it is unknown (`airframe.trim.trim_of`)."""
+    if par[TORQUES] > 0.5:
+        if not x[THRUST, i] > MIN_OUTPUT:
+            return math.nan
+        return float(x[TORQUE + axis, i] * par[GAIN + axis] / x[THRUST, i])
+    rotors, level, found = int(par[ROTORS]), 0.0, 0.0
+    if x.shape[0] < OUTPUTS + rotors:
+        return math.nan
+    for rotor in range(rotors):
+        level += x[OUTPUTS + rotor, i]
+    level /= rotors
+    if not level > MIN_OUTPUT:
+        return math.nan
+    for rotor in range(rotors):
+        found += par[UNMIXING + axis * rotors + rotor] * (x[OUTPUTS + rotor, i] / level - 1.0)
+    return found
+
+
+@jit
+def take_row(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
+    """Take a row; True where it completes a tick, whose parts stand at `found_at`, and `mem[KNOWN]` if it is whole."""
+    parts, rows, row = int(par[PARTS]), int(par[ROWS]), int(mem[ROW])
+    to = SUMS + 6 * (2 + row // rows)
+    roll, pitch, yaw, rate = _trim(par, x, i, 0), _trim(par, x, i, 1), _trim(par, x, i, 2), x[RATE + 2, i]
+    if row % rows == 0:
+        for j in range(6):
+            mem[to + j] = 0.0
+    if row == 0:
+        mem[KNOWN] = mem[MOVED] = 0.0
+        mem[FIRST], mem[FIRST + 1], mem[FIRST + 2] = roll, pitch, yaw
+    if valid and math.isfinite(roll + pitch + yaw + rate):
+        mem[KNOWN] += 1.0
+        mem[to], mem[to + 1], mem[to + 2] = mem[to] + roll, mem[to + 1] + pitch, mem[to + 2] + yaw
+        mem[to + 3], mem[to + 4] = mem[to + 3] + x[LEAN, i], mem[to + 4] + x[LEAN + 1, i]
+        mem[to + 5] += rate
+        if roll != mem[FIRST] or pitch != mem[FIRST + 1] or yaw != mem[FIRST + 2]:
+            mem[MOVED] = 1.0
+    mem[ROW] = row + 1.0
+    if row + 1 < parts * rows:
+        return False
+    whole = mem[KNOWN] >= parts * rows and mem[MOVED] > 0.5
+    mem[ROW], mem[KNOWN] = 0.0, 1.0 if whole else 0.0
+    _found(par, mem, whole)
+    return True
+
+
+@jit
+def _found(par: FloatArray, mem: FloatArray, whole: bool) -> None:
+    """From sums to the parts of a tick; zero where it is not whole.
+
+    The acceleration is the slope from the part before to the part after, so the parts of a tick end one part before its
+    last row. Before the first whole tick there is what it begins with.
     """
+    parts, rows, out = int(par[PARTS]), int(par[ROWS]), found_at(par)
+    for j in range(6 * parts):
+        mem[SUMS + 12 + j] = mem[SUMS + 12 + j] / rows if whole else math.nan
+    for part in range(2):
+        for j in range(6 if whole and math.isnan(mem[SUMS + 6 * part + 5]) else 0):
+            mem[SUMS + 6 * part + j] = mem[SUMS + 12 + j]
+    for part in range(parts):
+        for j in range(6):
+            mem[out + 7 * part + j] = mem[SUMS + 6 * (part + 1) + j] if whole else 0.0
+        slope = (mem[SUMS + 6 * (part + 2) + 5] - mem[SUMS + 6 * part + 5]) / (2 * rows * par[DT])
+        mem[out + 7 * part + 6] = slope if whole else 0.0
+    for j in range(12):
+        mem[SUMS + j] = mem[SUMS + 6 * parts + j]
 
-    t_ns: IntArray
-    rows: FloatArray
-    known: BoolArray
-    end_rate: float
-    steady: bool
-    ticks: FloatArray
-    usable: BoolArray
+
+@jit
+def _median(mem: FloatArray, at: int, count: int) -> float:
+    """Median of so many values, which are sorted on the way."""
+    for i in range(1, count):
+        value, j = mem[at + i], i
+        while j > 0 and mem[at + j - 1] > value:
+            mem[at + j] = mem[at + j - 1]
+            j -= 1
+        mem[at + j] = value
+    return float(0.5 * (mem[at + (count - 1) // 2] + mem[at + count // 2]))
 
 
-def start_ticks() -> TickState:
-    """No row yet."""
-    never = np.empty(0, dtype=np.bool_)
-    return TickState(np.empty(0, dtype=np.int64), np.empty((6, 0)), never, np.nan, True, np.empty((0, 6)), never)
+@jit
+def take_tick(par: FloatArray, mem: FloatArray, usable: bool) -> None:
+    """Put the tick whose parts were found into the windows, without what the turn takes of its yaw trim."""
+    parts, found, ring = int(par[PARTS]), found_at(par), _ring_at(par)
+    scratch, most = found - parts, 0.0
+    to = ring + 6 * (int(mem[TICKS]) % (2 * int(par[WINDOW])))
+    for j in range(5):
+        for part in range(parts):
+            of = found + 7 * part
+            taken = par[TURN] * mem[of + 5] + par[TURN + 1] * mem[of + 6]
+            most = max(most, abs(taken))
+            mem[scratch + part] = mem[of + j] - (taken if j == 2 else 0.0)
+        mem[to + j] = _median(mem, scratch, parts)
+    weight = 1.0 / (1.0 + (most / TURN_TRIM) ** 2)
+    counts = min(weight, mem[WEIGHT]) if mem[TICKS] > 0.0 else weight  # rotors lag
+    for j in range(5):
+        mem[to + j] *= counts
+    mem[to + 5], mem[WEIGHT] = counts, weight
+    mem[TICKS] += 1.0
+    mem[RUN] = mem[RUN] + 1.0 if usable else 0.0
+
+
+@jit
+def window_mean(par: FloatArray, mem: FloatArray, back: int, j: int) -> float:
+    """Weighted mean of trim or lean over the ticks of a window that ended so many ticks ago."""
+    window, ring, last = int(par[WINDOW]), _ring_at(par), int(mem[TICKS]) - 1 - back
+    found, weight = 0.0, 0.0
+    for tick in range(last - window + 1, last + 1):
+        at = ring + 6 * (tick % (2 * window))
+        found, weight = found + mem[at + j], weight + mem[at + 5]
+    return found / weight
+
+
+@jit
+def rise(par: FloatArray, rotor: int, roll: float, pitch: float, yaw: float, lean: float, nod: float) -> float:
+    """The rise of one rotor that explains a shift of the trim at a commanded roll and pitch (`airframe.trim`)."""
+    rotors, more = int(par[ROTORS]), TILT_TRIM**2 * (lean * lean + nod * nod)
+    at = UNMIXING + rotor
+    a, b, c = par[at], par[at + rotors], par[at + 2 * rotors]
+    w0, w1, w2 = 1.0 / (more + par[SPREAD] ** 2), 1.0 / (more + par[SPREAD + 1] ** 2), 1.0 / par[SPREAD + 2] ** 2
+    return float((a * roll * w0 + b * pitch * w1 + c * yaw * w2) / (a * a * w0 + b * b * w1 + c * c * w2))
+
+
+@jit
+def highest_rise(par: FloatArray, roll: float, pitch: float, yaw: float, lean: float, nod: float) -> float:
+    """The largest of all rotors."""
+    found = -math.inf
+    for rotor in range(int(par[ROTORS])):
+        found = max(found, rise(par, rotor, roll, pitch, yaw, lean, nod))
+    return found
+
+
+def _compiled_parts(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], int]:
+    @cached
+    def all_parts(par: FloatArray, mem: FloatArray, x: FloatArray, flags: FloatArray, out: FloatArray) -> int:
+        """The ticks of some rows, to (n, 7 parts + 1): their parts, and whether they are whole."""
+        k, found, width = 0, found_at(par), 7 * int(par[PARTS])
+        for i in range(x.shape[1] if digest else 0):
+            if take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+                for j in range(width):
+                    out[k, j] = mem[found + j]
+                out[k, width] = mem[KNOWN]
+                k += 1
+        return k
+
+    return all_parts
+
+
+def _compiled_windows(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
+    @cached
+    def all_windows(par: FloatArray, mem: FloatArray, ticks: FloatArray, out: FloatArray) -> int:
+        """The means of the full windows of a run of ticks, (n, 7 parts) -> (n, 5)."""
+        k, found = 0, found_at(par)
+        for number in range(len(ticks) if digest else 0):
+            for j in range(ticks.shape[1]):
+                mem[found + j] = ticks[number, j]
+            take_tick(par, mem, True)
+            if mem[RUN] >= par[WINDOW]:
+                for j in range(5):
+                    out[k, j] = window_mean(par, mem, 0, j)
+                k += 1
+        return k
+
+    return all_windows
+
+
+_all_parts, _all_windows = _compiled_parts(source_digest()), _compiled_windows(source_digest())
+
+
+def tick_shape(dt_s: float) -> tuple[int, int]:
+    """Parts of a tick, at least 2, and rows of a part."""
+    rows = max(1, round(PART_S / dt_s))
+    return max(2, round(TICK_S / (rows * dt_s))), rows
 
 
 def tick_rows(dt_s: float) -> int:
     """Rows of a tick."""
-    return max(1, round(TICK_S / dt_s))
+    return math.prod(tick_shape(dt_s))
 
 
 def window_ticks(window_s: float, dt_s: float) -> int:
@@ -101,128 +290,74 @@ def window_ticks(window_s: float, dt_s: float) -> int:
     return max(1, round(window_s / (tick_rows(dt_s) * dt_s)))
 
 
-def next_ticks(
-    layout: RotorLayout, source: Source, state: TickState, block: Block
-) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
-    """Time, values (k, 8) and wholeness of each tick that is completed.
-
-    Values: trim, lean, yaw rate and acceleration, 1 or 0 whether it and the tick before are steady.
-
-    Values are medians, so that a few wild samples move nothing. A tick in which no trim changes is not whole: in flight
-    the outputs stand still for no half second, on a link that repeats itself they do. The acceleration is the
-    median of the yaw rate's slopes over 0.2 s, for the median of what follows a slope follows the median of the slopes.
-    Steady is a tick that ends with about the yaw rate of the tick before: its second half's median.
-    """
-    tick = tick_rows(block.dt_s)
-    trim, flown = trim_of(block, layout, source)
-    flown = flown & np.isfinite(block.rate[:, 2])
-    t_ns, known = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.known, flown))
-    rows = np.concatenate((state.rows, np.concatenate((trim.T, tilt_of(block).T, block.rate.T[2:]))), axis=1)
-    count = len(t_ns) // tick
-    used = count * tick
-    waiting = replace(state, t_ns=t_ns[used:], rows=rows[:, used:], known=known[used:])
-    if count == 0:
-        return waiting, t_ns[:0], np.empty((0, 8)), known[:0]
-    whole: BoolArray = np.logical_and.reduceat(known[:used], np.arange(count) * tick)
-    values = rows[:, :used].reshape(6, count, tick)
-    whole &= (values[:3] != values[:3, :, :1]).any(axis=(0, 2))
-    slopes = np.median(_slopes(values[5], block.dt_s), axis=1)
-    ends = np.where(whole, np.median(values[5, :, tick // 2 :], axis=1), np.nan)
-    steps = np.nan_to_num(np.diff(ends, prepend=state.end_rate) / (tick * block.dt_s))
-    steady = np.concatenate(([state.steady], np.abs(steps) <= STEADY))
-    found: FloatArray = np.column_stack((np.median(values, axis=2).T, slopes, steady[1:] & steady[:-1]))
-    waiting = replace(waiting, end_rate=float(ends[-1]), steady=bool(steady[-1]))
-    return waiting, t_ns[tick - 1 : used : tick], found, whole
-
-
-def _slopes(rates: FloatArray, dt_s: float) -> FloatArray:
-    """Slopes of the yaw rate within each tick, (k, tick) -> (k, m): between means over 0.1 s that lie 0.2 s apart."""
-    mean = max(1, round(0.1 / dt_s))
-    apart = max(1, min(2 * mean, rates.shape[1] - mean))
-    sums = np.cumsum(np.concatenate((np.zeros((len(rates), 1)), rates), axis=1), axis=1)
-    means = (sums[:, mean:] - sums[:, :-mean]) / mean
-    slopes: FloatArray = (means[:, apart:] - means[:, :-apart]) / (apart * dt_s)
-    return slopes
-
-
-def without_turn(ticks: FloatArray, turn: tuple[float, float]) -> FloatArray:
-    """Trim less what the turn takes, lean, and whether they are steady, of ticks as `next_ticks` has them: (k, 6)."""
-    yaw = ticks[:, 2] - turn[0] * ticks[:, 5] - turn[1] * ticks[:, 6]
-    return np.column_stack((ticks[:, :2], yaw, ticks[:, 3:5], ticks[:, 7]))
-
-
-def window_means(ticks: FloatArray, window: int) -> tuple[FloatArray, BoolArray]:
-    """Mean of the steady ticks of each full window, (k, c + 1) -> (k - window + 1, c), k at least `window`.
-
-    ticks: the last column 1 or 0. And where enough of a window's ticks are steady.
-    """
-    sums = window_sums(np.column_stack((ticks[:, :-1] * ticks[:, -1:], ticks[:, -1])), window)
-    return sums[:, :-1] / np.maximum(sums[:, -1:], 1.0), sums[:, -1] >= LEAST_SHARE * window
-
-
-def ticks_of(flight: Sequence[Rows], layout: RotorLayout, source: Source) -> FloatArray:
-    """The ticks of a flight, (t, 10): as `next_ticks` gives them, whether they are whole, number of their segment."""
-    found = [np.empty((0, 10))]
+def ticks_of(monitor: "TrimMonitor[Any]", flight: Sequence[Rows]) -> FloatArray:
+    """The ticks of a flight, (t, p, 8): parts as `found_at` says, number of their segment, -1 if not whole."""
+    if not flight:
+        return NO_TICKS
+    dt_s = flight[0].block.dt_s
+    par, parts = monitor.parameters(dt_s), tick_shape(dt_s)[0]
+    found = [np.empty((0, parts, 8))]
     for number, segment in enumerate(segments(flight)):
-        state = start_ticks()
-        for rows in segment:
-            state, _, ticks, whole = next_ticks(layout, source, state, rows.block)
-            found.append(np.column_stack((ticks, whole, np.full(len(ticks), number))))
+        mem = monitor.memory(dt_s)
+        for columns in map(columns_of, segment):
+            out = np.empty((columns.flags.shape[1], 7 * parts + 1))
+            ticks = out[: _all_parts(par, mem, columns.x, columns.flags, out)]
+            place = np.where(ticks[:, -1] > 0.5, float(number), -1.0)[:, None, None]
+            places = np.broadcast_to(place, (len(ticks), parts, 1))
+            found.append(np.concatenate((ticks[:, :-1].reshape(len(ticks), parts, 7), places), axis=2))
     return np.concatenate(found)
 
 
-def unbroken_parts(ticks: FloatArray, least: int) -> list[FloatArray]:
-    """Runs of whole ticks of one segment, at least so many each: (t, 10) -> (n, 8) each."""
-    whole = ticks[:, 8] > 0.5
-    borders = np.flatnonzero((np.diff(ticks[:, 9]) != 0) | (np.diff(whole) != 0)) + 1
-    parts = np.split(ticks, borders) if len(ticks) else []
-    return [part[:, :8] for part in parts if len(part) >= least and part[0, 8] > 0.5]
+def unbroken_runs(ticks: FloatArray, least: int) -> list[FloatArray]:
+    """Runs of whole ticks of one segment, at least so many each: (t, p, 8) -> (n, p, 7) each."""
+    if len(ticks) == 0:
+        return []
+    runs = np.split(ticks, np.flatnonzero(np.diff(ticks[:, 0, 7])) + 1)
+    return [run[:, :, :7] for run in runs if len(run) >= least and run[0, 0, 7] >= 0]
 
 
 def turn_of(flights: Sequence[FloatArray], window: int) -> tuple[float, float]:
     """b1 and b2 of healthy flights, each as `ticks_of` gives it.
 
-    Means of `window` ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against
-    them: where the nose hardly turned, it stays.
+    Means of the ticks about their flight's own, so that no session's offset counts, with `PRIOR` held against them:
+    where the nose hardly turned, it stays.
     """
     means = [np.empty((0, 3))]
     for ticks in flights:
-        flown = _windows([part[:, [2, 5, 6, 7]] for part in unbroken_parts(ticks, window)], window)
-        if len(flown):
-            means.append(flown - flown.mean(axis=0))
+        runs = [run[:, :, [2, 5, 6]].mean(axis=1) for run in unbroken_runs(ticks, window)]
+        if runs:
+            means.append(np.concatenate(runs) - np.concatenate(runs).mean(axis=0))
     yaw, turning = np.concatenate(means)[:, 0], np.concatenate(means)[:, 1:]
     turn, trust = PRIOR, np.diag(PRIOR_SD**-2.0)
-    for _ in range(3):  # the noise is what the law before leaves; overlapping windows count once
+    for _ in range(3):  # the noise is what the law before leaves; the ticks of a window count as one
         noise = max(float(np.square(yaw - turning @ turn).sum()) / max(len(yaw), 1), YAW_FLOOR**2) * window
         turn = np.linalg.solve(turning.T @ turning / noise + trust, turning.T @ yaw / noise + trust @ PRIOR)
     return float(turn[0]), float(turn[1])
 
 
-def mean_of(flights: Sequence[FloatArray], turn: tuple[float, float], window: int) -> Three:
+def mean_of(monitor: "TrimMonitor[Any]", flights: Sequence[FloatArray], dt_s: float) -> Three:
     """Mean over flights of their mean trims. Raises IdentificationError if none has a full window."""
-    found = [windows_of(ticks, turn, window) for ticks in flights]
-    means = [one[:, :3].mean(axis=0) for one in found if len(one)]
+    found = [windows_of(monitor, ticks, dt_s) for ticks in flights]
+    means = [flown[:, :3].mean(axis=0) for flown in found if len(flown)]
     if not means:
         raise IdentificationError(f"no unbroken {WINDOW_S:g} s of flight to average the trim over; fly longer")
     return three(np.mean(means, axis=0))
 
 
-def windows_of(ticks: FloatArray, turn: tuple[float, float], window: int) -> FloatArray:
+def windows_of(monitor: "TrimMonitor[Any]", ticks: FloatArray, dt_s: float) -> FloatArray:
     """All full windows of a flight's ticks, (k, 5)."""
-    return _windows([without_turn(part, turn) for part in unbroken_parts(ticks, window)], window)
+    par, found = monitor.parameters(dt_s), [np.empty((0, 5))]
+    for run in unbroken_runs(ticks, int(par[WINDOW])):
+        out = np.empty((len(run), 5))
+        found.append(out[: _all_windows(par, monitor.memory(dt_s), run.reshape(len(run), -1), out)])
+    return np.concatenate(found)
 
 
-def _windows(parts: Sequence[FloatArray], window: int) -> FloatArray:
-    """The windows of all parts that may be used."""
-    found = [means[enough] for means, enough in (window_means(part, window) for part in parts)]
-    return np.concatenate(found) if found else np.empty((0, 5))
-
-
-class TrimMonitor(Monitor[Spec, State]):
+class TrimMonitor(Monitor[Spec]):
     """A monitor of the trim; its `rotors` are the rises that would explain a shift."""
 
     needs = frozenset({Signal.ACTUATOR, Signal.TORQUE_COMMAND, Signal.THRUST_SETPOINT})
-    depends = frozenset({Condition.TILT, Condition.THROTTLE, Condition.YAW_RATE, Condition.HEIGHT})
+    depends = TRIM_CONDITIONS
     evidence = RotorEvidence(10.0, relative=True, direct=False)  # a lead of 0.12 was right in each of 35 recorded cuts
     needs_layout = True
     unit = "fraction of hover"
@@ -231,8 +366,15 @@ class TrimMonitor(Monitor[Spec, State]):
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
         """Which sources show a trim, and by each of them the ticks of the flight."""
         layout, shown = context.layout, sources_of(flight, context.layout)
-        found = [ticks_of(flight, layout, one) if shown[i] else np.empty((0, 10)) for i, one in enumerate(SOURCES)]
+        found = [
+            ticks_of(cls.before(layout, source), flight) if shown[i] else NO_TICKS for i, source in enumerate(SOURCES)
+        ]
         return shown, found[0], found[1]
+
+    @classmethod
+    def before(cls, layout: RotorLayout, source: Source, turn: tuple[float, float] = (0.0, 0.0)) -> Self:
+        """The monitor before any trim was learnt."""
+        return cls(cls.spec_type(layout=layout, source=source, turn=turn, spread=UNKNOWN))
 
     def renewed(self, flights: Flights, context: LearnContext) -> tuple[Spec, float]:
         """With the trim of the new propellers; how much it varies stays."""
@@ -245,21 +387,35 @@ class TrimMonitor(Monitor[Spec, State]):
 
     def _mean(self, flights: Flights) -> Three:
         dt_s = next((rows.block.dt_s for flight in flights for rows in flight), TICK_S)
-        ticks = [ticks_of(flight, self.spec.layout, self.spec.source) for flight in flights]
-        return mean_of(ticks, self.spec.turn, window_ticks(self.spec.window_s, dt_s))
+        return mean_of(self, [ticks_of(self, flight) for flight in flights], dt_s)
 
-    def taken(self, state: TickState, rows: Rows, windows: int) -> tuple[TickState, IntArray, FloatArray, BoolArray]:
-        """The state, and the ticks that the next so many windows rest on.
+    @property
+    def rotors(self) -> int:
+        """Those of the layout."""
+        return self.spec.layout.rotors
 
-        Time of each fresh tick (n,); all ticks (k, 6), the fresh ones last; which of them may be used, (k,): they are
-        whole, and flown as the envelope covers.
-        """
-        spec, block = self.spec, rows.block
-        state, t_ns, fresh, whole = next_ticks(spec.layout, spec.source, state, block)
-        ticks = np.concatenate((state.ticks, without_turn(fresh, spec.turn)))
-        usable = np.concatenate((state.usable, whole & rows.covered(self.depends, 2 * TICK_S, t_ns)))
-        first = max(0, len(ticks) - windows * window_ticks(spec.window_s, block.dt_s) + 1)
-        return replace(state, ticks=ticks[first:], usable=usable[first:]), t_ns, ticks, usable
+    def period_s(self, dt_s: float) -> float:
+        """A tick [s]."""
+        return tick_rows(dt_s) * dt_s
+
+    def own(self, tick_s: float) -> tuple[float, float, float, float]:
+        """What the monitor reads of its own (`OWN`)."""
+        return 0.0, 0.0, 0.0, 0.0
+
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `UNMIXING`."""
+        spec, layout = self.spec, self.spec.layout
+        head = [spec.source == "torque", layout.rotors, *tick_shape(dt_s), dt_s, window_ticks(spec.window_s, dt_s)]
+        gain = layout.torque_gain or (0.0, 0.0, 0.0)
+        learnt = [*spec.turn, *spec.mean, *spec.spread, *gain, *self.own(self.period_s(dt_s))]
+        return np.array([*head, *learnt, *layout.unmixing.ravel()])
+
+    def memory(self, dt_s: float) -> FloatArray:
+        """No row yet."""
+        parts = tick_shape(dt_s)[0]
+        mem = np.zeros(SUMS + 6 * (parts + 2) + 8 * parts + 12 * window_ticks(self.spec.window_s, dt_s))
+        mem[SUMS : SUMS + 12] = np.nan
+        return mem
 
     @property
     def signals(self) -> frozenset[Signal]:

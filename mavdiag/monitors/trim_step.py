@@ -5,32 +5,40 @@ moves it slowly. A blade that breaks moves it at once. So the trim is compared w
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from mavdiag.airframe.trim import SOURCES, YAW_FLOOR, LargeRise, rises, source_among, spread_of
+from mavdiag.airframe.trim import SOURCES, source_among, spread_of
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import LearnContext, Summaries
+from mavdiag.monitors.columns import COVERED, LEVEL, SIGNAL, SOUND, VALID, VALUE, Kernel
 from mavdiag.monitors.trim import (
+    KNOWN,
+    MEAN,
+    MINE,
+    OWN,
+    RUN,
+    SPREAD,
+    WINDOW,
     WINDOW_S,
-    TickState,
     TrimMonitor,
     TrimSpec,
+    found_at,
+    highest_rise,
     mean_of,
-    start_ticks,
-    tick_rows,
+    rise,
+    take_row,
+    take_tick,
     turn_of,
-    unbroken_parts,
-    window_means,
+    unbroken_runs,
+    window_mean,
     window_ticks,
-    without_turn,
 )
-from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import row_max, unbroken
-from mavdiag.telemetry import BoolArray, FloatArray, Three
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.thresholds.guard import Guard
 
 MEMORY_S = 30.0  # of the reference (our choice)
@@ -40,7 +48,6 @@ HOLD_S = (
     120.0  # of judged flight: no longer does it wait, for what a vehicle has carried so long is its own (our choice)
 )
 SESSION = 0.06  # of hover: a rise against the healthy trim that a session explains, as rotor_trim's guard has it
-UNKNOWN = (YAW_FLOOR, YAW_FLOOR, YAW_FLOOR)  # spreads before any were learnt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +61,6 @@ class TrimStepSpec(TrimSpec):
     """
 
     kind: Literal["trim_step"] = "trim_step"
-    spread: Three
     memory_s: float = MEMORY_S
     drift_per_s: float = DRIFT_PER_S
 
@@ -65,29 +71,120 @@ class TrimStepSpec(TrimSpec):
         self.check()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What the present window is compared with.
-
-    trim: (5,) roll, pitch and yaw trim, commanded roll and pitch [rad].
-    back: (3,) from it to where the trim was healthy; zero while that is the reference itself.
-    held_s: judged flight since the reference waits [s].
-    """
-
-    trim: FloatArray
-    back: FloatArray
-    held_s: float = 0.0
+# Places of its own: in the parameters how fast and how far the reference follows in a tick, and the length of a
+# tick; in the memory the reference (trim and lean), the way back from it to where the trim was healthy
+# (zero while that is the reference itself), judged flight since it waits, 1 if there is one.
+FOLLOW, MOST, TICK_S = OWN, OWN + 1, OWN + 2
+REFERENCE, BACK, HELD, THERE = MINE, MINE + 5, MINE + 8, MINE + 9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrimStepState:
-    """What the next rows need. reference: None before there is one."""
+@jit
+def _share(par: FloatArray, mem: FloatArray, roll: float, pitch: float, yaw: float) -> float:
+    """How far along the way back a shift lies, 0..1: its nearest point, in units of the spreads."""
+    length, along = 0.0, 0.0
+    for j in range(3):
+        weighed = mem[BACK + j] / par[SPREAD + j] ** 2
+        length += weighed * mem[BACK + j]
+        along += weighed * (roll if j == 0 else pitch if j == 1 else yaw)
+    return min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
 
-    ticks: TickState
-    reference: Reference | None = None
+
+@jit
+def take_window(par: FloatArray, mem: FloatArray, shift: FloatArray) -> bool:
+    """After a tick: the shift of the present window from the reference, (5,), zero where it is not judged."""
+    window = int(par[WINDOW])
+    for j in range(5):
+        shift[j] = 0.0
+    if mem[RUN] < 2 * window:
+        return False
+    if mem[THERE] < 0.5:
+        for j in range(5):
+            mem[REFERENCE + j] = window_mean(par, mem, window, j)
+        roll, pitch = mem[REFERENCE] - par[MEAN], mem[REFERENCE + 1] - par[MEAN + 1]
+        yaw = mem[REFERENCE + 2] - par[MEAN + 2]
+        far = highest_rise(par, roll, pitch, yaw, 0.0, 0.0) > SESSION
+        mem[BACK], mem[BACK + 1], mem[BACK + 2] = (-roll, -pitch, -yaw) if far else (0.0, 0.0, 0.0)
+        mem[HELD], mem[THERE] = 0.0, 1.0
+    for j in range(5):
+        shift[j] = window_mean(par, mem, 0, j) - mem[REFERENCE + j]
+    share = _share(par, mem, shift[0], shift[1], shift[2])
+    for j in range(3):
+        shift[j] -= share * mem[BACK + j]
+    b0 = window_mean(par, mem, window, 0) - mem[REFERENCE]
+    b1 = window_mean(par, mem, window, 1) - mem[REFERENCE + 1]
+    b2 = window_mean(par, mem, window, 2) - mem[REFERENCE + 2]
+    b3 = window_mean(par, mem, window, 3) - mem[REFERENCE + 3]
+    b4 = window_mean(par, mem, window, 4) - mem[REFERENCE + 4]
+    moved = highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
+    if max(moved, highest_rise(par, b0, b1, b2, b3, b4)) <= HOLD:
+        most, follow = par[MOST], par[FOLLOW]
+        mem[REFERENCE] += min(max(b0 * follow, -most), most)
+        mem[REFERENCE + 1] += min(max(b1 * follow, -most), most)
+        mem[REFERENCE + 2] += min(max(b2 * follow, -most), most)
+        mem[REFERENCE + 3] += b3 * follow
+        mem[REFERENCE + 4] += b4 * follow
+        mem[HELD] = 0.0
+    elif mem[HELD] < HOLD_S:
+        mem[HELD] += par[TICK_S]
+    else:
+        for j in range(5):
+            mem[REFERENCE + j] = window_mean(par, mem, window, j)
+        mem[BACK], mem[BACK + 1], mem[BACK + 2] = mem[BACK] - b0, mem[BACK + 1] - b1, mem[BACK + 2] - b2
+        mem[HELD] = 0.0
+    return True
 
 
-class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The best single-rotor rise at the end of each tick."""
+        k, shift = 0, np.empty(5)
+        for i in range(x.shape[1] if digest else 0):
+            if not take_row(par, mem, x, i, flags[VALID, i] > 0.5):
+                continue
+            take_tick(par, mem, mem[KNOWN] > 0.5 and flags[COVERED, i] > 0.5)
+            out[SOUND, k] = take_window(par, mem, shift)
+            value = highest_rise(par, shift[0], shift[1], shift[2], shift[3], shift[4])
+            for rotor in range(rotors.shape[1]):
+                rotors[k, rotor] = rise(par, rotor, shift[0], shift[1], shift[2], 0.0, 0.0)
+            out[VALUE, k], out[LEVEL, k], out[SIGNAL, k], at[k] = value, value, shift[2], i
+            k += 1
+        return k
+
+    return run
+
+
+def _compiled_shifts(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray], int]:
+    @cached
+    def all_shifts(par: FloatArray, mem: FloatArray, ticks: FloatArray, out: FloatArray) -> int:
+        """The shifts that are judged in a run of ticks, (n, 7 parts) -> (n, 3)."""
+        k, shift, found = 0, np.empty(5), found_at(par)
+        for number in range(len(ticks) if digest else 0):
+            for j in range(ticks.shape[1]):
+                mem[found + j] = ticks[number, j]
+            take_tick(par, mem, True)
+            if take_window(par, mem, shift):
+                for j in range(3):
+                    out[k, j] = shift[j]
+                k += 1
+        return k
+
+    return all_shifts
+
+
+_all_shifts = _compiled_shifts(source_digest())
+
+
+class TrimStep(TrimMonitor[TrimStepSpec]):
     """Statistic: the rise of ONE rotor's command against the same flight before [fraction of hover].
 
         m: trim averaged over 5 s as rotor_trim has it,    a_j: rise of rotor j that explains m - m_ref (`trim`)
@@ -125,76 +222,20 @@ class TrimStep(TrimMonitor[TrimStepSpec, TrimStepState]):
     def settle(cls, summaries: Summaries, context: LearnContext) -> tuple[TrimStepSpec, ...]:
         """The healthy trim, what a turn takes of it, and the spread of healthy shifts within flights."""
         layout, source = context.layout, source_among([one[0] for one in summaries], context.layout)
-        flights, tick_s = [one[1 + SOURCES.index(source)] for one in summaries], tick_rows(context.dt_s) * context.dt_s
-        window = window_ticks(WINDOW_S, context.dt_s)
-        turn, found = turn_of(flights, window), [np.empty((0, 3))]
-        first = TrimStepSpec(layout=layout, source=source, turn=turn, spread=UNKNOWN)
-        for part in (part for ticks in flights for part in unbroken_parts(ticks, 2 * window)):
-            straight = without_turn(part, turn)
-            shift, valid, _ = _followed(first, None, straight, np.ones(len(part), dtype=np.bool_), len(part), tick_s)
-            found.append(shift[valid, :3])
+        flights, dt_s = [summary[1 + SOURCES.index(source)] for summary in summaries], context.dt_s
+        window = window_ticks(WINDOW_S, dt_s)
+        monitor, found = cls.before(layout, source, turn_of(flights, window)), [np.empty((0, 3))]
+        for run in (run for ticks in flights for run in unbroken_runs(ticks, 2 * window)):
+            out = np.empty((len(run), 3))
+            count = _all_shifts(monitor.parameters(dt_s), monitor.memory(dt_s), run.reshape(len(run), -1), out)
+            found.append(out[:count])
         shifts = np.concatenate(found)
         if len(shifts) == 0:
             raise IdentificationError(f"no unbroken {2 * WINDOW_S:g} s of flight to compare trims in; fly longer")
-        return (replace(first, mean=mean_of(flights, turn, window), spread=spread_of(shifts)),)
+        return (replace(monitor.spec, mean=mean_of(monitor, flights, dt_s), spread=spread_of(shifts)),)
 
-    def start(self) -> TrimStepState:
-        """No row yet."""
-        return TrimStepState(start_ticks())
+    def own(self, tick_s: float) -> tuple[float, float, float, float]:
+        """See `TICK_S`."""
+        return tick_s / self.spec.memory_s, self.spec.drift_per_s * tick_s, tick_s, 0.0
 
-    def step(self, state: TrimStepState, rows: Rows) -> tuple[TrimStepState, Statistic]:
-        """The best single-rotor rise twice a second."""
-        spec, dt_s = self.spec, rows.block.dt_s
-        tick_s = tick_rows(dt_s) * dt_s
-        after, t_ns, ticks, usable = self.taken(state.ticks, rows, 2)
-        both, valid, reference = _followed(spec, state.reference, ticks, usable, len(t_ns), tick_s)
-        rise = row_max(rises(both[:, :3], spec.layout, spec.spread, both[:, 3:]))
-        rotors = rises(both[:, :3], spec.layout, spec.spread)
-        found = Statistic(t_ns, tick_s, rise, valid, rise, both[:, 2], rotors)
-        return TrimStepState(after, reference), found
-
-
-def _followed(
-    spec: TrimStepSpec, reference: Reference | None, ticks: FloatArray, usable: BoolArray, count: int, tick_s: float
-) -> tuple[FloatArray, BoolArray, Reference | None]:
-    """The shift at each of the last `count` ticks, (n, 5), zero where not valid, (n,); and the reference after them."""
-    window, shift = max(1, round(spec.window_s / tick_s)), np.zeros((count, 5))
-    valid = unbroken(usable, 2 * window)[len(ticks) - count :]
-    if not np.count_nonzero(valid):
-        return shift, valid, reference
-    means, enough = window_means(ticks, window)  # of the ticks from each on
-    now = np.flatnonzero(valid)
-    first = len(ticks) - count + now - window + 1
-    valid[now] = steady = enough[first] & enough[first - window]
-    now, first = now[steady], first[steady]
-    large = LargeRise(spec.layout, spec.spread, HOLD)
-    follow, most = tick_s / spec.memory_s, spec.drift_per_s * tick_s
-    for i, new, old in zip(now.tolist(), means[first], means[first - window], strict=True):
-        if reference is None:
-            reference = Reference(old, _way_back(spec, old))
-        shift[i] = moved = _moved(spec, reference, new)
-        behind = old - reference.trim
-        if not large(moved.tolist()) and not large(behind.tolist()):
-            step = behind * follow
-            step[:3] = np.clip(step[:3], -most, most)
-            reference = Reference(reference.trim + step, reference.back)
-        elif reference.held_s < HOLD_S:
-            reference = replace(reference, held_s=reference.held_s + tick_s)
-        else:
-            reference = Reference(old, reference.back - behind[:3])
-    return shift, valid, reference
-
-
-def _way_back(spec: TrimStepSpec, trim: FloatArray) -> FloatArray:
-    """From the first reference of a flight to the healthy trim, (3,): zero where a session explains what is between."""
-    beyond = trim[:3] - spec.mean
-    return -beyond if rises(beyond[None], spec.layout, spec.spread).max() > SESSION else np.zeros(3)
-
-
-def _moved(spec: TrimStepSpec, reference: Reference, trim: FloatArray) -> FloatArray:
-    """The shift from the nearest point of the way from the reference back to health, (5,)."""
-    moved, weighed = trim - reference.trim, reference.back / np.square(spec.spread)
-    length = float(weighed @ reference.back)
-    if length > 0:
-        moved[:3] -= min(max(float(weighed @ moved[:3]) / length, 0.0), 1.0) * reference.back
-    return moved
+    run = staticmethod(_compiled(source_digest()))

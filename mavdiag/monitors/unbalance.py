@@ -5,7 +5,7 @@ An unbalanced rotor shakes the airframe once per revolution, with a force U Omeg
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import IdentificationError, InputError
+from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import (
     Feature,
     Flights,
@@ -23,18 +24,17 @@ from mavdiag.monitors.base import (
     Summary,
     segments,
 )
+from mavdiag.monitors.columns import FORCE, LEVEL, RATE, SIGNAL, SOUND, VALID, VALUE, Kernel, columns_of
 from mavdiag.monitors.healthy import joined_moments, moments
 from mavdiag.monitors.vibration_band import CORNER_HZ, carries_line, corner_of
 from mavdiag.rows.block import ALL, Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import highpass, window_all, window_mean
+from mavdiag.rows.running import FRESH, dot, mean_size, past_size, push, shift, total
+from mavdiag.rows.windows import highpass
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
 from mavdiag.units import G_MM_PER_KG_M
-
-__all__ = ["Unbalance", "UnbalanceSpec", "UnbalanceState", "corner_of"]
 
 FILTER_S = 0.06  # length of the high-pass at 60 Hz, longer at a lower one (our choice); its delay is half of it
 TICK_S = 0.02  # a value every 20 ms (our choice)
@@ -108,31 +108,115 @@ class UnbalanceSpec:
         return highpass(self.corner_hz * self.dt_s, 2 * max(3, round(FILTER_S * longer / self.dt_s / 2)) + 1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UnbalanceState:
-    """What the next rows need.
-
-    rows, t_ns, valid: (3, h) rows that wait for their filter or tick, (h,) their times and validity.
-    ticks, whole: (w, COLUMNS) the window's ticks, and (w,) whether they may be judged.
-    """
-
-    rows: FloatArray
-    t_ns: IntArray
-    valid: BoolArray
-    ticks: FloatArray
-    whole: BoolArray
+# Places in the parameters: of each rotor the pattern of its covariances and its sense; then the filter.
+TICK, TICKS, SCALE, POWER, TURNING, COVARIANCE_X, COVARIANCE_Y, NOISE, TURNS, ROTORS, LENGTH, PATTERNS = range(12)
+# and in the memory: rows so far, valid rows in a row, rows of the tick and its sums, the last filtered x and y; the
+# means, and three histories.
+ROW, RUN, OF_TICK, SUMS, LAST_X, LAST_Y, MEAN = 0, 1, 2, 3, 7, 8, 9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ticks:
-    """Mean products over the window that ends with each tick, (n, COLUMNS), and whether all of it may be judged."""
+@jit
+def _advance(par: FloatArray, mem: FloatArray, x: FloatArray, i: int, valid: bool) -> bool:
+    """Take a row; True where a tick is complete. Its products are then in the means, and `mem[RUN]` tells of it."""
+    tick, length = int(par[TICK]), int(par[LENGTH])
+    taps, past = PATTERNS + 3 * int(par[ROTORS]), MEAN + FRESH + 2 * COLUMNS + int(par[TICKS]) * COLUMNS
+    size = 1 + 2 * length
+    mem[ROW], mem[RUN] = mem[ROW] + 1.0, mem[RUN] + 1.0 if valid else 0.0
+    first_x = shift(mem, past, length, x[FORCE, i])
+    first_y = shift(mem, past + size, length, x[FORCE + 1, i])
+    first_z = shift(mem, past + 2 * size, length, x[RATE + 2, i])
+    if mem[ROW] < length:
+        return False
+    ax, ay = dot(par, taps, mem, first_x, length), dot(par, taps, mem, first_y, length)
+    last_x, last_y = mem[LAST_X], mem[LAST_Y]
+    mem[LAST_X], mem[LAST_Y] = ax, ay
+    if mem[ROW] == length:  # the turning part needs the row before
+        return False
+    gz = dot(par, taps, mem, first_z, length)
+    mem[SUMS] += ax * ax + ay * ay
+    mem[SUMS + 1] += gz * ax
+    mem[SUMS + 2] += gz * ay
+    mem[SUMS + 3] += last_x * ay - last_y * ax
+    mem[OF_TICK] += 1.0
+    if mem[OF_TICK] < tick:
+        return False
+    finite = True
+    for column in range(COLUMNS):
+        mem[MEAN + FRESH + column] = mem[SUMS + column] / tick
+        finite = finite and math.isfinite(mem[SUMS + column])
+        mem[SUMS + column] = 0.0
+    mem[OF_TICK] = 0.0
+    push(mem, MEAN, int(par[TICKS]), COLUMNS, finite and mem[RUN] >= tick + length)
+    return True
 
-    t_ns: IntArray
-    mean: FloatArray
-    full: BoolArray
+
+@jit
+def _evidence(par: FloatArray, means: FloatArray, rotors: FloatArray, k: int) -> None:
+    """Which rotor a shift of the mean products from healthy belongs to, in -1..1."""
+    dx, dy = means[1] - par[COVARIANCE_X], means[2] - par[COVARIANCE_Y]
+    square = dx * dx + dy * dy
+    clear = math.sqrt(square) / (square + par[NOISE])  # strength size^2/(size^2 + noise) over the size
+    grown = max(means[0] - par[POWER], 1e-3 * par[POWER])
+    turning = min(max((means[3] - par[TURNING]) / (FULL_TURN * grown), -1.0), 1.0)
+    for rotor in range(rotors.shape[1]):
+        of = PATTERNS + 3 * rotor
+        found = clear * (dx * par[of] + dy * par[of + 1])
+        if par[TURNS] > 0.5:
+            found = (found + clear * math.sqrt(square) * turning * par[of + 2]) / 2
+        rotors[k, rotor] = found
 
 
-class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The apparent unbalance at the end of each tick, once there is a window of them."""
+        window, k, means = int(par[TICKS]), 0, np.empty(COLUMNS)
+        for i in range(x.shape[1] if digest else 0):
+            if not _advance(par, mem, x, i, flags[VALID, i] > 0.5):
+                continue
+            if mem[ROW] < par[LENGTH] + window * par[TICK]:
+                continue
+            for column in range(COLUMNS):
+                means[column] = total(mem, MEAN, COLUMNS, column) / window
+            power = max(means[0], 0.0)
+            _evidence(par, means, rotors, k)
+            out[VALUE, k] = out[SIGNAL, k] = par[SCALE] * math.sqrt(power)
+            out[LEVEL, k] = par[SCALE] * math.sqrt(max(power - par[POWER], 0.0))
+            out[SOUND, k], at[k] = mem[MEAN + 1] >= window, i
+            k += 1
+        return k
+
+    return run
+
+
+def _compiled_means(digest: int) -> Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], int]:
+    @cached
+    def window_means(par: FloatArray, mem: FloatArray, x: FloatArray, flags: FloatArray, out: FloatArray) -> int:
+        """The full window means of the next rows, to (n, COLUMNS)."""
+        window, k = int(par[TICKS]), 0
+        for i in range(x.shape[1] if digest else 0):
+            if _advance(par, mem, x, i, flags[VALID, i] > 0.5) and mem[MEAN + 1] >= window:
+                for column in range(COLUMNS):
+                    out[k, column] = total(mem, MEAN, COLUMNS, column) / window
+                k += 1
+        return k
+
+    return window_means
+
+
+_window_means = _compiled_means(source_digest())
+
+
+class Unbalance(Monitor[UnbalanceSpec]):
     """Statistic: the apparent unbalance of all rotors together over half a second [g mm].
 
         U_app = 1e6 m sqrt(mean(ax^2 + ay^2)) / Omega^2        ax, ay above 60 Hz; m, Omega: of the hover trim
@@ -174,11 +258,6 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
     guard = Guard(few_sessions=0.2)  # an estimate: another session's propellers may have 0.18 g mm each (T Eq 3.6)
     evidence = RotorEvidence(8.0)  # the sense of turning and the place agree (1) or do not (0 and below)
     spec_type = UnbalanceSpec
-
-    def __init__(self, spec: UnbalanceSpec) -> None:
-        super().__init__(spec)
-        self._filter = _Filter(spec.taps, spec.tick, spec.ticks)
-        self._places = None if spec.layout is None else _Places(spec, spec.layout)
 
     @classmethod
     def gather(cls, flight: Sequence[Rows], context: LearnContext) -> Summary:
@@ -243,97 +322,48 @@ class Unbalance(Monitor[UnbalanceSpec, UnbalanceState]):
         """Its window, its filter, and the rows that wait for a value [s]."""
         return self.spec.window_s + (len(self.spec.taps) + self.spec.tick) * self.spec.dt_s
 
-    def start(self) -> UnbalanceState:
+    @property
+    def rotors(self) -> int:
+        """Those of the layout."""
+        return 0 if self.spec.layout is None else self.spec.layout.rotors
+
+    def period_s(self, dt_s: float) -> float:
+        """A tick [s]."""
+        return self.spec.tick * self.spec.dt_s
+
+    def parameters(self, dt_s: float) -> FloatArray:
+        """See `PATTERNS`."""
+        spec, taps = self.spec, self.spec.taps
+        noise = (CLEAR * math.hypot(*spec.spread)) ** 2
+        head = [spec.tick, spec.ticks, spec.scale, spec.power, spec.turning, *spec.covariance, noise]
+        turns = carries_line(1 / spec.dt_s)
+        return np.array([*head, turns, self.rotors, len(taps), *_patterns(spec.layout).ravel(), *taps])
+
+    def memory(self, dt_s: float) -> FloatArray:
         """No row yet."""
-        return _fresh()
+        return np.zeros(MEAN + mean_size(self.spec.ticks, COLUMNS) + 3 * past_size(len(self.spec.taps)))
 
-    def step(self, state: UnbalanceState, rows: Rows) -> tuple[UnbalanceState, Statistic]:
-        """The apparent unbalance every 20 ms, at the time of the newest row that it rests on."""
-        spec = self.spec
-        state, ticks = self._filter.step(state, rows.block)
-        power = ticks.mean[:, 0]
-        value = spec.scale * np.sqrt(power)
-        level = spec.scale * np.sqrt(np.maximum(power - spec.power, 0.0))
-        rotors = np.empty((len(power), 0)) if self._places is None else self._places.evidence(ticks.mean)
-        return state, Statistic(ticks.t_ns, spec.tick * spec.dt_s, value, ticks.full, level, value, rotors)
+    run = staticmethod(_compiled(source_digest()))
 
 
-def _fresh() -> UnbalanceState:
-    flags = np.empty(0, dtype=np.bool_)
-    return UnbalanceState(np.empty((3, 0)), np.empty(0, dtype=np.int64), flags, np.empty((0, COLUMNS)), flags)
-
-
-class _Filter:
-    """Filters, multiplies and averages rows: a tick every `tick` rows, a window of `window` ticks."""
-
-    def __init__(self, taps: FloatArray, tick: int, window: int) -> None:
-        self._taps, self._tick, self._window = taps, tick, window
-
-    def step(self, state: UnbalanceState, block: Block) -> tuple[UnbalanceState, _Ticks]:
-        """The windows that the next rows complete."""
-        tick, window, reach = self._tick, self._window, len(self._taps)
-        fresh = np.concatenate((block.force[:, :2], block.rate[:, 2:]), axis=1)
-        rows = np.concatenate((state.rows, fresh.T), axis=1)
-        t_ns, valid = np.concatenate((state.t_ns, block.t_ns)), np.concatenate((state.valid, block.valid))
-        count = max(0, len(t_ns) - reach) // tick  # the filter looks back taps - 1 rows, the turning part one more
-        used = count * tick
-        ticks, flags = state.ticks, state.whole
-        if count:
-            products = self._products(rows[:, : used + reach]).reshape(COLUMNS, count, tick)
-            fresh = np.add.reduce(products, axis=2).T / tick
-            whole = window_all(valid[: used + reach], tick + reach)[::tick]
-            if not math.isfinite(float(np.add.reduce(fresh, axis=None))):
-                finite = np.isfinite(fresh)
-                whole, fresh = whole & finite.all(axis=1), np.where(finite, fresh, 0.0)
-            ticks, flags = np.concatenate((ticks, fresh)), np.concatenate((flags, whole))
-        ends = t_ns[reach + tick - 1 : reach + used : tick]
-        known = max(0, len(ticks) - window + 1)  # at most `count`: the state holds less than a window
-        out = _Ticks(ends[count - known :], window_mean(ticks, window), window_all(flags, window))
-        return UnbalanceState(rows[:, used:], t_ns[used:], valid[used:], ticks[known:], flags[known:]), out
-
-    def _products(self, rows: FloatArray) -> FloatArray:
-        """ax^2 + ay^2, gz ax, gz ay and the turning part of each filtered row but the first, (COLUMNS, n)."""
-        x, y, z = (np.correlate(row, self._taps) for row in rows)
-        ax, ay, gz = x[1:], y[1:], z[1:]
-        out = np.empty((COLUMNS, len(ax)))
-        out[0], out[1], out[2], out[3] = ax * ax + ay * ay, gz * ax, gz * ay, x[:-1] * ay - y[:-1] * ax
-        return out
-
-
-class _Places:
-    """Which rotor a shift of the products from healthy belongs to."""
-
-    def __init__(self, spec: UnbalanceSpec, layout: RotorLayout) -> None:
-        roll, pitch, yaw = layout.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
-        # [ cov(gz, ax) ]        [ x_j ]         [  pitch_j ]
-        # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
-        pattern = yaw * np.stack((pitch, -roll))
-        self._pattern = pattern / np.linalg.norm(pattern, axis=0)
-        self._sense = -np.sign(yaw)
-        self._covariance, self._noise = np.array(spec.covariance), (CLEAR * math.hypot(*spec.spread)) ** 2
-        self._power, self._turning = spec.power, spec.turning
-        self._turns = carries_line(1 / spec.dt_s)
-
-    def evidence(self, mean: FloatArray) -> FloatArray:
-        """(n, COLUMNS) -> (n, rotors), in -1..1."""
-        shift = mean[:, 1:3] - self._covariance
-        square = np.einsum("nk,nk->n", shift, shift)
-        clear = (np.sqrt(square) / (square + self._noise))[:, None]  # strength size^2/(size^2 + noise) over the size
-        found: FloatArray = clear * (shift @ self._pattern)
-        if not self._turns:
-            return found
-        grown = np.maximum(mean[:, 0] - self._power, 1e-3 * self._power)
-        turning = np.clip((mean[:, 3] - self._turning) / (FULL_TURN * grown), -1.0, 1.0)
-        strength = clear * np.sqrt(square)[:, None]
-        return np.asarray((found + strength * turning[:, None] * self._sense) / 2, dtype=np.float64)
+def _patterns(layout: RotorLayout | None) -> FloatArray:
+    """Of each rotor the unit vector of its covariances, and its sense of rotation, (rotors, 3)."""
+    if layout is None:
+        return np.empty((0, 3))
+    roll, pitch, yaw = layout.mixing.T  # of thrust: roll ~ -y, pitch ~ x, yaw ~ -s
+    # [ cov(gz, ax) ]        [ x_j ]         [  pitch_j ]
+    # [ cov(gz, ay) ]  ~ -s_j [ y_j ]  ~ yaw_j [ -roll_j  ]
+    pattern = yaw * np.stack((pitch, -roll))
+    return np.column_stack(((pattern / np.linalg.norm(pattern, axis=0)).T, -np.sign(yaw)))
 
 
 def _means(spec: UnbalanceSpec, flight: Sequence[Rows]) -> FloatArray:
     """The full window means of a flight, (k, COLUMNS)."""
-    found, each = [np.empty((0, COLUMNS))], _Filter(spec.taps, spec.tick, spec.ticks)
+    found, monitor = [np.empty((0, COLUMNS))], Unbalance(spec)
+    par = monitor.parameters(spec.dt_s)
     for segment in segments(flight):
-        state = _fresh()
-        for rows in segment:
-            state, ticks = each.step(state, rows.block)
-            found.append(ticks.mean[ticks.full])
+        mem = monitor.memory(spec.dt_s)
+        for columns in map(columns_of, segment):
+            means = np.empty((columns.flags.shape[1], COLUMNS))
+            found.append(means[: _window_means(par, mem, columns.x, columns.flags, means)])
     return np.concatenate(found)

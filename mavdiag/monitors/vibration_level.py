@@ -12,16 +12,16 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import InputError
+from mavdiag.jit import cached, source_digest
 from mavdiag.monitors.base import Flights, LearnContext, Monitor, Summaries, Summary
+from mavdiag.monitors.columns import LEVEL, SIGNAL, SOUND, VALID, VALUE, VIBRATION, Kernel
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Rows
-from mavdiag.rows.statistic import Statistic
-from mavdiag.rows.windows import MeanState, sliding_mean, start_mean, window_rows
-from mavdiag.telemetry import BoolArray, FloatArray, Signal
+from mavdiag.rows.running import FRESH, mean_size, push, total
+from mavdiag.rows.windows import window_rows
+from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Signal
 from mavdiag.thresholds.guard import Guard
-
-__all__ = ["VibrationLevel", "VibrationLevelSpec"]
 
 WINDOW_S = 5.0  # our choice; 3.5 to 6.5 s change no verdict on the recorded flights
 LIMIT_M_S2 = 1e4  # a value is cut here: more is damage, not vibration (our choice)
@@ -45,7 +45,38 @@ class VibrationLevelSpec:
             raise InputError("vibration_level: the healthy level and the window must be finite and not negative")
 
 
-class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
+def _compiled(digest: int) -> Kernel:
+    @cached
+    def run(
+        par: FloatArray,
+        mem: FloatArray,
+        x: FloatArray,
+        flags: FloatArray,
+        lag: int,
+        out: FloatArray,
+        rotors: FloatArray,
+        at: IntArray,
+    ) -> int:
+        """The mean level at each row."""
+        window, healthy = int(par[0]), par[1]
+        for i in range(x.shape[1] if digest else 0):
+            squares, known = 0.0, flags[VALID, i] > 0.5
+            for axis in range(3):
+                part = x[VIBRATION + axis, i]
+                known = known and math.isfinite(part)
+                part = min(max(part, -LIMIT_M_S2), LIMIT_M_S2)
+                squares += part * part
+            size = math.sqrt(squares) if known else 0.0
+            mem[FRESH] = size
+            full = push(mem, 0, window, 1, known)
+            out[VALUE, i] = total(mem, 0, 1, 0) / window
+            out[SOUND, i], out[LEVEL, i], out[SIGNAL, i], at[i] = full, out[VALUE, i] - healthy, size, i
+        return len(at)
+
+    return run
+
+
+class VibrationLevel(Monitor[VibrationLevelSpec]):
     """Statistic: the 5 s mean of |VIBRATION|, the norm of its x, y and z [m/s^2].
 
     The message comes a few times a second; its last value holds between, and no longer than the rows allow it.
@@ -105,24 +136,15 @@ class VibrationLevel(Monitor[VibrationLevelSpec, MeanState]):
         """Where a value is cut [m/s^2]."""
         return LIMIT_M_S2
 
-    def start(self) -> MeanState:
+    def parameters(self, dt_s: float) -> FloatArray:
+        """Rows of the window, healthy level."""
+        return np.array([window_rows(self.spec.window_s, dt_s), self.spec.healthy])
+
+    def memory(self, dt_s: float) -> FloatArray:
         """An empty mean."""
-        return start_mean(1)
+        return np.zeros(mean_size(window_rows(self.spec.window_s, dt_s), 1))
 
-    def step(self, state: MeanState, rows: Rows) -> tuple[MeanState, Statistic]:
-        """The mean level at each of the next rows."""
-        block = rows.block
-        known = _known(block)
-        shaking = block.vibration if np.count_nonzero(known) == len(known) else _zeroed(block.vibration, known)
-        shaking = np.minimum(np.maximum(shaking, -LIMIT_M_S2), LIMIT_M_S2)
-        size = np.sqrt(np.einsum("nk,nk->n", shaking, shaking))
-        state, mean, full = sliding_mean(state, size[:, None], known, window_rows(self.spec.window_s, block.dt_s))
-        value = mean[:, 0]
-        return state, Statistic(block.t_ns, block.dt_s, value, full, value - self.spec.healthy, size)
-
-
-def _zeroed(values: FloatArray, known: BoolArray) -> FloatArray:
-    return np.where(known, values.T, 0.0).T
+    run = staticmethod(_compiled(source_digest()))
 
 
 def _known(block: Block) -> BoolArray:

@@ -12,7 +12,7 @@ import numpy as np
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import Method, Order
 from mavdiag.identify.lab.sweep import SweepRow, window_sweep
-from mavdiag.monitors.run_length import MIN_PIECE_S
+from mavdiag.monitors.training import MIN_PIECE_S
 from mavdiag.report.style import COMMANDED, LINES, Picture, drawn, legend_above
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec

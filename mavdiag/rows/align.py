@@ -131,12 +131,16 @@ class AlignSpec:
         """The end of a log: what waited for late samples comes out."""
         return _emit(self, state, state.streams, NEVER_NS, state.calm_ns)
 
+    def believed(self, telemetry: Telemetry) -> Telemetry:
+        """What is believed of a whole log."""
+        return believed(self.quality, {}, telemetry)[1]
+
     def whole(self, telemetry: Telemetry, most: int) -> Iterator[Block]:
-        """The rows of a whole log, as `step` and `finish` give them, in blocks of about `most` samples.
+        """The rows of what is believed of a whole log, as `step` and `finish` give them, in blocks of about `most`.
 
         One block is made at a time, so that a long log takes no more memory than its telemetry and a block.
         """
-        merged = _merged(self, {}, believed(self.quality, {}, telemetry)[1])
+        merged = _merged(self, {}, telemetry)
         streams = {signal: stream.unwrapped() for signal, stream in merged.items()}
         gyro, state = streams.get(Signal.BODY_RATE), self.start()
         stretches = [] if gyro is None else pieces(gyro.t, None, _ns(self.break_s))

@@ -3,6 +3,12 @@
 A condition is measured from commands and slow signals, not from what the monitors judge, so that a damaged rotor does
 not move it. One that the link does not carry is nan and restricts nothing. The figures follow from whole bins of 0.1 s
 of the vehicle's clock, so any cut of the rows into chunks gives the same ones.
+
+    yaw rate = min(|r|, max over 2 s of |d psi/dt|)      r: gyro, mean of the bin;  psi: commanded heading, over 0.1 s
+
+Some autopilots step the commanded heading (PX4 offboard), and the vehicle turns there as fast as it can: r tells how
+fast. A damaged rotor may yaw the vehicle: that is no condition, and psi, which the rotor does not move, limits it.
+Where the link carries no commanded heading, r counts alone.
 """
 
 import math
@@ -20,6 +26,7 @@ __all__ = ["BIN_S", "Condition", "ConditionState", "Conditions", "measure", "sta
 
 BIN_S = 0.1  # our choice
 TILT_BINS = 50  # 5 s: longer than a manoeuvre of a hall, shorter than a change of the wind (our choice)
+TURN_BINS = 20  # 2 s: so long may a vehicle turn after a step of its commanded heading (our choice)
 _BIN_NS = round(BIN_S * NS_PER_S)
 
 
@@ -30,7 +37,7 @@ class Condition(StrEnum):
     THROTTLE = "throttle"  # 0..1, mean collective set-point
     COMMANDED_RATE = "commanded rate"  # rad/s, largest of roll and pitch
     COMMANDED_ACCELERATION = "commanded angular acceleration"  # rad/s^2, of roll and pitch, over 0.1 s
-    YAW_RATE = "yaw rate"  # rad/s, of the commanded heading over 0.1 s; where none is known the mean measured one
+    YAW_RATE = "yaw rate"  # rad/s, mean measured one, and not more than the heading was commanded to move in 2 s
     HEIGHT = "height"  # m above take-off, least
 
 
@@ -52,7 +59,7 @@ class ConditionState:
     block_ns, block: (h,) and (6, h) rows of an unfinished bin: roll and pitch set-point, thrust, measured yaw rate,
         height and yaw set-point.
     rates_ns, rates: (h,) and (2, h) commanded roll and pitch rate.
-    tilt: (w, 2) mean set-points of the last bins.
+    past: (w, 3) of the last bins: mean roll and pitch set-point, and slope of the yaw set-point.
     last: (3,) commanded roll and pitch rate and yaw set-point at the end of the last bin.
     """
 
@@ -60,14 +67,14 @@ class ConditionState:
     block: FloatArray
     rates_ns: IntArray
     rates: FloatArray
-    tilt: FloatArray
+    past: FloatArray
     last: FloatArray
 
 
 def start_conditions() -> ConditionState:
     """Before the first row of a segment."""
     never = np.empty(0, dtype=np.int64)
-    return ConditionState(never, np.empty((6, 0)), never, np.empty((2, 0)), np.empty((0, 2)), np.full(3, np.nan))
+    return ConditionState(never, np.empty((6, 0)), never, np.empty((2, 0)), np.empty((0, 3)), np.full(3, np.nan))
 
 
 def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditions]:
@@ -79,14 +86,12 @@ def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditio
     until_ns = 0 if len(rates_ns) == 0 else int(rates_ns[-1]) // _BIN_NS * _BIN_NS
     m, n = int(rates_ns.searchsorted(until_ns)), int(block_ns.searchsorted(until_ns))
     if m == 0 or n == 0:
-        return ConditionState(block_ns, block, rates_ns, rates, state.tilt, state.last), _NOTHING
+        return ConditionState(block_ns, block, rates_ns, rates, state.past, state.last), _NOTHING
     end_ns, starts = _bins(rates_ns[:m])
     # A bin of the rates has rows of the block too, since each rate row is one of theirs, half a window earlier.
     at = block_ns[:n].searchsorted(end_ns - _BIN_NS)
     mean = _means(block[:4, :n], at).T
-    tilt = np.concatenate((state.tilt, mean[:, :2]))
     values = np.full((len(end_ns), COUNT), np.nan)
-    values[:, 0] = _tilt(tilt, len(end_ns))
     values[:, 1] = mean[:, 2]
     values[:, 2] = np.fmax.reduceat(np.abs(rates[:, :m]), starts, axis=1).max(axis=0)
     values[:, 5] = np.fmin.reduceat(block[4, :n], at)
@@ -98,8 +103,10 @@ def measure(state: ConditionState, rows: Rows) -> tuple[ConditionState, Conditio
     steps[1:] -= edge[:-1]
     steps = np.abs(steps) / BIN_S
     values[:, 3] = np.fmax(steps[:, 0], steps[:, 1])
-    values[:, 4] = np.where(np.isfinite(steps[:, 2]), steps[:, 2], np.abs(mean[:, 3]))
-    state = ConditionState(block_ns[n:], block[:, n:], rates_ns[m:], rates[:, m:], tilt[-TILT_BINS:], edge[-1])
+    past = np.concatenate((state.past, np.column_stack((mean[:, :2], steps[:, 2]))))
+    values[:, 0] = _tilt(past[:, :2], len(end_ns))
+    values[:, 4] = np.minimum(np.abs(mean[:, 3]), _most_turn(past[:, 2], len(end_ns)))
+    state = ConditionState(block_ns[n:], block[:, n:], rates_ns[m:], rates[:, m:], past[-TILT_BINS:], edge[-1])
     return state, Conditions(end_ns, values)
 
 
@@ -156,3 +163,10 @@ def _tilt(setpoints: FloatArray, fresh: int) -> FloatArray:
         mean = window_sums(setpoints[len(setpoints) - fresh + first + 1 - TILT_BINS :], TILT_BINS) / TILT_BINS
         out[first:] = np.hypot(mean[:, 0], mean[:, 1])
     return out
+
+
+def _most_turn(slopes: FloatArray, fresh: int) -> FloatArray:
+    """Largest known slope of the yaw set-point over 2 s, for the last `fresh` bins; infinite where none is known."""
+    behind = np.concatenate((np.full(TURN_BINS, np.nan), slopes))[-(fresh + TURN_BINS - 1) :]
+    largest: FloatArray = np.fmax.reduce(np.lib.stride_tricks.sliding_window_view(behind, TURN_BINS), axis=1)
+    return np.where(np.isnan(largest), np.inf, largest)

@@ -85,7 +85,7 @@ class Front:
         return (*first, *self.finish(state)[1])
 
     def pieces(self, telemetry: Telemetry, most: int) -> Iterator[Rows | Border]:
-        """The same in pieces of about `most` rows, made one at a time: what a long log needs."""
+        """The same of what is believed, in pieces of about `most` rows, made one at a time: what a long log needs."""
         state = self.start()
         for block in self.align.whole(telemetry, most):
             gated, parts = self.gate.step(state.gate, (block,))

@@ -12,7 +12,7 @@ limit (*low*) the rows are held back until the matter is decided:
     thrust and height back for BACK_S           it was flight: the rows come out and are judged
     loud for LOUD_S, later than QUIET_S         it tumbles: the rows come out, and the next low ones are not held back
 
-A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S was flight.
+A row is loud above QUIET_RAD_S. At the end of the data what was loud for LOUD_S, and in its last CALM_S, was flight.
 
 What the gate cannot see as flight, since its own inputs fail, `hidden_flight` finds in a whole log: nobody judged it.
 """
@@ -33,6 +33,7 @@ __all__ = ["Border", "GateSpec", "GateState", "Hidden", "hidden_flight", "idle_r
 QUIET_RAD_S = 1.0  # of any axis; a landed vehicle turns at less than a tenth of it, one that tumbles at 5 (our choice)
 QUIET_S = 1.0  # spikes of a touch-down end 0.8 s after height or thrust is low (recorded Crazyflies; our choice)
 BACK_S = 0.5  # a touch-down's blips of thrust last up to 0.2 s (recorded ArduCopter; our choice)
+CALM_S = 0.5  # of a touch-down whose QUIET_S the data did not wait for (our choice)
 LOUD_S = 0.1  # so that one wrong sample decides nothing (our choice)
 START_NS = NS_PER_S  # of any data no row is valid yet (`AlignSpec.settle_start_s`)
 DISARMED, LOW, UP = 0, 1, 2  # what a row is
@@ -300,7 +301,10 @@ def _break_off(state: GateState) -> tuple[GateState, tuple[Block, ...]]:
 
 def _flew(low: _Low) -> bool:
     """Whether undecided rows that nothing follows were flight."""
-    return low.tumbles or low.up_ns is not None or (bool(low.rows) and low.loud * low.rows[0].dt_s >= LOUD_S)
+    if low.tumbles or low.up_ns is not None or not low.rows:
+        return low.tumbles or low.up_ns is not None
+    calm_ns = int(low.rows[-1].t_ns[-1]) - low.loud_ns
+    return low.loud * low.rows[0].dt_s >= LOUD_S and calm_ns < CALM_S * NS_PER_S
 
 
 def _release(spec: GateSpec, state: GateState) -> tuple[GateState, list[Block]]:
@@ -336,9 +340,9 @@ def hidden_flight(telemetry: Telemetry, gate: GateSpec, spans: Sequence[tuple[in
 
     The gyro ends while thrust, outputs, height and HEARTBEAT say that it flies; the thrust reads low while the outputs
     (or the gyro's motion, where no output is known) are what they were in flight; it reads disarmed while its thrust is
-    up and it moves. spans: first and last row of what flew [ns].
+    up and it moves. telemetry: what is believed. spans: first and last row of what flew [ns].
     """
-    series = [one for one in telemetry.series if len(one)]
+    series = [one for one in telemetry.series if one.signal in SHOWS_FLIGHT and len(one)]
     bins: IntArray = np.unique(np.concatenate([np.empty(0, np.int64), *(one.t_ns // HIDDEN_BIN_NS for one in series)]))
     bins = bins[bins > spans[0][0] // HIDDEN_BIN_NS] if spans else bins[:0]
     if not len(bins):

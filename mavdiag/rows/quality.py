@@ -2,13 +2,17 @@
 
 A sample is *lost* if it is no number, is beyond what any sensor measures, or leaps:
 
-    leap_i = |x_i - x_last| / max(1, |t_i - t_last|/T) > most          in some column
+    leap_i = |x_i - x_last - c (t_i - t_last)| / n > most,    n = max(1, |t_i - t_last|/T)          in some column
 
 x_last is the last sample that was believed, T the usual period, angles are taken the short way round; `most` is twice
-the healthy leap, or a small one. Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz and below)
-the signal leaps back, they were a glitch. If not, or if 5 of the 20 samples before leapt at least half as far, it is
-how the signal moves now, and all are believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or
-throws the vehicle loses hardly anything. What holds its last value does not wait, and is lost.
+the healthy leap, or a small one. c is zero, or the slope between the two samples that were believed last, where the
+healthy signal leaps less by it (n (n + 1)/2 then stands for n, as a changing slope adds up): a set-point is
+differentiated, and what moves fast but smoothly must not hide an error of the size of its steps.
+
+Samples that leap wait for the next ones: if after 3 of them (2 at 50 Hz and below) the signal leaps back, they were a
+glitch. If not, or if 5 of the 20 samples before leapt at least half as far, it is how the signal moves now, and it is
+believed: a glitch of 30 ms never reaches a monitor, and a fault that shakes or throws the vehicle loses hardly
+anything. What holds its last value does not wait, and is lost.
 
 A sample whose stamp leaps is lost until another one follows it: a stamp that goes back by more than a period, or ahead
 by more than ever, or ahead of the next sample by more than a period.
@@ -69,7 +73,7 @@ GREATEST = {
 # A leap up to this is believed at any rate, for a flight may be livelier than those that taught (our choice).
 HARMLESS = {
     Signal.ATTITUDE: 0.02,
-    Signal.ATTITUDE_SETPOINT: 0.002,  # within 0.1 s it is a rate of 0.02 rad/s, the noise of a gyro
+    Signal.ATTITUDE_SETPOINT: 0.0005,  # three steps of a log in 0.01 deg; within 0.1 s a rate of 0.005 rad/s
     Signal.RATE_SETPOINT: 0.1,
     Signal.TORQUE_COMMAND: 0.1,
     Signal.THRUST_SETPOINT: 0.2,
@@ -106,10 +110,11 @@ class Habit(BaseModel):
 
     signal: which one.
     period_s: its usual period [s]. pause_s: the longest one of an ordinary second [s].
-    leap: of each column the largest step of an ordinary second [unit of the signal].
+    leap: of each column the largest leap of an ordinary second, before `most` divides it [unit of the signal].
     quiet: of each column the step below which it is silent; 0 where only equal values are.
     still: longest repetition [samples] of all columns together; of gyro and accelerometer also of each one.
     lowest: least value of the first column in flight.
+    leads: of each column whether its slope tells where the next sample is to be; empty if none does.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -121,6 +126,7 @@ class Habit(BaseModel):
     quiet: tuple[float, ...]
     still: tuple[int, ...]
     lowest: float
+    leads: tuple[bool, ...] = ()
 
     @property
     def most_leap(self) -> FloatArray:
@@ -182,18 +188,31 @@ Far: TypeAlias = tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Believed:
+    """The last sample that was believed. slope: (columns,) since the one before where it leads [1/ns]; else zero."""
+
+    values: FloatArray
+    t_ns: int
+    slope: FloatArray
+
+    def followed(self, habit: Habit, values: FloatArray, t_ns: int) -> "_Believed":
+        """With the next one."""
+        series = np.stack((self.values, values)), np.array((self.t_ns, t_ns))
+        return _Believed(values, t_ns, _slopes(habit.signal, habit.leads, *series)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Memory:
     """What is remembered of one signal between chunks.
 
-    count: samples so far. last, last_ns: the last one that was believed. before, before_ns: the last one that came.
+    count: samples so far. last: that was believed. before, before_ns: the last one that came.
     alone: its stamp leapt. far: numbers of the latest samples that leapt, and how far, in `most_leap`. runs:
     (1 + columns,) samples that repeated, together and each. jitter: mean square deviation of the stamps [periods^2].
     finest: (columns,) smallest steps.
     """
 
     count: int
-    last: FloatArray
-    last_ns: int
+    last: _Believed
     before: FloatArray
     before_ns: int
     alone: bool
@@ -225,8 +244,7 @@ class _Near:
     """keep: (n,) which samples are believed, as far as that is decided; the others as in `Memory`."""
 
     keep: BoolArray
-    last: FloatArray
-    last_ns: int
+    last: _Believed
     far: Far
     alone: bool
 
@@ -283,8 +301,8 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
     state, jitter = _jitter(habit, memory, series.t_ns) if gyro else (memory.jitter, nothing)
     finest, resolution = _finest(memory, series.values) if gyro else (memory.finest, nothing)
     before, before_ns = series.values[-1], int(series.t_ns[-1])
-    believed_last = (memory.count + count, near.last, near.last_ns, before, before_ns, near.alone, near.far)
-    after = Memory(*believed_last, runs[-1], state, finest, waiting)
+    came = (near.last, before, before_ns, near.alone, near.far)
+    after = Memory(memory.count + count, *came, runs[-1], state, finest, waiting)
     if np.count_nonzero(near.keep) == count:
         return after, Looked(series, runs, jitter, resolution)
     return after, Looked(_cut(series, near.keep), runs[near.keep], jitter[near.keep], resolution[near.keep])
@@ -299,7 +317,8 @@ def _begin(series: Series) -> Memory:
     columns, first_ns = series.values.shape[1], int(series.t_ns[0])
     never, runs = np.full(columns, np.nan), np.zeros(1 + columns, dtype=np.int64)
     finest = np.full(columns, np.inf)
-    return Memory(0, never, first_ns, never, first_ns, False, (), runs, start_ema(np.zeros(1)), finest)
+    none = _Believed(never, first_ns, never)
+    return Memory(0, none, never, first_ns, False, (), runs, start_ema(np.zeros(1)), finest)
 
 
 def _with(series: Series, values: FloatArray) -> Series:
@@ -356,21 +375,22 @@ def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
 def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
     """Which of the next samples are believed."""
     t, n, decided = series.t_ns, len(series), len(series)
-    keep, last, last_ns, far = np.ones(n, dtype=np.bool_), memory.last, memory.last_ns, memory.far
-    span_ns = np.diff(t, prepend=last_ns)
-    before = np.concatenate((last[None], series.values[:-1]))
-    leaps = _sizes(habit, series.values - before, span_ns) > 1.0
+    keep, last, far = np.ones(n, dtype=np.bool_), memory.last, memory.far
+    values, times = np.concatenate((last.values[None], series.values)), np.concatenate(([last.t_ns], t))
+    span_ns = np.diff(times)
+    leaps = _sizes(habit, _departures(habit.signal, habit.leads, last.slope, values, times), span_ns) > 1.0
     candidates = np.flatnonzero(leaps | (span_ns > habit.early_ns) | (span_ns < -habit.back_ns))
-    at, came_ns, alone = n, memory.before_ns, memory.alone
+    at, came_ns, alone, known = n, memory.before_ns, memory.alone, 0
     if alone or len(candidates):
         at = 0 if alone else int(candidates[0])
     while at < n:
         if at:
             came_ns = int(t[at - 1])
             if keep[at - 1]:
-                last, last_ns, alone = series.values[at - 1], came_ns, False
+                last, alone = _followed(habit, last, series, keep, known, at), False
+        known = at
         followed = alone and abs(int(t[at]) - came_ns) <= habit.ahead_ns
-        misdated = False if followed else _misdated(habit, last_ns, t[at : at + 2])
+        misdated = False if followed else _misdated(habit, last.t_ns, t[at : at + 2])
         if misdated is None:  # the next sample decides
             decided = at
             break
@@ -378,7 +398,7 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
         stop = at + 1
         if not lost:
             here = _cut(series, slice(at, at + habit.patience + 1))
-            found = _glitch(habit, last, last_ns, here, far, memory.count + at)
+            found = _glitch(habit, last, here, far, memory.count + at)
             if found is None:
                 decided = at
                 break
@@ -386,13 +406,18 @@ def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
             stop = at + run
         keep[at:stop] = not lost
         at = stop
-        if not lost:  # until the next step that may be a leap all are believed
+        if not lost and keep[max(stop - 2, 0) : stop].all():  # until the next that may leap all are believed
             place = int(candidates.searchsorted(at))
             at = int(candidates[place]) if place < len(candidates) else n
-    good = np.flatnonzero(keep[:decided])
-    if len(good):
-        last, last_ns = series.values[good[-1]], int(t[good[-1]])
-    return _Near(keep[:decided], last, last_ns, far, alone and not keep[decided - 1] if decided else memory.alone)
+    last = _followed(habit, last, series, keep, known, decided)
+    return _Near(keep[:decided], last, far, alone and not keep[decided - 1] if decided else memory.alone)
+
+
+def _followed(habit: Habit, last: _Believed, series: Series, keep: BoolArray, first: int, stop: int) -> _Believed:
+    """The last sample that was believed, of those from `first` to `stop`; without one it is as before."""
+    for at in (first + np.flatnonzero(keep[first:stop])[-2:]).tolist():
+        last = last.followed(habit, series.values[at], int(series.t_ns[at]))
+    return last
 
 
 def _misdated(habit: Habit, last_ns: int, t_ns: IntArray) -> bool | None:
@@ -407,15 +432,15 @@ def _misdated(habit: Habit, last_ns: int, t_ns: IntArray) -> bool | None:
     return bool(t_ns[1] < t_ns[0] - habit.back_ns) if len(t_ns) > 1 else None
 
 
-def _glitch(
-    habit: Habit, last: FloatArray, last_ns: int, series: Series, far: Far, number: int
-) -> tuple[bool, int, Far] | None:
+def _glitch(habit: Habit, last: _Believed, series: Series, far: Far, number: int) -> tuple[bool, int, Far] | None:
     """Whether the first samples leap away and back, how many those are, and what leapt lately; None if more must come.
 
     series: the samples that tell. far: what leapt before. number: of the first one.
     """
     patience = habit.patience
-    sizes = _sizes(habit, series.values - last, series.t_ns - last_ns)
+    span_ns = series.t_ns - last.t_ns
+    away = _short(habit.signal, series.values - last.values - last.slope * span_ns[:, None])
+    sizes = _sizes(habit, away, span_ns)
     leaps = sizes > 1.0
     run = len(leaps) if leaps.all() else int(leaps.argmin())
     if not run:
@@ -425,22 +450,51 @@ def _glitch(
     if usual or habit.signal in HELD:
         lost, run = not usual, 1
     elif run > patience:
-        lost = False
+        lost, run = False, 1
     elif run == len(leaps):
         return None
     else:
-        step = series.values[run] - series.values[run - 1]
-        lost = bool(_sizes(habit, step[None], series.t_ns[run : run + 1] - series.t_ns[run - 1])[0] > 1.0)
+        back = _short(habit.signal, away[run : run + 1] - away[run - 1])
+        lost = bool(_sizes(habit, back, span_ns[run : run + 1] - span_ns[run - 1])[0] > 1.0)
     return lost, run, (*far, *((number + i, float(sizes[i])) for i in range(run)))
+
+
+def _departures(
+    signal: Signal, leads: Sequence[bool], slope: FloatArray, values: FloatArray, t_ns: IntArray
+) -> FloatArray:
+    """(n - 1, columns) how far each sample is from where those before it lead. slope: at the first."""
+    step = _short(signal, values[1:] - values[:-1])
+    if not any(leads):
+        return step
+    slopes = np.concatenate((slope[None], _slopes(signal, leads, values, t_ns)[:-1]))
+    led: FloatArray = slopes * (t_ns[1:] - t_ns[:-1])[:, None]
+    return _short(signal, step - led)
+
+
+def _slopes(signal: Signal, leads: Sequence[bool], values: FloatArray, t_ns: IntArray) -> FloatArray:
+    """(n - 1, columns) slopes between samples [1/ns], zero where they do not lead and between equal stamps."""
+    span_ns, step = (t_ns[1:] - t_ns[:-1])[:, None], _short(signal, values[1:] - values[:-1])
+    where = (span_ns != 0) & (np.array(leads) if leads else False)
+    slopes: FloatArray = np.divide(step, span_ns, out=np.zeros_like(step), where=where)
+    return slopes
+
+
+def _short(signal: Signal, step: FloatArray) -> FloatArray:
+    """Steps, of an angle the short way round."""
+    return np.asarray(step - TURN * np.round(step / TURN)) if signal in ANGLES else step
 
 
 def _sizes(habit: Habit, step: FloatArray, span_ns: IntArray) -> FloatArray:
     """(n,) how large steps are, (n, columns): above 1 they leap."""
-    if habit.signal in ANGLES:
-        step = step - TURN * np.round(step / TURN)
     span_ns = np.minimum(np.abs(span_ns), habit.ahead_ns)  # a longer one is misdated, or an outage
-    periods = np.maximum(span_ns / (habit.period_s * NS_PER_S), 1.0)
-    return np.asarray(np.fmax.reduce(np.abs(step) / habit.most_leap, axis=1) / periods, dtype=np.float64)
+    sizes = _by_period(step, span_ns / (habit.period_s * NS_PER_S), habit.leads) / habit.most_leap
+    return np.asarray(np.fmax.reduce(sizes, axis=1), dtype=np.float64)
+
+
+def _by_period(step: FloatArray, periods: FloatArray, leads: Sequence[bool]) -> FloatArray:
+    """(n, columns) steps over what they may grow by in so many periods."""
+    n = np.maximum(periods, 1.0)[:, None]
+    return np.asarray(np.abs(step) / np.where(np.array(leads or False), n * (n + 1) / 2, n), dtype=np.float64)
 
 
 def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
@@ -510,26 +564,31 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     """How a signal moved, but for how long it repeats."""
     spans_ns = np.concatenate([np.diff(one.t_ns) for one in parts])
     period_ns = float(np.median(spans_ns))
-    leaps, noises, pauses = [], [], []
+    held: list[FloatArray] = []
+    led: list[FloatArray] = []
+    noises, pauses = [], []
     for one in parts:
-        span_ns = np.diff(one.t_ns)
-        step = np.diff(one.values, axis=0)
-        if signal in ANGLES:
-            step -= TURN * np.round(step / TURN)
-        step = np.nan_to_num(np.abs(step) / np.maximum(span_ns / period_ns, 1.0)[:, None])
+        span_ns, (n, columns) = np.diff(one.t_ns), one.values.shape
         starts = np.unique((one.t_ns[1:] - one.t_ns[0]) // NS_PER_S, return_index=True)[1]
-        counts = np.diff(starts, append=len(step))[:, None]
-        leaps.append(np.maximum.reduceat(step, starts, axis=0))
-        noises.append(np.sqrt(np.add.reduceat(np.square(step), starts, axis=0) / counts))
+        counts = np.diff(starts, append=n - 1)[:, None]
+        for leads, leaps in (((False,) * columns, held), ((True,) * columns, led)):
+            step = _departures(signal, leads, np.full(columns, np.nan), one.values, one.t_ns)
+            step = np.nan_to_num(_by_period(step, span_ns / period_ns, leads))
+            leaps.append(np.maximum.reduceat(step, starts, axis=0))
+            if leaps is held:
+                noises.append(np.sqrt(np.add.reduceat(np.square(step), starts, axis=0) / counts))
         pauses.append(np.maximum.reduceat(span_ns, starts))
+    plain, bent = (np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0) for leaps in (held, led))
+    leading = (bent < plain) & (signal not in HELD)
     quiet = QUIET_SHARE * np.quantile(np.concatenate(noises), CALM_SHARE, axis=0)
     lowest = float(np.nan_to_num(min(np.min(one.values[:, 0]) for one in parts)))
     return Habit(
         signal=signal,
         period_s=period_ns / NS_PER_S,
         pause_s=float(np.quantile(np.concatenate(pauses), USUAL_SHARE)) / NS_PER_S,
-        leap=tuple(np.quantile(np.concatenate(leaps), USUAL_SHARE, axis=0).tolist()),
+        leap=tuple(np.where(leading, bent, plain).tolist()),
         quiet=tuple(quiet.tolist()) if signal in SENSORS else (0.0,) * len(quiet),
         still=(0,),
         lowest=lowest,
+        leads=tuple(leading.tolist()),
     )

@@ -33,6 +33,7 @@ class RateBlock:
     t_ns: (n,) vehicle time.
     u: (n, 3) commanded body rates p, q, r [rad/s]; finite, 0 where no set-point is known.
     y: (n, 3) measured body rates, smoothed [rad/s].
+    gyro: (n, 3) the same as they were measured.
     valid: (n,) the gyro was valid in the whole window.
     commanded: (n,) so were gyro and set-point: u and y may be compared.
     """
@@ -42,6 +43,7 @@ class RateBlock:
     t_ns: IntArray
     u: FloatArray
     y: FloatArray
+    gyro: FloatArray
     valid: BoolArray
     commanded: BoolArray
 
@@ -89,7 +91,9 @@ class RateSpec:
         if block.segment != state.segment:
             state = self.start(block.segment)
         setpoint, slope = self.slope.step(state.setpoint, block.setpoint)
-        smooth, value = self.value.step(state.smooth, np.concatenate((block.rate, block.setpoint[:, :2]), axis=1))
+        rows = np.concatenate((block.rate, block.setpoint[:, :2]), axis=1)
+        gyro = np.concatenate((state.smooth.history[:3], block.rate.T), axis=1)
+        smooth, value = self.value.step(state.smooth, rows)
         t_ns = np.concatenate((state.t_ns, block.t_ns))
         valid = np.concatenate((state.valid, block.valid))
         commanded = np.concatenate((state.commanded, block.valid & block.setpoint_valid))
@@ -100,6 +104,7 @@ class RateSpec:
             t_ns[m : m + known],
             _body_rates(value[:, 3], value[:, 4], slope),
             value[:, :3],
+            gyro[:, m : m + known].T,
             window_all(valid, self.window),
             window_all(commanded, self.window),
         )

@@ -9,11 +9,14 @@ numpy only: importing scipy.signal takes 0.8 s, which the detector's start canno
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.jit import cached, source_digest
+from mavdiag.rows.running import dot
 from mavdiag.telemetry import FloatArray
 
 __all__ = ["SavgolFilter", "SavgolState", "coefficients", "window_samples"]
@@ -58,6 +61,23 @@ def coefficients(window: int, order: int = 2) -> FloatArray:
     A = (np.arange(-m, m + 1) / scale)[:, None] ** powers
     C: FloatArray = np.linalg.pinv(A) / scale ** powers[:, None]
     return C
+
+
+def _compiled() -> Callable[[FloatArray, FloatArray, FloatArray], None]:
+    digest = source_digest()
+
+    @cached
+    def filter_rows(rows: FloatArray, taps: FloatArray, out: FloatArray) -> None:
+        """Scalar products of taps with each full window of each row."""
+        for number in range(rows.shape[0] if digest else 0):
+            row = rows[number]
+            for first in range(out.shape[1]):
+                out[number, first] = dot(taps, 0, row, first, taps.size)
+
+    return filter_rows
+
+
+_filter_rows = _compiled()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +161,5 @@ class SavgolFilter:
         known = max(0, rows.shape[1] - self.window + 1)
         out = np.empty((len(rows), known))  # column by column
         if known:
-            for column, row in enumerate(rows):
-                out[column] = np.correlate(row, self.taps)  # mode "valid"
+            _filter_rows(rows, self.taps, out)
         return SavgolState(rows[:, known:].copy()), out.T

@@ -22,18 +22,14 @@ __all__ = [
     "ema",
     "forgetting",
     "highpass",
-    "raised",
-    "row_max",
     "sliding_mean",
     "spans",
     "start_ema",
     "start_mean",
-    "unbroken",
     "window_all",
     "window_mean",
     "window_rows",
     "window_sums",
-    "windows",
 ]
 
 GROWTH, MOST_ROWS = 1e9, 4096  # of the weights of an exponential mean until it is scaled anew (our choice)
@@ -41,11 +37,12 @@ FEW_WINDOWS = 4  # fewer are added up one by one
 BETA = 4.0  # of the Kaiser window: 45 dB of stop band (our choice)
 
 
+@lru_cache(maxsize=64)  # a display asks for it in every step
 def highpass(corner: float, taps: int) -> FloatArray:
     """Linear-phase high-pass, (taps,), corner as a share of the sample rate; windowed sinc, unit gain at half the rate.
 
-    Its delay is (taps - 1)/2 samples; a constant does not pass. Raises UsageError unless taps is odd and above 2 and
-    0 < corner < 0.5.
+    Its delay is (taps - 1)/2 samples; a constant does not pass. Read-only. Raises UsageError unless taps is odd and
+    above 2 and 0 < corner < 0.5.
 
     >>> taps = highpass(0.06, 61)
     >>> gain = abs(np.exp(-2j * np.pi * np.outer([0.0, 0.03, 0.06, 0.1, 0.167], np.arange(61))) @ taps)
@@ -60,7 +57,9 @@ def highpass(corner: float, taps: int) -> FloatArray:
     low = 2 * corner * np.sinc(2 * corner * k) * np.kaiser(taps, BETA)
     high = -low / low.sum()
     high[taps // 2] += 1.0
-    return np.asarray(high / (high @ (-1.0) ** k), dtype=np.float64)
+    found = np.asarray(high / (high @ (-1.0) ** k), dtype=np.float64)
+    found.setflags(write=False)
+    return found
 
 
 def window_mean(x: FloatArray, window: int) -> FloatArray:
@@ -110,13 +109,6 @@ def window_sums(x: FloatArray, window: int) -> FloatArray:
     return sums.T
 
 
-def windows(x: FloatArray, window: int, stride: int = 1) -> FloatArray:
-    """The full windows of each row, (k, n) -> (k, count, window), as a view of an array that lies row by row."""
-    count = (x.shape[1] - window) // stride + 1
-    each, step = x.strides
-    return np.ndarray((len(x), count, window), x.dtype, x, strides=(each, stride * step, step))
-
-
 def window_all(flags: BoolArray, window: int) -> BoolArray:
     """Whether each full window of flags is True throughout, (n,) -> (n - window + 1,)."""
     known = max(0, len(flags) - window + 1)
@@ -125,11 +117,6 @@ def window_all(flags: BoolArray, window: int) -> BoolArray:
     bad = np.concatenate(([0], np.cumsum(~flags)))
     whole: BoolArray = bad[window:] == bad[:known]
     return whole
-
-
-def unbroken(flags: BoolArray, window: int) -> BoolArray:
-    """Whether each flag and the window - 1 before it are there and True, (n,) -> (n,)."""
-    return np.concatenate((np.zeros(min(window - 1, len(flags)), dtype=np.bool_), window_all(flags, window)))
 
 
 def spans(flags: BoolArray) -> list[tuple[int, int]]:
@@ -236,14 +223,6 @@ def _run_lengths(carried: int, valid: BoolArray) -> IntArray:
     return run
 
 
-def row_max(x: FloatArray) -> FloatArray:
-    """Largest value of each row, (n, k) -> (n,), k at least 1; for few columns quicker than a reduction along rows."""
-    highest: FloatArray = x[:, 0]
-    for column in x.T[1:]:
-        highest = np.maximum(highest, column)
-    return highest
-
-
 @lru_cache(maxsize=64)
 def forgetting(memory_s: float, dt_s: float) -> float:
     """The factor alpha of an exponential mean with a time constant of `memory_s`: 1 - exp(-dt/memory)."""
@@ -299,8 +278,3 @@ def ema(state: EmaState, x: FloatArray, alpha: float) -> tuple[EmaState, FloatAr
         part *= shrink[place : place + count]
         first, place = first + count, place + count
     return EmaState(sums, place), out.T
-
-
-def raised(state: EmaState, by: FloatArray, alpha: float) -> EmaState:
-    """The state of a mean whose present value is higher by that, (k,)."""
-    return EmaState(state.sums + by / (_weights(alpha)[1][state.place - 1] if state.place else 1.0), state.place)

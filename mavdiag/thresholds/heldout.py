@@ -6,7 +6,7 @@ there are as many, and each piece is scored by a fit to the rest. This is the on
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -189,20 +189,15 @@ def _between(flight: Sequence[Rows], low_ns: int, high_ns: int, part: int) -> li
     for rows in flight:
         segment = 3 * rows.block.segment + part
         first, stop = np.searchsorted(rows.block.t_ns, [low_ns, high_ns]).tolist()
-        rates = _cut_rates(rows.rates, low_ns, high_ns, segment)
-        if stop > first or len(rates):
+        rates = _cut_rates(rows, first, stop, low_ns, segment)
+        if stop > first:
             out.append(Rows(rows.block.rows(first, stop, segment), rates))
     return out
 
 
-def _cut_rates(rates: RateBlock, low_ns: int, high_ns: int, segment: int) -> RateBlock:
-    kept = slice(*np.searchsorted(rates.t_ns, [low_ns, high_ns]).tolist())
-    return RateBlock(
-        segment,
-        rates.dt_s,
-        rates.t_ns[kept],
-        rates.u[kept],
-        rates.y[kept],
-        rates.valid[kept],
-        rates.commanded[kept],
-    )
+def _cut_rates(rows: Rows, first: int, stop: int, low_ns: int, segment: int) -> RateBlock:
+    """The rates that the rows [first, stop) complete, of a segment that begins at `low_ns`."""
+    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
+    kept = slice(max(first - lag, int(rates.t_ns.searchsorted(low_ns)), 0), max(stop - lag, 0))
+    columns = (getattr(rates, column.name)[kept] for column in fields(RateBlock)[2:])
+    return RateBlock(segment, rates.dt_s, *columns)

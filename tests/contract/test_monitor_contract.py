@@ -30,7 +30,7 @@ CONTEXT = LearnContext(Airframe(layout=layout_named("x")), None, DT_S, 11)
 ARRAYS = ("t_ns", "value", "valid", "level", "signal", "rotors")
 
 
-ALL: tuple[type[Monitor[Any, Any]], ...] = (*MONITORS, MadeUp)
+ALL: tuple[type[Monitor[Any]], ...] = (*MONITORS, MadeUp)
 every_monitor = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
 
 
@@ -41,11 +41,11 @@ def healthy() -> list[list[Rows]]:
 
 
 @cache
-def specs(kind: type[Monitor[Any, Any]]) -> tuple[Any, ...]:
+def specs(kind: type[Monitor[Any]]) -> tuple[Any, ...]:
     return kind.fit(healthy(), CONTEXT)
 
 
-def built(kind: type[Monitor[Any, Any]]) -> Monitor[Any, Any]:
+def built(kind: type[Monitor[Any]]) -> Monitor[Any]:
     return kind(specs(kind)[0])
 
 
@@ -56,7 +56,7 @@ def rough_flight(seed: int) -> Telemetry:
 
 
 @every_monitor
-def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind: type[Monitor[Any, Any]]) -> None:
+def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind: type[Monitor[Any]]) -> None:
     other = [flying_rows(flying(SAMPLES, 101))]
     spec, factor = built(kind).renewed(other, CONTEXT)
     assert 0.0 < factor < math.inf
@@ -65,7 +65,7 @@ def test_new_propellers_and_a_further_session_give_a_fit_that_still_judges(kind:
         assert run(kind(one), other[0]).valid.any()
 
 
-def run(monitor: Monitor[Any, Any], rows: list[Rows]) -> Statistic:
+def run(monitor: Monitor[Any], rows: list[Rows]) -> Statistic:
     """The statistics of a flight, joined."""
     parts = [one for one in monitor.over(rows) if len(one)]
     joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in ARRAYS}
@@ -75,7 +75,7 @@ def run(monitor: Monitor[Any, Any], rows: list[Rows]) -> Statistic:
 @every_monitor
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 3), edges=st.lists(st.integers(0, SAMPLES), max_size=60))
-def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any, Any]], seed: int, edges: list[int]) -> None:
+def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any]], seed: int, edges: list[int]) -> None:
     telemetry = rough_flight(seed)
     expected = run(built(kind), flying_rows(telemetry))
     front = flying_front()
@@ -91,7 +91,7 @@ def test_any_chunking_gives_the_same_values(kind: type[Monitor[Any, Any]], seed:
 
 
 @every_monitor
-def test_inputs_are_left_alone(kind: type[Monitor[Any, Any]]) -> None:
+def test_inputs_are_left_alone(kind: type[Monitor[Any]]) -> None:
     rows = flying_rows(rough_flight(1))
     parts: list[Any] = [part for one in rows for part in (one.block, one.rates)]
     for part in parts:
@@ -103,7 +103,7 @@ def test_inputs_are_left_alone(kind: type[Monitor[Any, Any]]) -> None:
 
 
 @every_monitor
-def test_a_statistic_has_one_row_a_time(kind: type[Monitor[Any, Any]]) -> None:
+def test_a_statistic_has_one_row_a_time(kind: type[Monitor[Any]]) -> None:
     for found in built(kind).over(flying_rows(rough_flight(2))):
         n = len(found)
         assert all(getattr(found, name).shape[0] == n for name in ARRAYS[:5])
@@ -115,7 +115,7 @@ def test_a_statistic_has_one_row_a_time(kind: type[Monitor[Any, Any]]) -> None:
 
 
 @every_monitor
-def test_what_must_not_be_judged_is_not(kind: type[Monitor[Any, Any]]) -> None:
+def test_what_must_not_be_judged_is_not(kind: type[Monitor[Any]]) -> None:
     rows = flying_rows(rough_flight(3))
     may = {int(t) for one in rows for t in one.block.t_ns[one.block.valid]}
     found = run(built(kind), rows)
@@ -125,7 +125,7 @@ def test_what_must_not_be_judged_is_not(kind: type[Monitor[Any, Any]]) -> None:
 
 
 @every_monitor
-def test_b2_a_need_that_stops_is_not_judged(kind: type[Monitor[Any, Any]]) -> None:
+def test_b2_a_need_that_stops_is_not_judged(kind: type[Monitor[Any]]) -> None:
     """B2: inputs that stopped were frozen and judged for ever."""
     monitor = built(kind)
     for signal in sorted(monitor.signals):
@@ -136,7 +136,7 @@ def test_b2_a_need_that_stops_is_not_judged(kind: type[Monitor[Any, Any]]) -> No
 
 
 @every_monitor
-def test_what_it_does_not_need_may_be_absent(kind: type[Monitor[Any, Any]]) -> None:
+def test_what_it_does_not_need_may_be_absent(kind: type[Monitor[Any]]) -> None:
     monitor = built(kind)
     main = {Signal.BODY_RATE, *monitor.signals}
     others = [signal for signal in Signal if signal not in main]
@@ -145,7 +145,7 @@ def test_what_it_does_not_need_may_be_absent(kind: type[Monitor[Any, Any]]) -> N
 
 
 @every_monitor
-def test_the_statistic_is_finite_where_it_is_valid(kind: type[Monitor[Any, Any]]) -> None:
+def test_the_statistic_is_finite_where_it_is_valid(kind: type[Monitor[Any]]) -> None:
     found = run(built(kind), flying_rows(rough_flight(4)))
     for name in ("value", "level", "signal", "rotors"):
         values = getattr(found, name)
@@ -153,7 +153,7 @@ def test_the_statistic_is_finite_where_it_is_valid(kind: type[Monitor[Any, Any]]
 
 
 @every_monitor
-def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any, Any]]) -> None:
+def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any]]) -> None:
     columns = {
         Signal.BODY_RATE: "rate",
         Signal.SPECIFIC_FORCE: "force",
@@ -177,7 +177,7 @@ def test_a_number_that_is_none_is_not_judged(kind: type[Monitor[Any, Any]]) -> N
 
 
 @every_monitor
-def test_the_start_state_is_not_spent_by_a_run(kind: type[Monitor[Any, Any]]) -> None:
+def test_the_start_state_is_not_spent_by_a_run(kind: type[Monitor[Any]]) -> None:
     rows, monitor = flying_rows(rough_flight(6)), built(kind)
     start = monitor.start()
     first, again = (monitor.step(start, rows[0])[1] for _ in range(2))
@@ -185,7 +185,7 @@ def test_the_start_state_is_not_spent_by_a_run(kind: type[Monitor[Any, Any]]) ->
 
 
 @every_monitor
-def test_a_fit_survives_json(kind: type[Monitor[Any, Any]]) -> None:
+def test_a_fit_survives_json(kind: type[Monitor[Any]]) -> None:
     adapter: TypeAdapter[Any] = TypeAdapter(kind.spec_type)
     for spec in specs(kind):
         assert spec.kind == kind.name
@@ -193,7 +193,7 @@ def test_a_fit_survives_json(kind: type[Monitor[Any, Any]]) -> None:
 
 
 @every_monitor
-def test_flights_without_any_signal_are_refused(kind: type[Monitor[Any, Any]]) -> None:
+def test_flights_without_any_signal_are_refused(kind: type[Monitor[Any]]) -> None:
     gyro = Telemetry(tuple(one for one in flying(50, 7).series if one.signal is Signal.BODY_RATE))
     with pytest.raises((InputError, IdentificationError)) as error:
         kind.fit([flying_rows(gyro)], CONTEXT)
@@ -201,7 +201,7 @@ def test_flights_without_any_signal_are_refused(kind: type[Monitor[Any, Any]]) -
 
 
 @every_monitor
-def test_its_class_says_what_the_project_must_know(kind: type[Monitor[Any, Any]]) -> None:
+def test_its_class_says_what_the_project_must_know(kind: type[Monitor[Any]]) -> None:
     assert 0 < len(kind.label) <= 10
     assert kind.needs
     assert kind.clear_s >= 0

@@ -23,6 +23,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings
+from detector.pacing import STOP_S, Pacing
 from detector.states import State
 from mavdiag.link.codec import Decoder, Encoder, field_index
 from mavdiag.link.keys import KeptSigning, read_key
@@ -30,6 +31,7 @@ from mavdiag.link.messages import Component, MavCmd, MessageId, Severity
 from mavdiag.link.ports import SocketAddress, open_endpoint
 from mavdiag.link.ports.base import Chunk
 from mavdiag.link.signing import Refusal, Signing, stamp_at
+from mavdiag.telemetry import Instant
 
 UDP_IN = "udpin:127.0.0.1:0"
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
@@ -135,6 +137,62 @@ def test_the_summary_at_the_end_tells_what_was_judged() -> None:
     assert float(told[1]) >= judged_s - 0.05 > 3.0
 
 
+def test_what_waits_is_judged_before_the_summary() -> None:
+    """A daemon that has no time judges a vehicle every two seconds; what came since then is judged as it stops."""
+    told = []
+    for pacing in (Pacing(), Pacing(budget_s=0.0)):
+        bench = Attacked(
+            Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
+        )
+        bench.daemon.fleet._pacing = pacing
+        bench.fly(13.0)
+        before_s = bench.judged_s
+        bench.close()
+        found = re.search(r"([\d.]+) s judged", bench.host.lines[-1])
+        assert found is not None
+        told.append(float(found[1]))
+    assert told[1] == pytest.approx(told[0], abs=0.1)
+    assert told[1] > before_s + 0.5
+
+
+def test_an_end_without_time_judges_no_more_and_still_ends() -> None:
+    bench = Attacked(
+        Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
+    )
+    bench.daemon.fleet._pacing = Pacing(budget_s=0.0)
+    bench.fly(13.0)
+    fleet = bench.daemon.fleet
+    before_s = bench.judged_s
+    assert [turn.vehicle for turn in fleet.finish(Instant(bench.host.ns), spent_s=lambda: STOP_S)] == [1]
+    assert bench.judged_s == pytest.approx(before_s, abs=0.3)  # the rows that the chain held back
+    bench.close()
+
+
+class OneALook(Pacing):
+    """Time for one vehicle in each look."""
+
+    def judges(self, waited_s: float, spent_s: float, first: bool) -> bool:
+        return first
+
+
+def test_vehicles_of_one_source_do_not_delay_that_of_another() -> None:
+    strangers = [MadeVehicle(sysid) for sysid in range(2, 6)]
+    attack = ([frame for one in strangers for frame in one.samples(4)] for _ in itertools.count())
+    bench = Attacked(
+        Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
+    )
+    bench.fly(5.0, attack)
+    fleet = bench.daemon.fleet
+    assert set(fleet.vehicles) == set(range(1, 6))
+    fleet._pacing = OneALook()
+    judged = [fleet._judged[1]]
+    for _ in range(40):
+        bench.fly(TICK_S, attack)
+        judged.append(fleet._judged[1])
+    assert sum(after != before for before, after in itertools.pairwise(judged)) >= 19  # of 40; 8 by waiting alone
+    bench.close()
+
+
 @pytest.mark.parametrize("name", ATTACKS)
 def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_path: Path) -> None:
     fitter, journal = FakeFitter(baseline_for()), tmp_path / "j.jsonl"
@@ -237,6 +295,7 @@ FORGED: Mapping[str, tuple[Callable[[int, int], tuple[int, list[Any]] | None], i
     "one frame stamped 10 s ahead": (leaping(0, 10.0, once=True), 20, "whose stamps leap"),
     "one frame stamped 25 s ahead": (leaping(0, 25.0, once=True), 20, "whose stamps leap"),
     "one frame stamped 120 s ahead": (leaping(0, 120.0, once=True), 20, "whose stamps leap"),
+    "the same, with a number of the same look": (leaping(0, 120.0, once=True), 2, "with the number of another frame"),
     "disarmed 3/s": (disarming, 1, CLASH),
     "disarmed 3/s with other running numbers": (disarming, 200, "disarmed amid armed heartbeats"),
     "thrust 0 at 40 Hz": (without_thrust, 1, CLASH),

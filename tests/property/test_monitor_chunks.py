@@ -52,13 +52,13 @@ def cut(blocks: list[Block], edges: list[int]) -> list[Rows]:
 
 
 @cache
-def monitors() -> tuple[Monitor[Any, Any], ...]:
+def monitors() -> tuple[Monitor[Any], ...]:
     flights = [cut([block(9, 0)], [])]
     context = replace(example_context("qdrone2", DT_S), window=SPEC.window)
     return tuple(kind(*kind.fit(flights, context)) for kind in (Unbalance, RotorSignature))
 
 
-def run(monitor: Monitor[Any, Any], rows: list[Rows]) -> Statistic:
+def run(monitor: Monitor[Any], rows: list[Rows]) -> Statistic:
     parts = list(monitor.over(rows))
     joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in FIELDS}
     return Statistic(period_s=parts[0].period_s, **joined)

@@ -53,9 +53,7 @@ def flight(path: Path, from_s: float = -1e9, to_s: float = 1e9) -> tuple[Rows, .
     return tuple(one for one in (*rows, *front.finish(state)[1]) if isinstance(one, Rows))
 
 
-def learnt(
-    kind: type[Monitor[Any, Any]], flights: Flights, layout: RotorLayout | None = None
-) -> tuple[Monitor[Any, Any], float]:
+def learnt(kind: type[Monitor[Any]], flights: Flights, layout: RotorLayout | None = None) -> tuple[Monitor[Any], float]:
     """The monitor fitted to healthy flights, and its threshold."""
     dt_s = flights[0][0].block.dt_s
     context = LearnContext(Airframe(layout=layout), None, dt_s, window_samples(dt_s))
@@ -63,7 +61,7 @@ def learnt(
     return monitor, threshold.value
 
 
-def highest(fitted: tuple[Monitor[Any, Any], float], rows: tuple[Rows, ...]) -> tuple[float, int]:
+def highest(fitted: tuple[Monitor[Any], float], rows: tuple[Rows, ...]) -> tuple[float, int]:
     """Highest judged statistic over its threshold, and the rotor named there."""
     monitor, threshold = fitted
     best, rotor = 0.0, 0

@@ -47,7 +47,7 @@ def weak_spans(path: Path) -> list[tuple[int, float, float, float]]:
 
 
 def test_weak_motors_are_found_and_named_by_trims_that_a_turning_nose_taught() -> None:
-    """At 0.95 a motor rises by 0.053, near the threshold of one flight: whether it is found follows its ticks."""
+    """At 0.95 a motor rises by 0.053."""
     folder = shared("data/arducopter_live")
     turning, healthy, weak = (
         md.read_log(folder / f"{name}.tlog")
@@ -56,8 +56,8 @@ def test_weak_motors_are_found_and_named_by_trims_that_a_turning_nose_taught() -
     options = LearnOptions(airframe=X, monitors=("rotor_trim", "trim_step"))
     base = learn([with_outputs(turning)], options, created=STAMP)
     limits = {one.spec.kind: one.threshold.value for one in base.monitors}  # 1.08 and 0.62 of hover before
-    assert limits["rotor_trim"] < 0.2
-    assert limits["trim_step"] < 0.1
+    assert limits["rotor_trim"] < 0.12
+    assert limits["trim_step"] < 0.03
     assert md.judge(healthy, base).verdict is Verdict.HEALTHY
     assert md.judge(with_outputs(turning), base).verdict is Verdict.HEALTHY
 
@@ -69,8 +69,7 @@ def test_weak_motors_are_found_and_named_by_trims_that_a_turning_nose_taught() -
     for _, _, start_s, end_s in spans:
         inside = [one for one in changes if start_s <= one.t_ns / 1e9 < end_s and one.rotor]
         named.append(inside[-1].rotor if inside else None)
-    for (motor, left, _, _), rotor in zip(spans, named, strict=True):
-        assert rotor == motor or (rotor is None and left == 0.95)
+    assert named == [motor for motor, *_ in spans]
     assert len(spans) == 12
 
 

@@ -191,6 +191,7 @@ def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
         Kind.SUSPECT,
         Kind.AGAIN,
         Kind.INSPECT,
+        Kind.HIDDEN,
         Kind.OFF,
         Kind.NOT_LEARNED,
         Kind.NO_LAYOUT,

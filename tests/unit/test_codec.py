@@ -222,6 +222,24 @@ def test_a_fake_header_does_not_swallow_the_frames_behind_it() -> None:
     assert decoder.count.garbage_bytes == len(fake)
 
 
+@pytest.mark.parametrize("marker", [b"\xfd", b"\xfe\x00", b"\xfd\x00\x02"])
+def test_a_stream_of_markers_costs_little_and_hides_nothing_that_comes_later(marker: bytes) -> None:
+    decoder, frame = Decoder(), Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 3)
+    for _ in range(10):
+        assert decoder.feed(marker * (8192 // len(marker)), 0) == []
+    refused = decoder.count.bad_crc + decoder.count.incompatible
+    assert 0 < refused + decoder.count.unknown <= 10 * 8192 / 64
+    found = [*decoder.feed(frame, 0), *decoder.feed(frame * 20, 0)]
+    assert len(found) >= 20
+
+
+def test_a_frame_behind_random_bytes_is_found() -> None:
+    """Random bytes have one false marker in 128."""
+    decoder, frame, rng = Decoder(), Encoder(1, 1).encode(MessageId.HEARTBEAT, 2, 3), np.random.default_rng(4)
+    found = sum(len(decoder.feed(rng.bytes(65_536) + frame * 2, 0)) for _ in range(10))
+    assert found >= 10
+
+
 def test_a_datagram_cut_short_does_not_spoil_the_next() -> None:
     encoder = Encoder(1, 1)
     first, second, third = (encoder.encode(MessageId.HEARTBEAT, *HEARTBEAT) for _ in range(3))

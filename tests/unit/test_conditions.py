@@ -67,12 +67,29 @@ def test_a_commanded_turn_is_a_rate_and_an_acceleration() -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_yaw_is_taken_from_the_commanded_heading(sign: float) -> None:
+def test_a_steady_turn_is_a_yaw_rate(sign: float) -> None:
     t = 0.01 * np.arange(800)
     nose = np.stack((0 * t, 0 * t, sign * 0.7 * t), axis=1)
-    found = seen(Condition.YAW_RATE, setpoint=nose, rate=np.tile([0.0, 0.0, 5.0], (800, 1)))
-    np.testing.assert_allclose(found[1:], 0.7, rtol=1e-6)
-    assert found[0] == 5.0  # before there is a step the gyro tells
+    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=nose), 0.7, rtol=1e-6)
+
+
+def test_a_nose_that_turns_without_a_command_is_no_condition() -> None:
+    """A damaged rotor turns it; before there is a slope of the command, and where none is known, the gyro tells."""
+    spun = np.tile([0.0, 0.0, 5.0], (800, 1))
+    found = seen(Condition.YAW_RATE, rate=spun)
+    assert found[0] == 5.0
+    np.testing.assert_array_equal(found[1:], 0.0)
+    slow = np.stack((np.zeros(800), np.zeros(800), 0.001 * np.arange(800)), axis=1)
+    np.testing.assert_allclose(seen(Condition.YAW_RATE, setpoint=slow, rate=spun)[1:], 0.1, rtol=1e-6)
+
+
+def test_after_a_step_of_the_heading_the_gyro_tells_for_two_seconds() -> None:
+    step = np.zeros((800, 3))
+    step[405:, 2] = 1.5  # 15 rad/s in the bin that ends at 4.1 s
+    found = seen(Condition.YAW_RATE, setpoint=step, rate=np.tile([0.0, 0.0, -0.8], (800, 1)))
+    np.testing.assert_allclose(found[40:60], 0.8)
+    np.testing.assert_array_equal(found[60:], 0.0)
+    np.testing.assert_array_equal(found[1:40], 0.0)
 
 
 def test_without_a_heading_the_gyro_tells_the_yaw_rate() -> None:

@@ -152,6 +152,14 @@ def test_a_log_that_ends_in_a_tumble_is_judged_to_its_last_sample_and_one_that_e
     assert spans(spec, [block(thrust, gyro=np.zeros(1600))]) == [(0, 0, 799)]
 
 
+def test_a_touch_down_that_is_calm_as_the_data_end_is_a_landing() -> None:
+    gyro = np.r_[np.zeros(1200), tumble(200), np.zeros(600)]
+    blocks = [block(np.r_[np.full(1000, 0.5), np.zeros(1000)], gyro=gyro)]
+    assert spans(GateSpec(min_thrust=0.1), blocks) == [(0, 0, 999)]
+    short = [block(np.r_[np.full(1000, 0.5), np.zeros(700)], gyro=gyro[:1700])]
+    assert spans(GateSpec(min_thrust=0.1), short) == [(0, 0, 1699)]
+
+
 def test_what_flies_after_a_break_has_not_taken_off() -> None:
     """The break is no landing either: nothing is cut off before it."""
     spec, up = GateSpec(min_thrust=0.1, trim_start_s=0.3, trim_end_s=0.2), np.full(1000, 0.5)

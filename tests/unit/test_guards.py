@@ -282,7 +282,7 @@ def test_a_threshold_that_its_statistic_cannot_reach_is_not_judged_by() -> None:
 def test_each_monitor_says_what_it_can_come_to() -> None:
     found = learn(healthy(2), replace(OPTIONS, monitors=("sensor_noise", "rotor_trim", "thrust_loss")), created=NOW)
     reach = {entry.spec.kind: monitor_of(entry.spec).reach for entry in found.monitors}
-    assert reach["rotor_trim"] == 0.5  # a rotor that lost a third of its thrust
+    assert reach["rotor_trim"] == pytest.approx(0.5)  # a rotor that lost a third of its thrust
     assert reach.get("sensor_noise", math.log(36.0)) == pytest.approx(math.log(36.0))
     assert reach.get("thrust_loss", 1.0) == 1.0
     assert all(entry.threshold.value < reach[entry.spec.kind] for entry in found.monitors)

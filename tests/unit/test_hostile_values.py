@@ -14,6 +14,7 @@ from shared_data import shared
 
 import mavdiag as md
 from mavdiag.judging import LogVerdict
+from mavdiag.rows.quality import LinkQuality, Memory, believed, learnt_quality
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 
 N, AT = 3000, 1600
@@ -186,3 +187,63 @@ def test_a_recorded_arducopter_with_a_frozen_signal_has_no_propeller_fault(signa
     found = md.judge(changed(part(log, middle_ns / 1e9, None), signal, freeze), baseline)
     assert not [one for one in found.changes if str(one.stage) == "fault"]
     assert any(one.not_judged for one in found.monitors)
+
+
+def turning(n: int = 3000, seed: int = 11) -> Series:
+    """A set-point at 100 Hz that swings at up to 0.6 rad/s, 6 mrad a sample, and hardly bends."""
+    t_ns = 10_000_000 * np.arange(n, dtype=np.int64)
+    phase = 2.0 * np.pi * 0.5 * t_ns[:, None] / 1e9 + np.array([0.0, 1.0, 2.0])
+    values = 0.19 * np.sin(phase) + np.random.default_rng(seed).normal(0, 2e-5, (n, 3))
+    return Series(Signal.ATTITUDE_SETPOINT, t_ns, t_ns, values)
+
+
+@cache
+def smooth() -> LinkQuality:
+    series = turning()
+    return learnt_quality([(Telemetry((series,)), [(int(series.t_ns[0]), int(series.t_ns[-1]))])])
+
+
+def kept(values: FloatArray, pieces: int = 1) -> set[int]:
+    """Numbers of the samples that are believed, of those that came in so many pieces."""
+    series, numbers = turning(), set()
+    memories: dict[Signal, Memory] = {}
+    for places in np.array_split(np.arange(len(values)), pieces):
+        t_ns = series.t_ns[places]
+        piece = Telemetry((Series(series.signal, t_ns, t_ns, values[places]),))
+        memories, found = believed(smooth(), memories, piece)
+        numbers |= {int(one) // 10_000_000 for known in found.series for one in known.t_ns}
+    return numbers
+
+
+@pytest.mark.parametrize(("error", "samples"), [(0.003, 1), (-0.008, 1), (2.0, 1), (0.03, 2), (-0.08, 2), (0.5, 3)])
+@pytest.mark.parametrize("at", [1000, 1025, 1050])  # through a swing
+def test_a_set_point_that_turns_fast_hides_no_error_of_the_size_of_its_steps(
+    at: int, error: float, samples: int
+) -> None:
+    values = turning().values.copy()
+    values[at : at + samples, 0] += error
+    assert set(range(len(values))) - kept(values) == set(range(at, at + samples))
+
+
+def test_what_a_believed_error_is_followed_by_is_not_taken_for_the_error() -> None:
+    values = turning().values.copy()
+    values[1000, 0] += 0.0004
+    values[1004, 0] += 1.3
+    assert set(range(len(values))) - kept(values) == {1004}
+
+
+def test_a_corner_and_a_step_of_the_set_point_are_believed() -> None:
+    values = turning().values.copy()
+    values[1000:1300, 0] += 0.3
+    values[1300:, 0] += 0.01 * np.arange(len(values) - 1300)
+    lost = set(range(len(values))) - kept(values)
+    assert len(lost) <= 1
+
+
+def test_errors_are_the_same_in_any_pieces() -> None:
+    rng, values = np.random.default_rng(6), turning().values.copy()
+    for at in rng.integers(10, len(values) - 10, 150).tolist():
+        values[at : at + rng.integers(1, 4), rng.integers(3)] += rng.choice([-1, 1]) * 10 ** rng.uniform(-4, 0.4)
+    whole_log = kept(values)
+    assert len(whole_log) < len(values) - 100
+    assert all(kept(values, pieces) == whole_log for pieces in (7, 100, 1000))

@@ -177,7 +177,7 @@ def test_b4_the_longest_runs_have_no_empty_blocks() -> None:
 
 def test_a_new_monitor_is_its_class_and_one_name_in_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Learnt, written, read, judged, and its alarm reported, by nothing but its class."""
-    registry: tuple[type[Monitor[Any, Any]], ...] = (*mavdiag.monitors.MONITORS, MadeUp)
+    registry: tuple[type[Monitor[Any]], ...] = (*mavdiag.monitors.MONITORS, MadeUp)
     monkeypatch.setattr(mavdiag.monitors, "MONITORS", registry)
     monkeypatch.setattr(mavdiag.monitors, "BY_NAME", {kind.name: kind for kind in registry})
     monkeypatch.setattr(mavdiag.chain, "MONITORS", registry)

@@ -1,23 +1,30 @@
 """Which vehicles are judged when a look has no time for all, and what is said of the delay."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from detector.pacing import LEVELS_S, QUIET_S, Delay, Pacing, by_waiting
+from detector.pacing import LEVELS_S, QUIET_S, Delay, Pacing, by_turns
 from mavdiag.telemetry import Instant
 
 COST_S = 0.004
 TICK_S = 0.04
 
 
-def looks(vehicles: int, count: int, seed: int) -> tuple[dict[int, list[float]], float]:
-    """Judge by the policy for so many looks: the waits of each vehicle, and the longest look."""
+def looks(
+    vehicles: int, count: int, seed: int, source_of: Callable[[int], int] = lambda sysid: sysid, begun_s: float = 0.0
+) -> tuple[dict[int, list[float]], float]:
+    """Judge by the policy for so many looks: the waits of each vehicle, and the longest look.
+
+    begun_s: of each look, that went by before anybody is judged.
+    """
     rng, pacing = np.random.default_rng(seed), Pacing.of(TICK_S)
     judged, longest_s = {sysid: Instant(0) for sysid in range(vehicles)}, 0.0
     waits: dict[int, list[float]] = {sysid: [] for sysid in range(vehicles)}
     for number in range(1, count + 1):
-        now, spent_s, first = Instant(0) + number * TICK_S, 0.0, True
-        for sysid, waited_s in by_waiting(judged, now):
+        now, spent_s, first = Instant(0) + number * TICK_S, begun_s, True
+        for sysid, waited_s in by_turns(judged, now, source_of):
             if pacing.judges(waited_s, spent_s, first):
                 waits[sysid].append(waited_s)
                 judged[sysid], first = now, False
@@ -41,6 +48,21 @@ def test_many_take_turns_and_a_look_stays_short(seed: int) -> None:
     late = [max(one[5:]) for one in waits.values()]
     assert min(len(one) for one in waits.values()) > 15
     assert max(late) < 1.5 * np.mean(late) < 1.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_127_made_up_vehicles_of_one_source_do_not_delay_another_source(seed: int) -> None:
+    waits, longest_s = looks(128, 500, seed, lambda sysid: int(sysid == 60))
+    assert max(waits[60]) == pytest.approx(TICK_S)
+    assert len(waits[60]) == 500
+    assert min(len(one) for one in waits.values()) > 10
+    assert longest_s < TICK_S / 2 + 1.5 * COST_S
+
+
+def test_without_any_time_another_source_waits_no_longer_than_alone() -> None:
+    waits, _ = looks(128, 500, 0, lambda sysid: int(sysid == 60), begun_s=TICK_S)
+    assert max(waits[60]) <= 2.0 + 2 * TICK_S
+    assert len(waits[60]) >= 9
 
 
 def test_without_time_one_vehicle_that_waited_long_is_judged_all_the_same() -> None:

@@ -12,17 +12,16 @@ from hypothesis import strategies as st
 from mavdiag.errors import IdentificationError, InputError
 from mavdiag.monitors import training
 from mavdiag.monitors.run_length import (
-    Exceedance,
     MarginRule,
     Residual,
     RunLength,
-    exceedance,
+    exceedances,
     longest_runs,
     margin_of,
     residuals,
     runs,
-    training_pieces,
 )
+from mavdiag.monitors.training import training_pieces
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateBlock
 from mavdiag.telemetry import Axis, FloatArray
@@ -39,19 +38,14 @@ def piece(r: FloatArray) -> Residual:
     return Residual(np.arange(n, dtype=np.int64) * 10_000_000, r, np.ones(n, dtype=np.bool_), DT_S)
 
 
-@given(rows=levels, cuts=st.lists(st.integers(0, 60), max_size=5))
-def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]], cuts: list[int]) -> None:
+@given(rows=levels)
+def test_fsd_counts_consecutive_judged_rows_above_the_margin(rows: list[tuple[float, bool]]) -> None:
     r, valid = np.array([x for x, _ in rows]), np.array([v for _, v in rows])
     expected, count = [], 0
     for x, v in rows:
         count = count + 1 if v and abs(x) > 1.0 else 0
         expected.append(count)
-    state, got = Exceedance(), []
-    bounds = sorted({0, len(r), *(c for c in cuts if c < len(r))})
-    for low, high in itertools.pairwise(bounds):
-        state, fsd_s, _ = exceedance(state, r[low:high], valid[low:high], margin=1.0, dt_s=DT_S)
-        got += fsd_s.tolist()
-    assert got == [n * DT_S for n in expected]
+    assert exceedances(r, valid, 1.0, DT_S)[0].tolist() == [n * DT_S for n in expected]
 
 
 def test_runs_report_their_length_and_highest_excess() -> None:

@@ -152,7 +152,7 @@ def test_only_a_turn_that_nobody_commanded_is_a_loss_of_control() -> None:
         "set-point that jumps": (np.zeros((N, 3)), jump, 0.1),
     }
     for name, (measured, setpoint, value) in cases.items():
-        found = monitor.step(None, example_rows(N, DT_S, rate=measured, setpoint=setpoint))[1]
+        found = monitor.step(monitor.start(), example_rows(N, DT_S, rate=measured, setpoint=setpoint))[1]
         inside = slice(1010, 1390)  # the rate filters see the edges
         assert float(np.median(found.value[inside])) == pytest.approx(value, abs=0.2), name
 

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -618,3 +619,43 @@ def test_a_gyro_that_another_message_carries_is_told_once() -> None:
     notes = [effect.text for _, effect in story.log if isinstance(effect, Note) and "read from" in effect.text]
     assert len(notes) == 1
     assert notes[0].startswith("the gyro is read from ATTITUDE, for RAW_IMU does not come: the estimator's rates")
+
+
+HIDDEN: dict[str, dict[str, Any]] = {
+    "its thrust reads 0 while it flies": {"thrust": 0.0},
+    "it reads disarmed while its thrust says that it flies": {"armed": False},
+}
+
+
+@pytest.mark.parametrize("reason", HIDDEN)
+def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
+    story = watching()
+    story.fly(20.0)
+    effects = story.fly(12.0, **HIDDEN[reason])
+    (told,) = [one for one in effects if isinstance(one, SendText) and "not judged: it" in one.text]
+    assert told.severity is Severity.WARNING
+    assert told.text.startswith(f"PROP not judged: {reason[:30]}")
+    assert [one.text for one in effects if isinstance(one, Note)].count(f"not judged: {reason}") == 1
+    assert story.state.reason == f"not judged: {reason}"
+    story.fly(6.0)
+    assert story.state.reason.startswith("monitoring")
+    assert not any("not judged: it" in text for text in texts(story.fly(10.0)))
+
+
+def test_c1_it_is_told_however_long_it_lasts() -> None:
+    story = watching(seconds=240)
+    story.fly(20.0)
+    assert len([text for text in texts(story.fly(150.0, thrust=0.0)) if "not judged: its thrust" in text]) == 3
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_c1_a_vehicle_that_has_landed_does_not_fly(armed: bool) -> None:
+    story = watching()
+    story.fly(20.0)
+    for _ in range(200):
+        came = story._chunk(10, 0.0, armed, 0.0, 1).series
+        still = [replace(one, values=0.01 * one.values) if one.signal is Signal.BODY_RATE else one for one in came]
+        story.passed += 10
+        story.give(Inbox(Telemetry(tuple(still)), alive=True))
+    assert not any("not judged: it" in text for text in story.texts)
+    assert story.state.reason == f"monitoring: not {'airborne' if armed else 'armed'}"

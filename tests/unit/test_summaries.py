@@ -12,12 +12,11 @@ from scipy.optimize import nnls
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.layout import layout_named
-from mavdiag.identify.model import Method, ModelRecord
 from mavdiag.monitors.base import LearnContext, segments
+from mavdiag.monitors.decimated import samples_of
 from mavdiag.monitors.healthy import joined_moments, moments, smoothed, three, variance_law_of
 from mavdiag.monitors.innovation import Innovation
-from mavdiag.monitors.model_residual import ModelResidual
-from mavdiag.monitors.motion_fit import with_variances
+from mavdiag.monitors.model_residual import HealthyMotion, residuals_of
 from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.monitors.run_length import RunLength, margin_of, residuals
@@ -115,31 +114,24 @@ def test_the_margin_is_that_of_the_residuals_of_all_rows() -> None:
         assert spec.margin_rad_s == pytest.approx(stepped, rel=1e-9)
 
 
-def test_the_variances_are_those_of_the_monitor_s_own_residuals() -> None:
-    """The fit filters whole segments; the monitor goes on chunk by chunk."""
+def test_the_variances_are_those_of_the_residuals_of_all_rows() -> None:
     (spec,) = RotorSignature.fit(flights(), CONTEXT)
     motion = spec.motion
-    gathered = [RotorSignature.gather(flight, CONTEXT)[1:] for flight in flights()]
-    answers = ModelRecord(a=(1.0, -0.5), b=(0.0, 2.0), dt_s=DT_S, order=(1, 1, 1), method=Method.LS)
-    for record in (motion.heave, answers):
-        one = with_variances(gathered, replace(motion, heave=record))
-        first = replace(one, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0))
-        for follows in (False, True):
-            k0, k1 = laws(ModelResidual(first, follows)).T
-            first = replace(first, k0=three(k0), k1=three(k1))
-        assert one.k0 == pytest.approx(first.k0, rel=1e-6)
-        assert one.k1 == pytest.approx(first.k1, rel=1e-6, abs=1e-12)
+    first = replace(motion, k0=(1.0, 1.0, 1.0), k1=(0.0, 0.0, 0.0))
+    for follows in (False, True):
+        k0, k1 = laws(first, follows).T
+        first = replace(first, k0=three(k0), k1=three(k1))
+    assert motion.k0 == pytest.approx(first.k0, rel=1e-6)
+    assert motion.k1 == pytest.approx(first.k1, rel=1e-6, abs=1e-12)
 
 
-def laws(residual: ModelResidual) -> np.ndarray:
-    """k0 and k1 of roll, pitch and heave, (3, 2), from what the monitor's steps give."""
+def laws(motion: HealthyMotion, follows: bool) -> np.ndarray:
+    """k0 and k1 of roll, pitch and heave, (3, 2), of the residuals of all flights."""
     squares, busy = [], []
     for segment in (segment for flight in flights() for segment in segments(flight)):
-        state = residual.start()
-        for rows in segment:
-            state, found = residual.step(state, rows)
-            squares.append(found.r[found.valid] ** 2)
-            busy.append(found.busy[found.valid])
+        found = residuals_of(motion, samples_of(segment, motion.stride, motion.window), follows)
+        squares.append(found.r[found.valid] ** 2)
+        busy.append(found.busy[found.valid])
     r2, u2 = np.concatenate(squares), np.concatenate(busy)
     means = (r2.mean(axis=0), u2.mean(axis=0), (u2 * u2).mean(axis=0), (u2 * r2).mean(axis=0))
     return np.array([variance_law_of(*(float(one[axis]) for one in means)) for axis in range(3)])

@@ -12,7 +12,6 @@ from mavdiag.airframe.trim import (
     LEVEL_RATIO,
     TILT_TRIM,
     YAW_FLOOR,
-    LargeRise,
     rises,
     source_of,
     spread_of,
@@ -20,6 +19,8 @@ from mavdiag.airframe.trim import (
     trim_of,
 )
 from mavdiag.errors import InputError
+from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
+from mavdiag.monitors.trim import highest_rise, rise
 from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 
@@ -118,9 +119,11 @@ def test_a_rise_does_not_depend_on_the_rows_beside_it(seed: int) -> None:
         np.testing.assert_array_equal(whole[i : i + 1], alone)
 
 
-@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5), limit=st.floats(0.001, 0.2))
-def test_a_large_rise_is_one_above_the_limit(frame: str, shift: list[float], limit: float) -> None:
+@given(frame=frames, shift=st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=5))
+def test_the_compiled_rise_is_that_of_arrays(frame: str, shift: list[float]) -> None:
     layout, both = layout_named(frame), np.array([shift])
-    most = float(rises(both[:, :3], layout, CALM, both[:, 3:]).max())
-    if abs(most - limit) > 1e-9:
-        assert LargeRise(layout, CALM, limit)(shift) == (most > limit)
+    par = RotorTrim(RotorTrimSpec(layout=layout, source="actuator", spread=CALM)).parameters(0.01)
+    expected = rises(both[:, :3], layout, CALM, both[:, 3:])[0]
+    found = [rise(par, rotor, *shift) for rotor in range(layout.rotors)]
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert highest_rise(par, *shift) == max(found)

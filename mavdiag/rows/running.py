@@ -1,0 +1,85 @@
+"""Running figures of compiled loops: means over windows, and the last values in a row for a filter.
+
+The memory of a loop is one array of floats. Each figure has a part of it, from `at` on, as long as its `.._size` says
+and zero before the first value. A figure is a fold over its values, so any cut of them gives the same bits.
+"""
+
+from mavdiag.jit import jit, summing
+from mavdiag.telemetry import FloatArray
+
+FRESH = 2  # where the next values of a mean are put, before `push`: its part begins with a place and a run
+
+
+def mean_size(window: int, columns: int) -> int:
+    """Length of the part of a mean of so many columns over so many rows."""
+    return FRESH + 2 * columns + window * columns
+
+
+@jit
+def push(mem: FloatArray, at: int, window: int, columns: int, good: bool) -> bool:
+    """Take the values that were put to `at + FRESH` as a row of a window; a bad row counts as zero.
+
+    Returns whether all rows of the window are there and good. Sums over the window stand behind the values: `total`.
+    They are formed anew each time the window is through, so that what is rounded does not grow.
+    """
+    sums, ring, place = at + FRESH + columns, at + FRESH + 2 * columns, int(mem[at])
+    for column in range(columns):
+        value = mem[at + FRESH + column] if good else 0.0
+        old = ring + column * window + place
+        mem[sums + column] += value - mem[old]
+        mem[old] = value
+    place += 1
+    if place == window:
+        place = 0
+        for column in range(columns):
+            first = ring + column * window
+            sum_ = 0.0
+            for row in range(first, first + window):
+                sum_ += mem[row]
+            mem[sums + column] = sum_
+    mem[at] = place
+    mem[at + 1] = mem[at + 1] + 1.0 if good else 0.0
+    return bool(mem[at + 1] >= window)
+
+
+@jit
+def total(mem: FloatArray, at: int, columns: int, column: int) -> float:
+    """Sum of a column over the window."""
+    return float(mem[at + FRESH + columns + column])
+
+
+def past_size(length: int) -> int:
+    """Length of the part of the last so many values."""
+    return 1 + 2 * length
+
+
+@jit
+def shift(mem: FloatArray, at: int, length: int, value: float) -> int:
+    """Take a value; return where the last `length` ones lie in a row, the oldest first.
+
+    Each is written twice, a length apart, so that a window never wraps.
+    """
+    place = int(mem[at])
+    mem[at + 1 + place] = value
+    mem[at + 1 + place + length] = value
+    place += 1
+    if place == length:
+        place = 0
+    mem[at] = place
+    return at + 1 + place
+
+
+@summing
+def dot(taps: FloatArray, first: int, values: FloatArray, begin: int, length: int) -> float:
+    """Scalar product of taps from `first` on and values from `begin` on."""
+    found = 0.0
+    for i in range(length):
+        found += taps[first + i] * values[begin + i]
+    return found
+
+
+@jit
+def follow(mem: FloatArray, at: int, value: float, alpha: float) -> float:
+    """Exponential mean s <- s + alpha (value - s); returns the new s."""
+    mem[at] += alpha * (value - mem[at])
+    return float(mem[at])
