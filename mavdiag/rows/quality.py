@@ -237,7 +237,7 @@ RUNS = NUMBERS + AMONG + MOST_LOST + 1
 @jit
 def _short(par: FloatArray, step: float) -> float:
     """A step; of an angle the short way round."""
-    return step - TURN * np.round(step / TURN) if par[ANGLE] > 0.5 else step
+    return float(step - TURN * np.round(step / TURN)) if par[ANGLE] > 0.5 else step
 
 
 @jit
@@ -444,7 +444,8 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
     found = (keep, runs, jitter, resolution)
     done = _look_at(habit.parameters, figures, counts, series.t_ns, series.values, *found)
     after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
-    used = slice(0, done) if np.count_nonzero(keep[:done]) == done else np.flatnonzero(keep[:done])
+    keep[done:] = False
+    used = slice(0, done) if np.count_nonzero(keep) == done else keep
     return after, Looked(_cut(series, used), runs[used], jitter[used], resolution[used])
 
 
