@@ -252,7 +252,7 @@ def _size(par: FloatArray, columns: int, column: int, away: float, span_ns: int)
     """How large that is for the time: above 1 it leaps; nan where it is not known."""
     n = max(min(abs(span_ns), par[AHEAD]) / (par[PERIOD] * NS_PER_S), 1.0)
     grown = n * (n + 1.0) / 2.0 if par[LEAPS + columns + column] > 0.5 else n
-    return abs(away) / grown / par[LEAPS + column]
+    return float(abs(away) / grown / par[LEAPS + column])
 
 
 @jit
