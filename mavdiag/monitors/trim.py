@@ -83,8 +83,8 @@ class TrimSpec:
 
 
 # Places in the parameters: 1 for torque commands, how many rotors; parts of a tick, rows of a part, row period, ticks
-# of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the unmixing C,
-# (3, rotors).
+# of a window; of the spec turn, mean and spread; gains of torque commands; what a monitor has of its own; the unmixing
+# C, (3, rotors).
 TORQUES, ROTORS, PARTS, ROWS, DT, WINDOW, TURN, MEAN, SPREAD, GAIN, OWN, UNMIXING = *range(7), 8, 11, 14, 17, 21
 # And in the memory: rows of the tick, known ones, whether a trim changed, the first one; usable ticks in a row, ticks
 # so far, weight of the last; what a monitor has of its own; then the parts, the last two of the tick before in front.

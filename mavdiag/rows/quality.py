@@ -29,15 +29,19 @@ health, and where its resolution is coarser. Rows keep it, and say why they must
 Samples are looked at in the order in which they came, so that a log and a live link believe the same ones.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from mavdiag.rows.windows import EmaState, ema, forgetting, start_ema
+from mavdiag.jit import cached, jit, source_digest
+from mavdiag.rows.running import follow
+from mavdiag.rows.windows import forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -136,6 +140,15 @@ class Habit(BaseModel):
             return np.where(leap > 0, FAR * leap, np.inf)
         return np.maximum(FAR * leap, HARMLESS[self.signal])
 
+    @cached_property
+    def parameters(self) -> FloatArray:
+        """See `LEAPS`."""
+        signal, alpha = self.signal, forgetting(JITTER_S, self.period_s)
+        spans = [self.back_ns, self.early_ns, self.ahead_ns]
+        leads = self.leads or (False,) * len(self.leap)
+        head = [self.period_s, alpha, signal in ANGLES, signal in HELD, self.patience, *spans]
+        return np.array([*head, *self.most_leap, *leads, *self.quiet])
+
     @property
     def patience(self) -> int:
         """How many samples that leap may be lost."""
@@ -184,42 +197,12 @@ class LinkQuality(BaseModel):
         return next((one for one in self.habits if one.signal is signal), None)
 
 
-Far: TypeAlias = tuple[tuple[int, float], ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Believed:
-    """The last sample that was believed. slope: (columns,) since the one before where it leads [1/ns]; else zero."""
-
-    values: FloatArray
-    t_ns: int
-    slope: FloatArray
-
-    def followed(self, habit: Habit, values: FloatArray, t_ns: int) -> "_Believed":
-        """With the next one."""
-        series = np.stack((self.values, values)), np.array((self.t_ns, t_ns))
-        return _Believed(values, t_ns, _slopes(habit.signal, habit.leads, *series)[0])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory:
-    """What is remembered of one signal between chunks.
+    """What is remembered of one signal between chunks (`_look`). waiting: samples that later ones decide on."""
 
-    count: samples so far. last: that was believed. before, before_ns: the last one that came.
-    alone: its stamp leapt. far: numbers of the latest samples that leapt, and how far, in `most_leap`. runs:
-    (1 + columns,) samples that repeated, together and each. jitter: mean square deviation of the stamps [periods^2].
-    finest: (columns,) smallest steps.
-    """
-
-    count: int
-    last: _Believed
-    before: FloatArray
-    before_ns: int
-    alone: bool
-    far: Far
-    runs: IntArray
-    jitter: EmaState
-    finest: FloatArray
+    figures: FloatArray
+    counts: IntArray
     waiting: Series | None = None
 
 
@@ -239,14 +222,180 @@ class Looked:
     resolution: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Near:
-    """keep: (n,) which samples are believed, as far as that is decided; the others as in `Memory`."""
+# Places in the parameters of a signal: period [s]; forgetting of the jitter; whether its columns are angles, and hold
+# their last value; how many samples may be lost; spans of stamps back, early and ahead [ns]; of each column the longest
+# leap, whether its slope leads, and what is silent.
+PERIOD, ALPHA, ANGLE, HOLDS, PATIENCE, BACK, EARLY_NS, AHEAD, LEAPS = range(9)
+# Places in the figures: jitter, and how far the latest samples leapt; then of each column the last believed value, its
+# slope [1/ns], the value that came last, and the smallest step. In the counts: samples so far; stamps of the last one
+# that was believed, and that came [ns]; whether its stamp leapt; how many leapt lately, and their numbers; repetitions.
+JITTER, SIZES, COLUMN = 0, 1, 1 + AMONG + MOST_LOST + 1
+COUNT, LAST_NS, CAME_NS, ALONE, FAR_COUNT, NUMBERS = range(6)
+RUNS = NUMBERS + AMONG + MOST_LOST + 1
 
-    keep: BoolArray
-    last: _Believed
-    far: Far
-    alone: bool
+
+@jit
+def _short(par: FloatArray, step: float) -> float:
+    """A step; of an angle the short way round."""
+    return float(step - TURN * np.round(step / TURN)) if par[ANGLE] > 0.5 else step
+
+
+@jit
+def _away(par: FloatArray, mem: FloatArray, columns: int, column: int, value: float, span_ns: int) -> float:
+    """How far a value is from where those before it lead."""
+    at = COLUMN + column
+    return _short(par, value - mem[at] - mem[at + columns] * span_ns)
+
+
+@jit
+def _size(par: FloatArray, columns: int, column: int, away: float, span_ns: int) -> float:
+    """How large that is for the time: above 1 it leaps; nan where it is not known."""
+    n = max(min(abs(span_ns), par[AHEAD]) / (par[PERIOD] * NS_PER_S), 1.0)
+    grown = n * (n + 1.0) / 2.0 if par[LEAPS + columns + column] > 0.5 else n
+    return float(abs(away) / grown / par[LEAPS + column])
+
+
+@jit
+def _leap(par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int) -> float:
+    """The largest of all columns of a sample."""
+    found, columns, span_ns = 0.0, v.shape[1], t_ns[i] - counts[LAST_NS]
+    for column in range(columns):
+        size = _size(par, columns, column, _away(par, mem, columns, column, v[i, column], span_ns), span_ns)
+        found = max(found, size) if size == size else found
+    return found
+
+
+@jit
+def _misdated(par: FloatArray, counts: IntArray, t_ns: IntArray, i: int) -> int:
+    """1 if the stamp of a sample leaps by the last believed and the next one, 0 if not; -1 if the next must come."""
+    span_ns = t_ns[i] - counts[LAST_NS]
+    if -par[BACK] <= span_ns <= par[EARLY_NS]:
+        return 0
+    if span_ns < 0 or span_ns > par[AHEAD]:
+        return 1
+    if par[HOLDS] > 0.5:
+        return 0
+    if i + 1 == len(t_ns):
+        return -1
+    return 1 if t_ns[i + 1] < t_ns[i] - par[BACK] else 0
+
+
+@jit
+def _decide(
+    par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int
+) -> tuple[int, bool]:
+    """How many samples from i on are decided, 0 if more must come; whether they are lost: they leap away and back."""
+    patience, number, columns = int(par[PATIENCE]), counts[COUNT] + i, v.shape[1]
+    first = _leap(par, mem, counts, t_ns, v, i)
+    if not first > 1.0:
+        return 1, False
+    kept, often = 0, 0
+    for k in range(counts[FAR_COUNT]):
+        if counts[NUMBERS + k] > number - AMONG:
+            counts[NUMBERS + kept], mem[SIZES + kept] = counts[NUMBERS + k], mem[SIZES + k]
+            often += mem[SIZES + kept] >= AS_FAR * first
+            kept += 1
+    counts[FAR_COUNT] = kept
+    run, there = 1, min(patience + 1, len(t_ns) - i)
+    while run < there and _leap(par, mem, counts, t_ns, v, i + run) > 1.0:
+        run += 1
+    usual, lost = often >= OFTEN, False
+    if usual or par[HOLDS] > 0.5:
+        lost, run = not usual, 1
+    elif run > patience:
+        run = 1
+    elif run == there:
+        return 0, False
+    else:
+        here, before = i + run, i + run - 1
+        for column in range(columns):
+            one = _away(par, mem, columns, column, v[here, column], t_ns[here] - counts[LAST_NS])
+            other = _away(par, mem, columns, column, v[before, column], t_ns[before] - counts[LAST_NS])
+            lost = lost or _size(par, columns, column, _short(par, one - other), t_ns[here] - t_ns[before]) > 1.0
+    for k in range(run):
+        counts[NUMBERS + kept + k] = number + k
+        mem[SIZES + kept + k] = _leap(par, mem, counts, t_ns, v, i + k)
+    counts[FAR_COUNT] = kept + run
+    return run, lost
+
+
+@jit
+def _believe(par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray, v: FloatArray, i: int) -> None:
+    """Make a sample the last one that is believed."""
+    columns, span_ns = v.shape[1], t_ns[i] - counts[LAST_NS]
+    for column in range(columns):
+        at, leads = COLUMN + column, par[LEAPS + columns + column] > 0.5
+        mem[at + columns] = _short(par, v[i, column] - mem[at]) / span_ns if leads and span_ns != 0 else 0.0
+        mem[at] = v[i, column]
+    counts[LAST_NS] = t_ns[i]
+
+
+@jit
+def _measure(
+    par: FloatArray, mem: FloatArray, counts: IntArray, stamp_ns: int, v: FloatArray, i: int, runs: IntArray
+) -> float:
+    """Count repetitions, and follow jitter and finest step, after a sample; returns the resolution, 0 if unknown."""
+    columns, same, coarsest = v.shape[1], True, 0.0
+    for column in range(columns):
+        came, finest = COLUMN + 2 * columns + column, COLUMN + 3 * columns + column
+        step = abs(v[i, column] - mem[came])
+        still = not step > par[LEAPS + 2 * columns + column] and counts[COUNT] > 0
+        same = same and still
+        counts[RUNS + 1 + column] = counts[RUNS + 1 + column] + 1 if still else 0
+        runs[i, 1 + column] = counts[RUNS + 1 + column]
+        mem[came], mem[finest] = v[i, column], min(mem[finest], step) if step > SAME else mem[finest]
+        coarsest = max(coarsest, mem[finest])
+    counts[RUNS] = counts[RUNS] + 1 if same else 0
+    runs[i, 0] = counts[RUNS]
+    steps = (stamp_ns - counts[CAME_NS]) / (par[PERIOD] * NS_PER_S)
+    apart = steps - np.round(steps) if 0.0 < steps < MISSING else 0.0  # else it is lost or misdated
+    follow(mem, JITTER, apart * apart, par[ALPHA])
+    counts[CAME_NS] = stamp_ns
+    counts[COUNT] += 1
+    return coarsest if counts[COUNT] > RESOLUTION_SAMPLES and math.isfinite(coarsest) else 0.0
+
+
+def _compiled(digest: int) -> Callable[..., int]:
+    @cached
+    def look_at(
+        par: FloatArray,
+        mem: FloatArray,
+        counts: IntArray,
+        t_ns: IntArray,
+        v: FloatArray,
+        keep: BoolArray,
+        runs: IntArray,
+        jitter: FloatArray,
+        resolution: FloatArray,
+    ) -> int:
+        """Which samples are believed, (n,), and what `Looked` says of each; returns how many are decided."""
+        i = 0
+        while i < (len(t_ns) if digest else 0):
+            came_ns = t_ns[i - 1] if i else counts[CAME_NS]
+            followed = counts[ALONE] > 0 and abs(t_ns[i] - came_ns) <= par[AHEAD]
+            misdated = 0 if followed else _misdated(par, counts, t_ns, i)
+            if misdated < 0:
+                break
+            run, lost = 1, misdated > 0
+            counts[ALONE] = misdated
+            if not lost:
+                run, lost = _decide(par, mem, counts, t_ns, v, i)
+                if run == 0:
+                    break
+            for k in range(i, i + run):
+                keep[k] = not lost
+                if not lost:
+                    _believe(par, mem, counts, t_ns, v, k)
+            i += run
+        for k in range(i):
+            resolution[k] = _measure(par, mem, counts, t_ns[k], v, k, runs)
+            jitter[k] = math.sqrt(mem[JITTER])
+        return i
+
+    return look_at
+
+
+_look_at = _compiled(source_digest())
 
 
 def believed(quality: LinkQuality, memories: Memories, telemetry: Telemetry) -> tuple[dict[Signal, Memory], Telemetry]:
@@ -289,23 +438,15 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
     memory = memory or _begin(series)
     if memory.waiting is not None:
         series = _joined(memory.waiting, series)
-    near = _near(habit, memory, series)
-    count = len(near.keep)
-    waiting = _cut(series, slice(count, None)) if count < len(series) else None
-    series, nothing = _cut(series, slice(0, count)), np.zeros(count)
-    if count == 0:
-        runs = np.empty((0, len(memory.runs)), dtype=np.int64)
-        return replace(memory, waiting=waiting), Looked(series, runs, nothing, nothing)
-    runs = _repeated(habit, memory, series.values)
-    gyro = habit.signal is Signal.BODY_RATE
-    state, jitter = _jitter(habit, memory, series.t_ns) if gyro else (memory.jitter, nothing)
-    finest, resolution = _finest(memory, series.values) if gyro else (memory.finest, nothing)
-    before, before_ns = series.values[-1], int(series.t_ns[-1])
-    came = (near.last, before, before_ns, near.alone, near.far)
-    after = Memory(memory.count + count, *came, runs[-1], state, finest, waiting)
-    if np.count_nonzero(near.keep) == count:
-        return after, Looked(series, runs, jitter, resolution)
-    return after, Looked(_cut(series, near.keep), runs[near.keep], jitter[near.keep], resolution[near.keep])
+    n, columns = series.values.shape
+    figures, counts, keep = memory.figures.copy(), memory.counts.copy(), np.empty(n, dtype=np.bool_)
+    runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int64), np.empty(n), np.empty(n)
+    found = (keep, runs, jitter, resolution)
+    done = _look_at(habit.parameters, figures, counts, series.t_ns, series.values, *found)
+    after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
+    keep[done:] = False
+    used = slice(0, done) if np.count_nonzero(keep) == done else keep
+    return after, Looked(_cut(series, used), runs[used], jitter[used], resolution[used])
 
 
 def _joined(one: Series, other: Series) -> Series:
@@ -314,11 +455,11 @@ def _joined(one: Series, other: Series) -> Series:
 
 
 def _begin(series: Series) -> Memory:
-    columns, first_ns = series.values.shape[1], int(series.t_ns[0])
-    never, runs = np.full(columns, np.nan), np.zeros(1 + columns, dtype=np.int64)
-    finest = np.full(columns, np.inf)
-    none = _Believed(never, first_ns, never)
-    return Memory(0, none, never, first_ns, False, (), runs, start_ema(np.zeros(1)), finest)
+    columns = series.values.shape[1]
+    figures, counts = np.zeros(COLUMN + 4 * columns), np.zeros(RUNS + 1 + columns, dtype=np.int64)
+    figures[COLUMN : COLUMN + 3 * columns], figures[COLUMN + 3 * columns :] = np.nan, np.inf
+    counts[LAST_NS] = counts[CAME_NS] = series.t_ns[0]
+    return Memory(figures, counts)
 
 
 def _with(series: Series, values: FloatArray) -> Series:
@@ -372,159 +513,26 @@ def _known(quality: LinkQuality, habit: Habit, looked: Looked) -> Series:
     return _with(series, np.where(spoilt, np.nan, values))
 
 
-def _near(habit: Habit, memory: Memory, series: Series) -> _Near:
-    """Which of the next samples are believed."""
-    t, n, decided = series.t_ns, len(series), len(series)
-    keep, last, far = np.ones(n, dtype=np.bool_), memory.last, memory.far
-    values, times = np.concatenate((last.values[None], series.values)), np.concatenate(([last.t_ns], t))
-    span_ns = np.diff(times)
-    leaps = _sizes(habit, _departures(habit.signal, habit.leads, last.slope, values, times), span_ns) > 1.0
-    candidates = np.flatnonzero(leaps | (span_ns > habit.early_ns) | (span_ns < -habit.back_ns))
-    at, came_ns, alone, known = n, memory.before_ns, memory.alone, 0
-    if alone or len(candidates):
-        at = 0 if alone else int(candidates[0])
-    while at < n:
-        if at:
-            came_ns = int(t[at - 1])
-            if keep[at - 1]:
-                last, alone = _followed(habit, last, series, keep, known, at), False
-        known = at
-        followed = alone and abs(int(t[at]) - came_ns) <= habit.ahead_ns
-        misdated = False if followed else _misdated(habit, last.t_ns, t[at : at + 2])
-        if misdated is None:  # the next sample decides
-            decided = at
-            break
-        alone = lost = misdated
-        stop = at + 1
-        if not lost:
-            here = _cut(series, slice(at, at + habit.patience + 1))
-            found = _glitch(habit, last, here, far, memory.count + at)
-            if found is None:
-                decided = at
-                break
-            lost, run, far = found
-            stop = at + run
-        keep[at:stop] = not lost
-        at = stop
-        if not lost and keep[max(stop - 2, 0) : stop].all():  # until the next that may leap all are believed
-            place = int(candidates.searchsorted(at))
-            at = int(candidates[place]) if place < len(candidates) else n
-    last = _followed(habit, last, series, keep, known, decided)
-    return _Near(keep[:decided], last, far, alone and not keep[decided - 1] if decided else memory.alone)
-
-
-def _followed(habit: Habit, last: _Believed, series: Series, keep: BoolArray, first: int, stop: int) -> _Believed:
-    """The last sample that was believed, of those from `first` to `stop`; without one it is as before."""
-    for at in (first + np.flatnonzero(keep[first:stop])[-2:]).tolist():
-        last = last.followed(habit, series.values[at], int(series.t_ns[at]))
-    return last
-
-
-def _misdated(habit: Habit, last_ns: int, t_ns: IntArray) -> bool | None:
-    """Whether the stamp of a sample leaps, by the last believed one and the next sample's; None if that must come."""
-    span_ns = int(t_ns[0]) - last_ns
-    if -habit.back_ns <= span_ns <= habit.early_ns:
-        return False
-    if span_ns < 0 or span_ns > habit.ahead_ns:
-        return True
-    if habit.signal in HELD:
-        return False
-    return bool(t_ns[1] < t_ns[0] - habit.back_ns) if len(t_ns) > 1 else None
-
-
-def _glitch(habit: Habit, last: _Believed, series: Series, far: Far, number: int) -> tuple[bool, int, Far] | None:
-    """Whether the first samples leap away and back, how many those are, and what leapt lately; None if more must come.
-
-    series: the samples that tell. far: what leapt before. number: of the first one.
-    """
-    patience = habit.patience
-    span_ns = series.t_ns - last.t_ns
-    away = _short(habit.signal, series.values - last.values - last.slope * span_ns[:, None])
-    sizes = _sizes(habit, away, span_ns)
-    leaps = sizes > 1.0
-    run = len(leaps) if leaps.all() else int(leaps.argmin())
-    if not run:
-        return False, 1, far
-    far = tuple(one for one in far if one[0] > number - AMONG)
-    usual = sum(size >= AS_FAR * sizes[0] for _, size in far) >= OFTEN
-    if usual or habit.signal in HELD:
-        lost, run = not usual, 1
-    elif run > patience:
-        lost, run = False, 1
-    elif run == len(leaps):
-        return None
-    else:
-        back = _short(habit.signal, away[run : run + 1] - away[run - 1])
-        lost = bool(_sizes(habit, back, span_ns[run : run + 1] - span_ns[run - 1])[0] > 1.0)
-    return lost, run, (*far, *((number + i, float(sizes[i])) for i in range(run)))
-
-
-def _departures(
-    signal: Signal, leads: Sequence[bool], slope: FloatArray, values: FloatArray, t_ns: IntArray
-) -> FloatArray:
-    """(n - 1, columns) how far each sample is from where those before it lead. slope: at the first."""
-    step = _short(signal, values[1:] - values[:-1])
-    if not any(leads):
+def _departures(signal: Signal, leads: bool, values: FloatArray, t_ns: IntArray) -> FloatArray:
+    """(n - 1, columns) how far each sample is from the one before, or from where the two before it lead."""
+    step, span_ns = np.diff(values, axis=0), np.diff(t_ns)[:, None]
+    step = _wrapped(signal, step)
+    if not leads:
         return step
-    slopes = np.concatenate((slope[None], _slopes(signal, leads, values, t_ns)[:-1]))
-    led: FloatArray = slopes * (t_ns[1:] - t_ns[:-1])[:, None]
-    return _short(signal, step - led)
+    slopes = np.divide(step, span_ns, out=np.zeros_like(step), where=span_ns != 0)
+    first = np.full((1, values.shape[1]), np.nan)
+    return _wrapped(signal, step - np.concatenate((first, slopes[:-1])) * span_ns)
 
 
-def _slopes(signal: Signal, leads: Sequence[bool], values: FloatArray, t_ns: IntArray) -> FloatArray:
-    """(n - 1, columns) slopes between samples [1/ns], zero where they do not lead and between equal stamps."""
-    span_ns, step = (t_ns[1:] - t_ns[:-1])[:, None], _short(signal, values[1:] - values[:-1])
-    where = (span_ns != 0) & (np.array(leads) if leads else False)
-    slopes: FloatArray = np.divide(step, span_ns, out=np.zeros_like(step), where=where)
-    return slopes
-
-
-def _short(signal: Signal, step: FloatArray) -> FloatArray:
+def _wrapped(signal: Signal, step: FloatArray) -> FloatArray:
     """Steps, of an angle the short way round."""
     return np.asarray(step - TURN * np.round(step / TURN)) if signal in ANGLES else step
 
 
-def _sizes(habit: Habit, step: FloatArray, span_ns: IntArray) -> FloatArray:
-    """(n,) how large steps are, (n, columns): above 1 they leap."""
-    span_ns = np.minimum(np.abs(span_ns), habit.ahead_ns)  # a longer one is misdated, or an outage
-    sizes = _by_period(step, span_ns / (habit.period_s * NS_PER_S), habit.leads) / habit.most_leap
-    return np.asarray(np.fmax.reduce(sizes, axis=1), dtype=np.float64)
-
-
-def _by_period(step: FloatArray, periods: FloatArray, leads: Sequence[bool]) -> FloatArray:
+def _by_period(step: FloatArray, periods: FloatArray, leads: bool) -> FloatArray:
     """(n, columns) steps over what they may grow by in so many periods."""
     n = np.maximum(periods, 1.0)[:, None]
-    return np.asarray(np.abs(step) / np.where(np.array(leads or False), n * (n + 1) / 2, n), dtype=np.float64)
-
-
-def _repeated(habit: Habit, memory: Memory, values: FloatArray) -> IntArray:
-    """(n, 1 + columns) for how many samples all columns, and each, have not changed."""
-    before = np.concatenate((memory.before[None], values[:-1]))
-    still = ~(np.abs(values - before) > np.array(habit.quiet))
-    if memory.count == 0:
-        still[0] = False
-    still = np.column_stack((still.all(axis=1), still))
-    places = np.arange(1, 1 + len(values))[:, None]
-    changed = np.maximum.accumulate(np.where(still, -memory.runs, places), axis=0)
-    return np.asarray(places - changed, dtype=np.int64)
-
-
-def _jitter(habit: Habit, memory: Memory, t_ns: IntArray) -> tuple[EmaState, FloatArray]:
-    """The rms deviation of the stamps from their grid at each sample, (n,) [periods]."""
-    steps = np.diff(t_ns, prepend=memory.before_ns) / (habit.period_s * NS_PER_S)
-    apart = np.where((steps > 0) & (steps < MISSING), steps - np.round(steps), 0.0)  # else it is lost or misdated
-    state, mean = ema(memory.jitter, np.square(apart)[:, None], forgetting(JITTER_S, habit.period_s))
-    return state, np.sqrt(mean[:, 0])
-
-
-def _finest(memory: Memory, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The smallest steps so far, and the resolution at each sample, (n,), 0 while it is not known."""
-    steps = np.abs(np.diff(values, axis=0, prepend=memory.before[None]))
-    steps = np.where(steps > SAME, steps, np.inf)
-    finest = np.minimum(np.minimum.accumulate(steps, axis=0), memory.finest)
-    coarsest = finest.max(axis=1)
-    known = (memory.count + np.arange(len(values)) >= RESOLUTION_SAMPLES) & np.isfinite(coarsest)
-    return finest[-1], np.where(known, coarsest, 0.0)
+    return np.asarray(np.abs(step) / (n * (n + 1) / 2 if leads else n), dtype=np.float64)
 
 
 def learnt_quality(flights: Iterable[tuple[Telemetry, Sequence[tuple[int, int]]]]) -> LinkQuality:
@@ -568,11 +576,11 @@ def _moved(signal: Signal, parts: Sequence[Series]) -> Habit:
     led: list[FloatArray] = []
     noises, pauses = [], []
     for one in parts:
-        span_ns, (n, columns) = np.diff(one.t_ns), one.values.shape
+        span_ns, n = np.diff(one.t_ns), len(one)
         starts = np.unique((one.t_ns[1:] - one.t_ns[0]) // NS_PER_S, return_index=True)[1]
         counts = np.diff(starts, append=n - 1)[:, None]
-        for leads, leaps in (((False,) * columns, held), ((True,) * columns, led)):
-            step = _departures(signal, leads, np.full(columns, np.nan), one.values, one.t_ns)
+        for leads, leaps in ((False, held), (True, led)):
+            step = _departures(signal, leads, one.values, one.t_ns)
             step = np.nan_to_num(_by_period(step, span_ns / period_ns, leads))
             leaps.append(np.maximum.reduceat(step, starts, axis=0))
             if leaps is held:
