@@ -15,16 +15,15 @@ from page_reading import Page, check
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Stage
+from mavdiag.decision.words import OBSERVES, advice, evidence_sentence, headline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
-from mavdiag.report.campaign_page import campaign_page
-from mavdiag.report.flight import FlightReport, flight_report, unread_report
-from mavdiag.report.page import Made, flights_page
+from mavdiag.report.flight import FlightReport, flight_report
+from mavdiag.report.page import Made, campaign_page, flights_page
 from mavdiag.report.style import drawn, embedded
-from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline
 from mavdiag.telemetry import Log, Signal
 
 MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
@@ -107,7 +106,7 @@ def test_no_text_from_outside_is_markup() -> None:
     flight_there = report_of(log, whole(), figures=False)
     frame = whole().airframe
     outside = whole().model_copy(update={"airframe": replace(frame, name=HOSTILE, layout_basis=HOSTILE)})
-    unread = unread_report(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
+    unread = FlightReport(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
     text = flights_page([flight_there, unread], outside, replace(MADE, baseline_path=HOSTILE))
     page = check(text)
     assert "img" not in page.tags
@@ -116,7 +115,7 @@ def test_no_text_from_outside_is_markup() -> None:
 
 
 def test_several_logs_begin_with_a_table_that_leads_to_each() -> None:
-    flights = [weak(), unread_report(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
+    flights = [weak(), FlightReport(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
     page = check(flights_page(flights, whole(), MADE))
     assert {"#log-1", "#log-2"} <= set(page.addresses)
     assert "All logs: 1 not readable, 1 fault." in page.said
