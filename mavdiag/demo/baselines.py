@@ -19,8 +19,6 @@ from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
 from mavdiag.monitors.run_length import RunLengthSpec
 
-__all__ = ["cache_folder", "delete_unused", "own_baselines", "thesis_monitors"]
-
 HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
 FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0

@@ -6,12 +6,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from queue import Empty, Queue
 
 from mavdiag.errors import LinkError
-
-__all__ = ["Child", "child", "run_child"]
 
 GRACE_S = 3.0
 POLL_S = 0.1
@@ -20,7 +18,7 @@ POLL_S = 0.1
 class Child:
     """A running process and the lines that it printed."""
 
-    def __init__(self, module: str, arguments: Sequence[str]) -> None:
+    def __init__(self, module: str, *arguments: str) -> None:
         self.module = module
         self.lines: list[str] = []
         self._fresh: Queue[str] = Queue()
@@ -35,12 +33,6 @@ class Child:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def _read(self) -> None:
-        if self._process.stdout is not None:
-            for line in self._process.stdout:
-                self.lines.append(line.rstrip())
-                self._fresh.put(line.rstrip())
-
     def wait_for(self, text: str, timeout_s: float) -> str:
         """The first new line that holds `text`.
 
@@ -54,12 +46,11 @@ class Child:
                 line = self._fresh.get(timeout=min(max(left, 0.0), POLL_S))
             except Empty:
                 if ended or left <= 0:
-                    raise LinkError(
-                        f"{self.module} {'stopped' if ended else 'did not get ready'}: {self.last}"
-                    ) from None
-                continue
-            if text in line:
-                return line
+                    why = "stopped" if ended else "did not get ready"
+                    raise LinkError(f"{self.module} {why}: {self.last}") from None
+            else:
+                if text in line:
+                    return line
 
     @property
     def last(self) -> str:
@@ -89,19 +80,24 @@ class Child:
             self._process.kill()
         self.finish(GRACE_S)
 
+    def _read(self) -> None:
+        for line in self._process.stdout or ():
+            self.lines.append(line.rstrip())
+            self._fresh.put(line.rstrip())
+
 
 @contextlib.contextmanager
 def child(module: str, *arguments: str) -> Iterator[Child]:
     """A process that ends with the block."""
-    one = Child(module, arguments)
+    process = Child(module, *arguments)
     try:
-        yield one
+        yield process
     finally:
-        one.end()
+        process.end()
 
 
 def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
-    with child(module, *arguments) as one:
-        if one.finish() != 0:
-            raise LinkError(f"{module} failed: {one.last}")
+    with child(module, *arguments) as process:
+        if process.finish() != 0:
+            raise LinkError(f"{module} failed: {process.last}")

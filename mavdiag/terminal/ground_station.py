@@ -11,8 +11,6 @@ from mavdiag.link.signing import Signing
 from mavdiag.printable import printable
 from mavdiag.terminal.live_judge import LiveJudge
 
-__all__ = ["GroundStation", "ReceivedText"]
-
 GCS_SYSID = 255
 BEAT_S = 1.0  # between our heartbeats
 MAV_STATE_ACTIVE, MAVLINK_VERSION = 4, 3  # in HEARTBEAT

@@ -15,8 +15,6 @@ from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
 
-__all__ = ["LiveJudge"]
-
 
 @dataclass(slots=True)
 class LiveJudge:
@@ -85,14 +83,18 @@ class LiveJudge:
         return self._state.diagnosis
 
     @property
-    def waiting(self) -> str:
-        """Why the vehicle is not judged yet; empty if its rows come."""
-        return next(iter(self._decoder.waiting.values()), "") if self.now_s is None else ""
-
-    @property
     def count(self) -> LinkCount | None:
         """What came from the vehicle's autopilot so far, and what was lost."""
         return None if self.vehicle is None else self._decoder.count(self.vehicle)
+
+    @property
+    def link_line(self) -> str:
+        """How the link is, or why the vehicle is not judged yet."""
+        count = self.count
+        if count is None:
+            return next(iter(self._decoder.waiting.values()), "") or "no vehicle yet"
+        lost = 100 * count.lost / max(count.received + count.lost, 1)
+        return f"vehicle {self.vehicle}: {count.received} messages, {lost:.2f} % lost"
 
     @property
     def gauges(self) -> tuple[tuple[str, Axis | None, Gauge | None, str], ...]:
