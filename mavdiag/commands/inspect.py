@@ -1,6 +1,7 @@
 """`mavdiag inspect` and `mavdiag look`, two names of one command: what a log or a link shows without a judgement."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -22,11 +23,12 @@ from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
+from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import Want, wants_of
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.logs.tlog import read_content
-from mavdiag.look.inspection import Received, inspection_of
+from mavdiag.look.inspection import inspection_of
 from mavdiag.look.words import CLOSING, in_full, in_one_line
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Log, Signal
@@ -80,8 +82,9 @@ def inspect(
             raise UsageError("name one link, or logs")
         key = None if signing_key is None else read_key(signing_key)
         with open_link(live[0], vehicle, profile, key) as link:
-            log, received = _heard(link, duration, vehicle if ask else None, ask=ask)
-        found = inspection_of(log, told, live[0], received, judged_by)
+            asked = _ask(link, vehicle or COMPANION_OF) if ask else ()
+            log, rates_hz = _heard(link, duration)
+            found = inspection_of(log, told, live[0], judged_by, link.count, rates_hz, asked)
         say(json_line(found) if as_json else in_full(found))
         return
     mapped = None if columns is None else load_column_map(columns)
@@ -89,12 +92,13 @@ def inspect(
     alone, failed = len(named.logs) == 1, False
     for one in each(named.logs, "looking"):
         try:
-            log, received = _read(one, vehicle, profile, mapped, (from_s, to_s), counted=alone)
-            found = inspection_of(log, told, str(one.path), received, judged_by)
+            log = _read(one, vehicle, profile, mapped, (from_s, to_s))
+            counted = _counted(one.path, vehicle) if alone and log.profile in PROFILES else (None, {})
+            found = inspection_of(log, told, str(one.path), judged_by, *counted)
         except InputError as error:
-            if alone and not as_json:
-                raise
             failed, said = True, str(error).removeprefix(f"{one.path}: ")
+            if alone and not as_json:
+                raise InputError(f"{one.path}: {said}") from error
             say(json_line({"log": str(one.path), "error": said}) if as_json else f"{one.path}: error, {said}")
             continue
         say(json_line(found) if as_json else in_full(found) if alone else in_one_line(found))
@@ -111,35 +115,29 @@ def _read(
     profile: str | None,
     columns: ColumnMap | None,
     times_s: tuple[float | None, float | None],
-    *,
-    counted: bool,
-) -> tuple[Log, Received]:
-    """A log, or the part of it between two times. counted: with the messages of a telemetry log."""
-    path = named.path
+) -> Log:
+    """A log, or the part of it between two times."""
     if named.trouble:
-        raise InputError(f"{path}: {named.trouble}")
-    log = read_log(path, vehicle, profile, columns=columns)
-    try:
-        log = replace(log, name=str(path), telemetry=between(log.telemetry, *times_s))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    if not counted or log.profile not in PROFILES:
-        return log, Received()
+        raise InputError(named.trouble)
+    log = read_log(named.path, vehicle, profile, columns=columns)
+    return replace(log, name=str(named.path), telemetry=between(log.telemetry, *times_s))
+
+
+def _counted(path: Path, vehicle: int | None) -> tuple[LinkCount | None, Mapping[int, float]]:
+    """The autopilot's frames in a telemetry log, and the rate of each message."""
     content = read_content(path)
     span_s = max(content.span_ns / NS_PER_S, 1e-3) if content.pieces else 1.0
     autopilots = [key for key in content.senders if key[1] == Component.AUTOPILOT1 and vehicle in (None, key[0])]
     count = max((content.senders[key] for key in autopilots), key=lambda sender: sender.received, default=None)
-    return log, Received(count, {} if count is None else {m: n / span_s for m, n in count.by_message.items()})
+    return count, {} if count is None else {msgid: n / span_s for msgid, n in count.by_message.items()}
 
 
-def _heard(link: Link, duration_s: float, vehicle: int | None, *, ask: bool) -> tuple[Log, Received]:
-    """Listen; ask before, if that is wished."""
-    answers = _ask(link, vehicle or COMPANION_OF) if ask else ()
+def _heard(link: Link, duration_s: float) -> tuple[Log, Mapping[int, float]]:
+    """What comes in so much time, and the rate of each message."""
     before, began = _counts(link), time.monotonic()
     log = link.record(duration_s)
     span_s, after = time.monotonic() - began, _counts(link)
-    rates = {msgid: (n - before.get(msgid, 0)) / span_s for msgid, n in after.items() if n > before.get(msgid, 0)}
-    return log, Received(link.count, rates, answers)
+    return log, {msgid: (n - before.get(msgid, 0)) / span_s for msgid, n in after.items() if n > before.get(msgid, 0)}
 
 
 def _counts(link: Link) -> dict[int, int]:

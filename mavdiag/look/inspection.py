@@ -3,7 +3,7 @@ monitor lacks. It never says that a vehicle is well: without a baseline there is
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
 DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
 LEAST_CLOCK = 20  # samples that a clock is seen by (our choice)
+NOTHING: Mapping[int, float] = {}
 SLACK = 0.98  # a rate that is this share of what is needed will do
 
 # The slowest gyro that a monitor can work with [Hz].
@@ -137,19 +138,6 @@ class MessageRate:
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
-    """What a link or a telemetry log tells beside the signals.
-
-    count: of the autopilot's frames; None if it has none. rates_hz: of each message, by its number.
-    asked: what the autopilot answered to our requests, one sentence each; empty if nothing was asked.
-    """
-
-    count: LinkCount | None = None
-    rates_hz: Mapping[int, float] = field(default_factory=dict)
-    asked: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Inspection:
     """All that is told of a log or a link; its fields are those of the JSON.
 
@@ -157,7 +145,8 @@ class Inspection:
     flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
     upset: when and how it fell or tumbled, one sentence; empty if it did not.
     gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
-    link: frames received, lost, reordered and duplicated; None for a log that has none. messages, asked: as `Received`.
+    messages, link: each message of a link; frames received, lost, reordered and duplicated; None for a log without.
+    asked: what the autopilot answered to our requests, one sentence each; empty if nothing was asked.
     clock: None where nothing came with a time of arrival of its own.
     rotors: what is known of the rotors' layout, one sentence.
     loads, trim: of the motors; empty or None where outputs and torque commands are missing.
@@ -203,13 +192,19 @@ class Inspection:
 
 
 def inspection_of(
-    log: Log, told: Airframe, source: str = "", received: Received | None = None, baseline: Baseline | None = None
+    log: Log,
+    told: Airframe,
+    source: str = "",
+    baseline: Baseline | None = None,
+    count: LinkCount | None = None,
+    rates_hz: Mapping[int, float] = NOTHING,
+    asked: tuple[str, ...] = (),
 ) -> Inspection:
     """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
 
     baseline: its monitors are told; None for all monitors.
+    count, rates_hz: of the autopilot's frames; the rate of each message by its number. asked: as in `Inspection`.
     """
-    received = Received() if received is None else received
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
     flight = () if learnt is None else learnt.rows
@@ -229,9 +224,9 @@ def inspection_of(
         signals=signals,
         gyro_gaps=len(gaps),
         lost_s=float(gaps.sum()),
-        messages=tuple(MessageRate(m, message_name(m), hz) for m, hz in sorted(received.rates_hz.items())),
-        link=None if received.count is None else {name: getattr(received.count, name) for name in counted},
-        asked=received.asked,
+        messages=tuple(MessageRate(m, message_name(m), hz) for m, hz in sorted(rates_hz.items())),
+        link=None if count is None else {name: getattr(count, name) for name in counted},
+        asked=asked,
         clock=clock_of(log.telemetry) if profile is not None else None,
         units=units_of(log),
         rotors=airframe.layout_statement,

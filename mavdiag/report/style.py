@@ -2,7 +2,7 @@
 
 The colours are those of `mavdiag.drawing`, which people who are blind to a colour tell apart. None stands alone: each
 line has a stroke of its own as well, so a figure can be read in grey. Text stays text. matplotlib is imported when the
-first figure is drawn. What a figure is called and what to see in it stands in captions.toml.
+first figure is drawn. figures.mplstyle has sizes and fonts, captions.toml what a figure is called and shows.
 """
 
 import io
@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
@@ -21,38 +21,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+FOLDER = Path(__file__).parent
 WIDTH_IN = 7.6
 FEW_DECADES = 100.0
 PX_PER_PT = 4 / 3
 NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
 LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
-FONTS = ["DejaVu Sans", "Verdana", "Arial", "sans-serif"]
+FONTS = "DejaVu Sans, Verdana, Arial, sans-serif"  # as in figures.mplstyle, where matplotlib says it at each text
 SVG = "http://www.w3.org/2000/svg"
 XLINK = "http://www.w3.org/1999/xlink"
-_STYLE: Any = {
-    "svg.hashsalt": "mavdiag",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.sans-serif": FONTS,
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#444444",
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.unicode_minus": False,
-    "text.parse_math": False,
-    "lines.linewidth": 1.1,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "hatch.linewidth": 0.6,
-    "path.simplify": True,
-    "figure.facecolor": "white",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +100,7 @@ class Picture:
 @cache
 def captions() -> Mapping[str, Mapping[str, str]]:
     """Title, caption and the thesis's number of each figure, by its key."""
-    return tomllib.loads((resources.files("mavdiag.report") / "captions.toml").read_text(encoding="utf-8"))
+    return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
 
 
 def pictured(
@@ -144,7 +121,7 @@ def drawn(title: str, description: str, plot: Callable[["Figure"], None], height
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(fname=FOLDER / "figures.mplstyle"):
         figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         FigureCanvasSVG(figure)
         plot(figure)
@@ -208,7 +185,7 @@ def _cleaned(text: str, title: str, description: str) -> str:
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     said = {"width": f"{PX_PER_PT * width:.0f}", "height": f"{PX_PER_PT * height:.0f}", "xmlns": SVG, "role": "img"}
-    stroke = {"stroke-linejoin": "round", "font-family": ", ".join(FONTS), "aria-labelledby": "title desc"}
+    stroke = {"stroke-linejoin": "round", "font-family": FONTS, "aria-labelledby": "title desc"}
     root.attrib.update({**said, **stroke})
     for place, (name, words) in enumerate((("title", title), ("desc", description))):
         node = ElementTree.Element(name, {"id": name})

@@ -19,7 +19,7 @@ from mavdiag.baseline import parse
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Severity
-from mavdiag.look.inspection import MessageRate, MonitorState, Received, Units, inspection_of
+from mavdiag.look.inspection import MessageRate, MonitorState, Units, inspection_of
 from mavdiag.look.words import in_full
 from mavdiag.printable import printable
 from mavdiag.telemetry import Log, Telemetry
@@ -85,7 +85,7 @@ def test_lines_of_the_journal() -> None:
 def test_what_inspect_says_of_a_log() -> None:
     log = Log(f"{EVIL}.tlog", "", EVIL, Telemetry(), notes=(EVIL,))
     found = replace(
-        inspection_of(log, Airframe(), received=Received(asked=(EVIL,))),
+        inspection_of(log, Airframe(), asked=(EVIL,)),
         baseline=EVIL,
         upset=EVIL,
         rotors=EVIL,
