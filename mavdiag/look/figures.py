@@ -1,20 +1,17 @@
-"""What the rows of one flight show without a baseline, as values. Nothing here is a verdict: there is nothing to
-compare with but the limits that autopilots publish."""
+"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict: there
+is nothing to compare with but the limits that autopilots publish."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
 from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry
 from mavdiag.units import RPM
 
 # ArduPilot's own advice on the message VIBRATION (wiki, "Measuring Vibration"): up to 30 m/s^2 is normally acceptable,
@@ -51,15 +48,6 @@ class OutputLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Trim:
-    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`)."""
-
-    roll: float
-    pitch: float
-    yaw: float
-
-
-@dataclass(frozen=True, slots=True)
 class Vibration:
     """Level of the autopilot's own message, x, y, z [m/s^2].
 
@@ -67,8 +55,8 @@ class Vibration:
     is above 30 or 60 m/s^2.
     """
 
-    median: Three
-    high: Three
+    median: tuple[float, ...]
+    high: tuple[float, ...]
     above_usual: float
     above_high: float
 
@@ -121,48 +109,43 @@ def told_hz(telemetry: Telemetry) -> float:
     return float(told.mean() / math.tau)
 
 
-def motors_of(flight: Sequence[Rows]) -> list[int]:
-    """Columns of the outputs that move in flight as motors may; what stands still or idles is none."""
-    return moving_outputs(Stretches([rows.block for rows in flight]))
-
-
-def output_loads(flight: Sequence[Rows], motors: Sequence[int]) -> tuple[OutputLoad, ...]:
+def output_loads(flight: Sequence[Block], motors: Sequence[int]) -> tuple[OutputLoad, ...]:
     """The load of each motor's output in flight; none where there are no outputs. motors: their columns, from 0."""
-    known = [(outputs, block.dt_s) for block in joined(flight) if (outputs := _outputs(block, motors)).size]
-    if not known:
+    parts = [(outputs, block.dt_s) for block in flight if (outputs := _outputs(block, motors)).size]
+    if not parts:
         return ()
-    outputs = np.concatenate([part for part, _ in known])
-    still = np.concatenate([_standing(part, dt_s) for part, dt_s in known])
+    outputs = np.concatenate([part for part, _ in parts])
+    still = np.concatenate([_standing(part, dt_s) for part, dt_s in parts])
     means = outputs.mean(axis=0)
     level = float(means.mean())
     full = (outputs >= FULL) | (still & (outputs > (1 + AWAY) * level))
     idle = (outputs <= IDLE) | (still & (outputs < (1 - AWAY) * level))
-    return tuple(
-        OutputLoad(motor + 1, float(mean), float(mean / level - 1), float(upper.mean()), float(lower.mean()))
-        for motor, mean, upper, lower in zip(motors, means, full.T, idle.T, strict=True)
-    )
+    columns = (means, means / level - 1, full.mean(axis=0), idle.mean(axis=0))
+    return tuple(OutputLoad(n + 1, *map(float, of)) for n, *of in zip(motors, *columns, strict=True))
 
 
-def trim(flight: Sequence[Rows], layout: RotorLayout) -> Trim | None:
-    """The mean trim of a flight; None where neither outputs nor torque commands show it."""
-    found = [shown_trim(block, layout) for block in joined(flight)]
-    values = np.concatenate([np.empty((0, 3)), *(value[known] for value, known in found)])
-    return Trim(*values.mean(axis=0).tolist()) if len(values) else None
+def trim(flight: Sequence[Block], layout: RotorLayout) -> Mapping[str, float] | None:
+    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`).
+
+    None where neither outputs nor torque commands show it.
+    """
+    values = [value[known] for value, known in (shown_trim(block, layout) for block in flight)]
+    mean = np.concatenate(values).mean(axis=0).tolist() if sum(map(len, values)) else None
+    return None if mean is None else dict(zip(("roll", "pitch", "yaw"), mean, strict=True))
 
 
-def vibration(flight: Sequence[Rows]) -> Vibration | None:
+def vibration(flight: Sequence[Block]) -> Vibration | None:
     """The autopilot's own vibration level in flight; None if it does not send it."""
-    levels = [block.vibration[block.valid & block.known(Signal.VIBRATION)] for block in joined(flight)]
-    level = np.concatenate([np.empty((0, 3)), *levels])
-    if not len(level):
+    levels = [block.vibration[block.valid & block.known(Signal.VIBRATION)] for block in flight]
+    if not sum(map(len, levels)):
         return None
-    median, high = np.median(level, axis=0).tolist(), np.percentile(level, 95, axis=0).tolist()
-    worst = level.max(axis=1)
-    above_usual, above_high = (float((worst > limit).mean()) for limit in (VIBRATION_USUAL, VIBRATION_HIGH))
-    return Vibration((median[0], median[1], median[2]), (high[0], high[1], high[2]), above_usual, above_high)
+    level = np.concatenate(levels)
+    median, high = np.percentile(level, (50, 95), axis=0)
+    above_usual, above_high = (float((level.max(axis=1) > limit).mean()) for limit in (VIBRATION_USUAL, VIBRATION_HIGH))
+    return Vibration(tuple(median.tolist()), tuple(high.tolist()), above_usual, above_high)
 
 
-def spectrum_of(flight: Sequence[Rows], least_s: float = SPECTRUM_S) -> Spectrum | None:
+def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectrum | None:
     """Spectrum of the accelerometer's x and y, by Welch's averages (IEEE Trans. Audio Electroacoust. 15 (1967)).
 
     least_s: of the unbroken stretches of flight that it is taken of [s]; None if there is none.
@@ -170,7 +153,7 @@ def spectrum_of(flight: Sequence[Rows], least_s: float = SPECTRUM_S) -> Spectrum
     from scipy.signal import welch  # here, for it takes a second to load
 
     hz, power, averaged = np.empty(0), np.empty(0), 0
-    for block in joined(flight):
+    for block in flight:
         width = round(SPECTRUM_S / block.dt_s)
         for first, stop in spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1)):
             if width < LEAST_ROWS or stop - first < max(width, least_s / block.dt_s):
@@ -182,12 +165,12 @@ def spectrum_of(flight: Sequence[Rows], least_s: float = SPECTRUM_S) -> Spectrum
     return Spectrum(hz, power / averaged, averaged) if averaged else None
 
 
-def rotor_line(flight: Sequence[Rows], corner_hz: float | None, told_hz: float) -> RotorLine:
+def rotor_line(flight: Sequence[Block], corner_hz: float | None, told_hz: float) -> RotorLine:
     """The line of the rotors.
 
     corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
     """
-    rate_hz = 1 / flight[0].block.dt_s if flight else 0.0
+    rate_hz = 1 / flight[0].dt_s if flight else 0.0
     to_hz = min(LINE_TO * rate_hz, math.inf if corner_hz is None else corner_hz) if flight else LINE_FROM_HZ
     none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
     if not flight:

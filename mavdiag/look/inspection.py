@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.parameters import layout_from_parameters
+from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import SIGNALS
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import BaselineError, InputError
@@ -174,7 +176,7 @@ class Inspection:
     units: Units
     rotors: str
     loads: tuple[figures.OutputLoad, ...]
-    trim: figures.Trim | None
+    trim: Mapping[str, float] | None
     vibration: figures.Vibration | None
     line: figures.RotorLine | None
     baseline: str
@@ -207,8 +209,8 @@ def inspection_of(
     """
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
-    flight = () if learnt is None else learnt.rows
-    motors = figures.motors_of(flight) if airframe.layout is None else range(airframe.layout.rotors)
+    flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout
+    motors = moving_outputs(Stretches(flight)) if layout is None else range(layout.rotors)
     profile, gaps = PROFILES.get(log.profile), _gyro_gaps(log.telemetry)
     corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
     counted = ("received", "lost", "reordered", "duplicated")
@@ -217,7 +219,7 @@ def inspection_of(
         source=source or log.name,
         profile=log.profile,
         span_s=_span_s(log.telemetry),
-        flight_s=sum(float(np.count_nonzero(rows.block.valid)) * rows.block.dt_s for rows in flight),
+        flight_s=sum(float(np.count_nonzero(block.valid)) * block.dt_s for block in flight),
         no_flight=no_flight,
         upset="" if learnt is None else "; ".join(finding.text for finding in upsets([learnt])),
         notes=log.notes,
@@ -231,7 +233,7 @@ def inspection_of(
         units=units_of(log),
         rotors=airframe.layout_statement,
         loads=figures.output_loads(flight, motors),
-        trim=None if airframe.layout is None else figures.trim(flight, airframe.layout),
+        trim=None if layout is None else figures.trim(flight, layout),
         vibration=figures.vibration(flight),
         line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry)) if flight else None,
         baseline="" if baseline is None else baseline_statement(baseline, log, signals),
@@ -305,11 +307,8 @@ def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, 
         return airframe, flights[0], ""
     except InputError as error:
         said, why = layout_from_parameters(log.parameters, log.mav_type), str(error).removeprefix(f"{log.name}: ")
-        if told.layout is not None:
-            return replace(told, layout_basis=told.layout_basis or "told"), None, why
-        if said.layout is not None:
-            return replace(told, layout=said.layout, layout_basis=said.reason), None, why
-        return replace(told, layout_basis=said.reason or why), None, why
+        basis = said.reason or why if told.layout is None else told.layout_basis or "told"
+        return replace(told, layout=told.layout or said.layout, layout_basis=basis), None, why
 
 
 def monitor_states(

@@ -35,7 +35,7 @@ def in_one_line(found: Inspection) -> str:
     if busiest is not None and busiest.over_mean >= NOTABLE:
         parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
     if found.trim is not None and not found.loads:
-        parts.append(f"trim {found.trim.roll:+.3f}, {found.trim.pitch:+.3f}, {found.trim.yaw:+.3f}")
+        parts.append(f"trim {', '.join(f'{value:+.3f}' for value in found.trim.values())}")
     full = max((load.full_share for load in found.loads), default=0.0)
     if full > 0:
         parts.append(f"an output at its end for {100 * full:.1f} %")
@@ -89,7 +89,7 @@ def _flight(found: Inspection) -> Iterator[str]:
         return
     yield from _loads(found.loads)
     if found.trim is not None:
-        trim = ", ".join(f"{axis} {getattr(found.trim, axis):+.3f}" for axis in ("roll", "pitch", "yaw"))
+        trim = ", ".join(f"{axis} {value:+.3f}" for axis, value in found.trim.items())
         yield f"trim: {trim} of the hover command; payload, balance point and wind are in it, too"
     yield f"VIBRATION: {_vibration(found.vibration)}"
     if found.line is not None:

@@ -18,7 +18,7 @@ from mavdiag.report import residuals, rotors, signals
 from mavdiag.report.evidence import evidence_picture
 from mavdiag.report.style import Picture
 from mavdiag.report.thinned import COLUMNS
-from mavdiag.rows.front import Rows
+from mavdiag.rows.block import Block
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
 
@@ -55,8 +55,8 @@ def flight_report(
 def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) -> tuple[Picture, ...]:
     rates = () if judged.chain is None else rate_traces(judged.chain, judged.pieces)
     slots = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
-    rows = [piece.rows for piece in judged.pieces if len(piece.rows.block)]
-    blocks, frame, verdict = joined(rows), baseline.airframe, judged.verdict
+    blocks = joined([piece.rows for piece in judged.pieces if len(piece.rows.block)])
+    frame, verdict = baseline.airframe, judged.verdict
     # From when on a damaged propeller shows; None for the whole flight: what follows a loss says nothing of it.
     since_s = verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
     healthy = next((entry.spec for entry in baseline.monitors if isinstance(entry.spec, RotorTrimSpec)), None)
@@ -77,7 +77,7 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         residuals.fsd_picture(rates, columns),
         residuals.plane_picture(rates, frame.classifier),
         residuals.severity_picture(rates, slots, since_s, frame.classifier),
-        signals.spectrum_picture(spectrum_of(rows), _rotor_line(log, frame, rows), corner_hz, rate_hz),
+        signals.spectrum_picture(spectrum_of(blocks), _rotor_line(log, frame, blocks), corner_hz, rate_hz),
         signals.windows_picture(sweeps, baseline.window.samples * baseline.link.dt_s),
         signals.attitude_picture(log.telemetry, columns),
         signals.height_picture(log.telemetry, columns),
@@ -99,14 +99,14 @@ def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Pi
     return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}") if reasons else picture
 
 
-def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> tuple[float, str] | None:
+def _rotor_line(log: Log, airframe: Airframe, blocks: Sequence[Block]) -> tuple[float, str] | None:
     """One per revolution [Hz]: as the speed controllers report it, else of the airframe's hover, else as heard."""
     told = told_hz(log.telemetry)
     if math.isfinite(told):
         return told, "the rotor speeds in the log"
     if airframe.hover_rad_s is not None:
         return airframe.hover_rad_s / math.tau, "the airframe's hover speed"
-    heard = rotor_line(rows, _corner_hz(log, airframe), told)
+    heard = rotor_line(blocks, _corner_hz(log, airframe), told)
     return None if heard.reason else (heard.hz, "what is heard, the strongest line above its neighbourhood")
 
 

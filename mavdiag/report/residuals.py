@@ -1,33 +1,19 @@
 """The thesis's own figures of a flight, by axis: rates beside the model's, the residual and its margin, FSD against FML
-(T Fig 5.6 to 5.9), and where the flight lies among the thesis's classes of faults (T Fig 5.10 and 5.12).
+(T Fig 5.6 to 5.9), and where the flight lies among the thesis's classes of faults (T Fig 5.10 and 5.12)."""
 
-T prints no figures for its classes. The centres here are those of the emulated QDrone 2 with the same nine faults, in
-docs/results.md under "The thesis's table" (`python benchmarks/thesis_table.py --trials 10 --phenomenology 1`), so they
-hold for that vehicle, and as far as the emulator is right. Unbalances are T Table 3.2's.
-"""
-
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.drawing import Colour
-from mavdiag.report.style import (
-    COMMANDED,
-    LIMIT,
-    LINES,
-    MEASURED,
-    SIMULATED,
-    Picture,
-    legend_above,
-    missing,
-    panels,
-    pictured,
-    shaded,
-)
+from mavdiag.report import style
+from mavdiag.report.style import LIMIT, LINES, Picture, legend_above, missing, panels, pictured
 from mavdiag.report.thinned import COLUMNS, columns_of, envelope
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import FloatArray
@@ -50,36 +36,11 @@ NAMES = {
 MARKERS = {FaultType.EDGE_CUT: "o", FaultType.CRACK: "^", FaultType.SURFACE_UNBALANCE: "D"}
 
 
-@dataclass(frozen=True, slots=True)
-class FaultClass:
-    """One of T's faults on the emulated vehicle, roll axis: mean, and the 5 % and 95 % points of trials.
-
-    fsd_s: longest FSD of a flight [s].
-    peak_rad_s: highest |r| above the margin in it [rad/s].
-    """
-
-    fault_type: FaultType
-    severity: int
-    fsd_s: tuple[float, float, float]
-    peak_rad_s: tuple[float, float, float]
-
-    @property
-    def unbalance_g_mm(self) -> float:
-        """Of the propeller (T Table 3.2) [g mm]."""
-        return propeller(self.fault_type, self.severity).unbalance_g_mm
-
-
-CLASSES = (
-    FaultClass(FaultType.EDGE_CUT, 1, (0.177, 0.159, 0.197), (0.047, 0.031, 0.061)),
-    FaultClass(FaultType.EDGE_CUT, 2, (0.182, 0.167, 0.196), (0.051, 0.040, 0.067)),
-    FaultClass(FaultType.EDGE_CUT, 3, (0.186, 0.171, 0.198), (0.051, 0.039, 0.064)),
-    FaultClass(FaultType.CRACK, 1, (0.394, 0.375, 0.421), (0.156, 0.128, 0.179)),
-    FaultClass(FaultType.CRACK, 2, (0.401, 0.376, 0.422), (0.167, 0.142, 0.195)),
-    FaultClass(FaultType.CRACK, 3, (0.405, 0.377, 0.424), (0.172, 0.147, 0.202)),
-    FaultClass(FaultType.SURFACE_UNBALANCE, 1, (0.252, 0.213, 0.297), (0.062, 0.045, 0.080)),
-    FaultClass(FaultType.SURFACE_UNBALANCE, 2, (0.331, 0.300, 0.366), (0.089, 0.065, 0.122)),
-    FaultClass(FaultType.SURFACE_UNBALANCE, 3, (0.387, 0.370, 0.416), (0.142, 0.115, 0.169)),
-)
+@cache
+def fault_classes() -> Mapping[FaultType, tuple[FloatArray, FloatArray]]:
+    """Of each type: FSD [s] and residual above the margin [rad/s], (3, 3): by severity mean, 5 % and 95 % points."""
+    found = tomllib.loads((style.FOLDER / "classes.toml").read_text(encoding="utf-8"))
+    return {kind: (np.array(found[kind]["fsd_s"]), np.array(found[kind]["peak_rad_s"])) for kind in FaultType}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,9 +104,9 @@ def rates_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Picture
             t_s = trace.t_ns / NS_PER_S
             part = slice(*np.searchsorted(t_s, (start_s, stop_s)))
             for line, values, label in (
-                (COMMANDED, trace.commanded, "commanded"),
-                (MEASURED, trace.measured, "measured"),
-                (SIMULATED, trace.simulated, "simulated by the healthy model"),
+                (style.COMMANDED, trace.commanded, "commanded"),
+                (style.MEASURED, trace.measured, "measured"),
+                (style.SIMULATED, trace.simulated, "simulated by the healthy model"),
             ):
                 line.draw(axes, *envelope(t_s[part], values[part], columns), label)
             axes.set(ylabel=f"{trace.axis} rate [rad/s]", xlim=(start_s, stop_s))
@@ -167,12 +128,12 @@ def residual_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Pict
     def plot(figure: "Figure") -> None:
         for axes, trace in zip(panels(figure, len(rates)), rates, strict=True):
             r, margin = np.where(trace.judged, trace.residual, np.nan), trace.margin_rad_s
-            MEASURED.draw(axes, *envelope(trace.t_ns / NS_PER_S, r, columns), "residual where judged")
+            style.MEASURED.draw(axes, *envelope(trace.t_ns / NS_PER_S, r, columns), "residual where judged")
             LIMIT.across(axes, margin, f"margin ±{margin:.3f} rad/s")
             LIMIT.across(axes, -margin)
             runs = runs_of(trace).longest_by_column(columns)
             for at in np.flatnonzero(runs.fsd_s > trace.fml_s).tolist():
-                shaded(axes, float(runs.start_s[at]), float(runs.end_s[at]))
+                style.shaded(axes, float(runs.start_s[at]), float(runs.end_s[at]))
             axes.set_ylabel(f"{trace.axis} residual [rad/s]")
         legend_above(figure.axes[0])
 
@@ -218,18 +179,10 @@ def plane_picture(rates: Sequence[RateTrace], classifier: str | None) -> Picture
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
         for line, kind in zip(LINES, FaultType if known else (), strict=False):
-            rows = [fault for fault in CLASSES if fault.fault_type is kind]
-            x, y = (np.array([getattr(fault, name) for fault in rows]) for name in ("fsd_s", "peak_rad_s"))
-            axes.errorbar(
-                x[:, 0],
-                y[:, 0],
-                xerr=np.abs(x[:, 1:] - x[:, :1]).T,
-                yerr=np.abs(y[:, 1:] - y[:, :1]).T,
-                fmt=MARKERS[kind],
-                color=line.color,
-                elinewidth=0.7,
-                label=NAMES[kind],
-            )
+            x, y = (of[:, 0] for of in fault_classes()[kind])
+            xerr, yerr = (np.abs(of[:, 1:] - of[:, :1]).T for of in fault_classes()[kind])
+            look: Any = {"fmt": MARKERS[kind], "color": line.color, "elinewidth": 0.7, "label": NAMES[kind]}
+            axes.errorbar(x, y, xerr=xerr, yerr=yerr, **look)
         shown = runs.longest_by_column(MOST_POINTS)
         axes.plot(
             shown.fsd_s, shown.peak_rad_s, ".", color=Colour.NOT_JUDGED, markersize=4, label="runs of this flight"
@@ -263,15 +216,10 @@ def severity_picture(
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
         for line, kind in zip(LINES, FaultType, strict=False):
-            points = [
-                (fault.unbalance_g_mm, fault.peak_rad_s[0], str(fault.severity))
-                for fault in CLASSES
-                if fault.fault_type is kind
-            ]
-            x, y, _ = zip(*points, strict=True)
-            axes.plot(x, y, MARKERS[kind], color=line.color, linestyle=line.stroke, label=NAMES[kind])
-            for across, up, severity in points:
-                axes.annotate(severity, (across, up), (4, 4), textcoords="offset points")
+            x, y = [propeller(kind, severity).unbalance_g_mm for severity in (1, 2, 3)], fault_classes()[kind][1][:, 0]
+            line.draw(axes, x, y, NAMES[kind], MARKERS[kind])
+            for severity, at in enumerate(zip(x, y.tolist(), strict=True), start=1):
+                axes.annotate(str(severity), at, (4, 4), textcoords="offset points")
         axes.plot(unbalance, peak, "*", color=Colour.REFERENCE, markersize=13, label="this flight")
         axes.set(xlabel="unbalance [g mm]", ylabel=EXCESS, xlim=(0.0, None), ylim=(0.0, None))
         legend_above(axes, 4)

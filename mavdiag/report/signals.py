@@ -198,9 +198,8 @@ def windows_picture(sweeps: Sequence[Sweep], window_s: float) -> Picture:
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
         for line, sweep in zip(LINES, known, strict=False):
-            axes.plot(
-                *zip(*sweep.known, strict=True), "o", color=line.color, linestyle=line.stroke, label=sweep.axis.value
-            )
+            windows_s, fits = zip(*sweep.known, strict=True)
+            line.draw(axes, windows_s, fits, sweep.axis.value, "o")
         label = f"baseline's window, {window_s:.3g} s"
         axes.axvline(window_s, color=COMMANDED.color, linestyle=COMMANDED.stroke, label=label)
         axes.set(xlabel="window [s]", ylabel="fit R_T² of the simulated rate", xscale="log", ylim=(None, 1.02))

@@ -40,9 +40,10 @@ class Line:
     stroke: str
     width: float = 1.1
 
-    def draw(self, axes: "Axes", t: Any, y: Any, label: str = NO_LABEL) -> None:
+    def draw(self, axes: "Axes", x: Any, y: Any, label: str = NO_LABEL, marker: str = "") -> None:
         """Onto axes."""
-        axes.plot(t, y, label=label, color=self.color, linestyle=self.stroke, linewidth=self.width)
+        style: Any = {"color": self.color, "linestyle": self.stroke, "linewidth": self.width}
+        axes.plot(x, y, label=label, marker=marker or None, **style)
 
     def across(self, axes: "Axes", level: float, label: str = NO_LABEL) -> None:
         """A level, across the axes."""

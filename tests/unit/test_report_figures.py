@@ -13,6 +13,7 @@ from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baselin
 from scipy.signal import welch
 
 from mavdiag.airframe.layout import layout_named
+from mavdiag.airframe.propellers import FaultType, propeller
 from mavdiag.airframe.traits import joined
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
@@ -21,7 +22,7 @@ from mavdiag.look.figures import spectrum_of
 from mavdiag.look.inspection import summary
 from mavdiag.report.campaign import roc_of
 from mavdiag.report.evidence import ratio_of
-from mavdiag.report.residuals import CLASSES, moment_of, runs_of, unbalance_of
+from mavdiag.report.residuals import moment_of, runs_of, unbalance_of
 from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import folded, sweep_of
 from mavdiag.report.thinned import envelope, highest
@@ -104,7 +105,7 @@ def walk(trace: RateTrace) -> list[tuple[float, float, float]]:
 
 
 def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
-    spectrum = spectrum_of([piece.rows for piece in cracked()[1].pieces])
+    spectrum = spectrum_of(joined([piece.rows for piece in cracked()[1].pieces]))
     assert spectrum is not None
     log = cracked()[0]
     speeds = log[Signal.ROTOR_SPEED]
@@ -166,8 +167,7 @@ def test_the_ratio_is_nan_where_nothing_was_judged() -> None:
 
 def test_the_unbalance_is_near_the_propellers() -> None:
     found = unbalance_of(slot_traces_of_flight(), ONSET_S + 1.0)
-    (crack,) = (one for one in CLASSES if (one.fault_type, one.severity) == ("F2", 2))
-    assert found == pytest.approx(crack.unbalance_g_mm, rel=0.3)
+    assert found == pytest.approx(propeller(FaultType.CRACK, 2).unbalance_g_mm, rel=0.3)
     assert unbalance_of([], None) is None
 
 
