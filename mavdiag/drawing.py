@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING
+
+from jinja2 import Environment, Template
 
 from mavdiag.airframe.layout import Place, RotorLayout
 from mavdiag.printable import printable
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 SIZE = 240.0  # of the viewBox
 REACH = 76.0  # from its centre to the outermost rotor's centre
@@ -162,8 +160,6 @@ def airframe_svg(
 
 
 @cache
-def _template() -> "Template":
-    from jinja2 import Environment
-
+def _template() -> Template:
     made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
     return made.from_string((resources.files("mavdiag") / "drawing.svg").read_text(encoding="utf-8"))

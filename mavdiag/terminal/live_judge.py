@@ -56,10 +56,9 @@ class LiveJudge:
         """
         received = self._decoder.feed(chunks, now_ns, sources)
         known = sorted(self._decoder.vehicles)
-        if self.vehicle is None and known:
-            if len(known) > 1:
-                raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
-            (self.vehicle,) = known
+        if self.vehicle is None and len(known) > 1:
+            raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
+        self.vehicle = next(iter(known), None) if self.vehicle is None else self.vehicle
         if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
             self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
         found = None if self.vehicle is None else received.get(self.vehicle)
@@ -68,8 +67,10 @@ class LiveJudge:
         self._state, output = self.chain.step(self._state, found.telemetry)
         if self._state.refused:
             raise BaselineError(self._state.refused)
-        self._gauges.update({(one.monitor, one.axis): one for one in output.gauges})
-        self.pieces = _latest((*self.pieces, *output.pieces), self.span_s)
+        self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})
+        filled = [piece for piece in (*self.pieces, *output.pieces) if len(piece.rows.block)]
+        since_ns = (filled[-1].rows.block.t_ns[-1] if filled else 0) - self.span_s * NS_PER_S
+        self.pieces = tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)
         return output.changes
 
     @property
@@ -105,12 +106,3 @@ class LiveJudge:
             judges = gauge is not None and gauge.valid
             found.append((*slot.key, gauge, "" if judges else why_not(self.chain, account) or "warming up"))
         return tuple(found)
-
-
-def _latest(pieces: Sequence[Piece], span_s: float) -> tuple[Piece, ...]:
-    """The pieces that reach into the last seconds."""
-    filled = [piece for piece in pieces if len(piece.rows.block)]
-    if not filled:
-        return ()
-    since_ns = int(filled[-1].rows.block.t_ns[-1]) - span_s * NS_PER_S
-    return tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)
