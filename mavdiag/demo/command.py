@@ -13,7 +13,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_monitors
+from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_rule
 from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
@@ -54,11 +54,12 @@ def demo(
     if report is not None:
         check_output(report)
     fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json)
-    rules = thesis_monitors(reference := Baseline.load(thesis))
-    if not rules:
+    reference = thesis_rule(Baseline.load(thesis))
+    if not reference.monitors:
         raise UsageError(f"{thesis}: has no fsd monitor; the demo needs one from `mavdiag identify`")
     if not as_json:
-        typer.echo(f"thesis rule: margin {rules[0][0]:.4f} rad/s, FML {rules[0][1]:.3f} s")
+        rule = reference.monitors[0]
+        typer.echo(f"thesis rule: margin {rule.spec.margin_rad_s:.4f} rad/s, FML {rule.threshold.value:.3f} s")
     flight = Flight(duration, fault, rotor, round(ONSET_SHARE * duration, 1), seed)
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "flight.tlog"
