@@ -178,13 +178,6 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
 
-def test_a_slow_signal_has_its_own_rate() -> None:
-    log = logged(flying(3000, seed=3))
-    slow = Series(Signal.VOLTAGE, *(log[Signal.ARMED].t_ns[::5],) * 2, log[Signal.ARMED].values[::5])
-    look = inspection_of(Log("log", "", "px4", Telemetry((*log.telemetry.series, slow))), Airframe())
-    assert {one.signal: one.rate_hz for one in look.signals}["voltage"] == pytest.approx(0.2, rel=0.01)
-
-
 class Counted(np.ndarray):
     """Counts the elements that ufuncs of it go through."""
 
@@ -221,17 +214,21 @@ def test_the_rotors_of_a_crazyflie_are_known_to_look_and_inspect() -> None:
         assert "give --layout" not in shown
 
 
+def test_look_and_inspect_are_two_names_of_one_command(tmp_path: Path) -> None:
+    recording(tmp_path / "1.csv", 1, 6.0)
+    (tmp_path / "map.toml").write_text(MAP)
+    for options in ([], ["--json"], ["--layout", "hexa-x", "--from", "1"]):
+        rest = [str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), *options]
+        look, inspect = (RUN.invoke(app, [name, *rest]) for name in ("look", "inspect"))
+        assert (look.exit_code, look.stdout) == (inspect.exit_code, inspect.stdout)
+        assert look.exit_code == 0
+        assert ("rotor layout hexa-x" in look.stdout) == ("hexa-x" in options)
+
+
 def test_look_and_identify_name_the_same_rotors() -> None:
     log = logged(flying(3000, seed=3))
     baseline = learn([log], LearnOptions(), created="2026-01-01T00:00:00+00:00")
     assert inspection_of(log, Airframe()).rotors == baseline.airframe.layout_statement
-
-
-def test_a_layout_can_be_told_to_look(tmp_path: Path) -> None:
-    recording(tmp_path / "1.csv", 1, 6.0)
-    (tmp_path / "map.toml").write_text(MAP)
-    command = ["look", str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), "--layout", "hexa-x"]
-    assert "rotor layout hexa-x" in RUN.invoke(app, command).stdout
 
 
 @pytest.mark.parametrize("command", ["inspect", "watch"])

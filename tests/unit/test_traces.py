@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from made_baselines import logged, thesis, whole
-from made_telemetry import cut, flight
+from made_telemetry import flight
 from scipy.signal import lfilter
 
-from mavdiag.chain import Piece, chain_of
+from mavdiag.chain import chain_of
 from mavdiag.judging import judge_in_full
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.telemetry import Axis, Signal
+from mavdiag.telemetry import Axis
 from mavdiag.traces import rate_traces, slot_traces
 
 
@@ -34,25 +34,6 @@ def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -
     free = lfilter(model.b, model.a, trace.commanded)
     settled = len(free) // 2  # what the start gets wrong has died out
     np.testing.assert_allclose(trace.simulated[settled:], free[settled:], atol=2e-3)
-
-
-def test_chunks_give_the_same_traces_as_the_whole() -> None:
-    log = logged(flight(6000, 5), "qdrone2")
-    chain = chain_of(thesis())
-    state = chain.start()
-    pieces: list[Piece] = []
-    began_ns = int(log.telemetry[Signal.BODY_RATE].host_ns[0])
-    edges_ns = [began_ns + after_ms * 1_000_000 for after_ms in (1500, 3200, 3210)]
-    for chunk in cut(log.telemetry, edges_ns):
-        state, output = chain.step(state, chunk)
-        pieces += output.pieces
-    pieces += chain.finish(state)[1].pieces
-    whole_pieces = judge_in_full(log, thesis()).pieces
-    for one, other in zip(rate_traces(chain, whole_pieces), rate_traces(chain, pieces), strict=True):
-        np.testing.assert_array_equal(one.t_ns, other.t_ns)
-        np.testing.assert_allclose(one.simulated, other.simulated, atol=1e-12)
-    for slot, again in zip(slot_traces(chain, whole_pieces), slot_traces(chain, pieces), strict=True):
-        np.testing.assert_allclose(slot.found.value, again.found.value, rtol=1e-9, atol=1e-12)
 
 
 def test_a_flight_that_was_not_judged_has_empty_traces() -> None:
