@@ -6,11 +6,14 @@ as thrust goes with the command, (1 - l)(1 + a) = 1.
 """
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
+from mavdiag.decision.events import Event
 from mavdiag.monitors import BY_NAME, by_name
 from mavdiag.monitors.base import FaultKind
+from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:  # a verdict is made above this module
     from mavdiag.judging import LogVerdict, MonitorSummary
@@ -94,6 +97,30 @@ def diagnosis_line(held: Diagnosis) -> str:
     return f"{held} ({held.monitor} {held.statistic:.3g} > {held.threshold:.3g}{unit})"
 
 
+def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Sequence[Event]) -> str:
+    """Why a fault was declared: the highest evidence, every rotor that was named, and the type that was named last.
+
+    kind: the gravest of the faults, which the reason is about. events: all alarms of the flight.
+    """
+    faults = [change for change in faults if change.kind is kind]
+    worst = max(faults, key=lambda change: change.statistic / change.threshold if change.threshold else 0.0)
+    same = (event.statistic for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis))
+    statistic, places = max(same, default=worst.statistic), 3
+    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
+        places += 1
+    spans = faults[-1].rotors
+    rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
+    if len(spans) > 1:
+        named = (f"rotor {span.rotor} from {span.since_ns / NS_PER_S:.1f} s" for span in spans[:MOTORS_MOST])
+        rotor = f"; {', '.join(named)}" + (f" and {len(spans) - MOTORS_MOST} more" * (len(spans) > MOTORS_MOST))
+    graded = next((f"; {change.fault_type}" for change in reversed(faults) if change.fault_type is not None), "")
+    axis = f" on {worst.axis}" if worst.axis is not None else ""
+    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
+    doubt = f"; {text}" if (text := _doubt(events)) else ""
+    what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
+    return f"{what}{evidence}{rotor}{graded}{doubt}, {_count(events)}"
+
+
 def headline(verdict: "LogVerdict") -> str:
     """The verdict in one sentence."""
     judged = f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
@@ -127,10 +154,9 @@ def evidence_sentence(verdict: "LogVerdict") -> str:
         return ""
     above = sorted((monitor for monitor in verdict.monitors if _ratio(monitor) > 1), key=_ratio, reverse=True)
     told = ", ".join(f"{monitor.name} {_ratio(monitor):.1f} times" for monitor in above) or "none at the end"
-    count = len(verdict.events)
-    doubts = {kind.doubt for event in verdict.events if (kind := by_name(event.event.monitor)).decides}
-    doubt = "".join(f" This alone does not tell the cause ({text})." for text in doubts if text and len(doubts) == 1)
-    return f"Above their thresholds: {told} ({count} alarm{'s' if count != 1 else ''} of single monitors).{doubt}"
+    events = [judged.event for judged in verdict.events]
+    doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
+    return f"Above their thresholds: {told} ({_count(events)} of single monitors).{doubt}"
 
 
 def advice(verdict: "LogVerdict") -> str:
@@ -170,6 +196,16 @@ def _graded(verdict: "LogVerdict", kind: FaultKind) -> str:
         return ""
     severity = "" if last.severity is None else f", severity {last.severity} of 3"
     return f", most like {TYPES.get(last.fault_type, 'type')} ({last.fault_type}{severity})"
+
+
+def _doubt(events: Sequence[Event]) -> str:
+    """What leaves the cause open, where the alarms of all deciding monitors share it; else empty."""
+    doubts = {monitor.doubt for event in events if (monitor := by_name(event.monitor)).decides}
+    return next(iter(doubts)) if len(doubts) == 1 else ""
+
+
+def _count(events: Sequence[Event]) -> str:
+    return f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
 
 
 def _ratio(monitor: "MonitorSummary") -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mavdiag import monitors
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.parameters import layout_from_parameters
@@ -24,16 +25,7 @@ from mavdiag.link.scale import CONTRARY, AxisCheck, gravity_of, gyro_checks
 from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
 from mavdiag.look import figures
-from mavdiag.monitors import (
-    MONITORS,
-    control_loss,
-    innovation,
-    monitor_of,
-    rotor_signature,
-    sensor_drift,
-    sensor_noise,
-    thrust_loss,
-)
+from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.unbalance import corner_of
 from mavdiag.rows.grid import unbroken
@@ -51,12 +43,12 @@ SLACK = 0.98  # a rate that is this share of what is needed will do
 
 # The slowest gyro that a monitor can work with [Hz].
 _LEAST_HZ: Mapping[str, float] = {
-    "innovation": innovation.MIN_RATE_HZ,
-    "rotor_signature": rotor_signature.MIN_RATE_HZ,
-    "sensor_noise": sensor_noise.LEAST_RATE_HZ,
-    "sensor_drift": sensor_drift.MIN_RATE_HZ,
-    "control_loss": control_loss.MIN_RATE_HZ,
-    "thrust_loss": thrust_loss.MIN_RATE_HZ,
+    "innovation": monitors.innovation.MIN_RATE_HZ,
+    "rotor_signature": monitors.rotor_signature.MIN_RATE_HZ,
+    "sensor_noise": monitors.sensor_noise.LEAST_RATE_HZ,
+    "sensor_drift": monitors.sensor_drift.MIN_RATE_HZ,
+    "control_loss": monitors.control_loss.MIN_RATE_HZ,
+    "thrust_loss": monitors.thrust_loss.MIN_RATE_HZ,
 }
 
 
@@ -406,7 +398,11 @@ def _stream(log: Log, kind: type[Monitor[Any, Any]], rates: Mapping[str, float])
         return (f"the gyro comes at {rate_hz:.0f} Hz, {least_hz:.0f} Hz are needed",)
     profile = PROFILES.get(log.profile)
     corner_hz = None if profile is None else profile.corner_hz(log.parameters)
-    if kind.name == "sensor_noise" and corner_hz is not None and corner_hz < sensor_noise.LOWPASS_SHARE * rate_hz:
+    if (
+        kind.name == "sensor_noise"
+        and corner_hz is not None
+        and corner_hz < monitors.sensor_noise.LOWPASS_SHARE * rate_hz
+    ):
         return (f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it",)
     if kind.name == "unbalance":
         try:

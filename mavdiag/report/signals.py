@@ -16,17 +16,8 @@ from mavdiag.identify.lab.sweep import SweepRow, window_sweep
 from mavdiag.look.figures import HARMONICS, SPECTRUM_S, Spectrum
 from mavdiag.look.inspection import USUAL
 from mavdiag.monitors.run_length import MIN_PIECE_S
-from mavdiag.report.style import (
-    COMMANDED,
-    LINES,
-    MEASURED,
-    Picture,
-    legend_above,
-    missing,
-    panels,
-    pictured,
-    plain_log,
-)
+from mavdiag.report import style
+from mavdiag.report.style import COMMANDED, LINES, MEASURED, Picture, missing, panels, pictured
 from mavdiag.report.thinned import COLUMNS, columns_of, envelope
 from mavdiag.rows.block import Block
 from mavdiag.rows.rates import RateSpec
@@ -72,7 +63,7 @@ def attitude_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Picture:
             for series, line, name in reversed(shown):
                 line.draw(axes, *_line(series, column, 1 / DEG, columns), name)
             axes.set_ylabel(f"{angle} [°]")
-        legend_above(figure.axes[0])
+        style.legend_above(figure.axes[0])
 
     most = ((name, np.nanmax(np.abs(series.values[:, :2]), axis=0, initial=0.0) / DEG) for series, _, name in shown)
     words = "; ".join(f"{name}: roll within {roll:.0f}°, pitch within {pitch:.0f}°" for name, (roll, pitch) in most)
@@ -98,7 +89,7 @@ def link_picture(telemetry: Telemetry, columns: int = COLUMNS) -> Picture:
         MEASURED.draw(axes, ends_s[first], longest_ms)
         axes.set_ylabel("longest step [ms]")
         if most_ms > USUAL * usual_ms:
-            plain_log(axes)
+            style.plain_log(axes)
         else:
             axes.set_ylim(0.0, USUAL * usual_ms)
 
@@ -138,8 +129,8 @@ def spectrum_picture(
                 axes.axvline(at, color="#000000", linestyle="--" if k == 1 else ":", linewidth=0.9, zorder=0)
                 axes.annotate(name, (at, 1.0), (-3, -9), xycoords=NAMED_AT, textcoords="offset points", ha="right")
         axes.set(xlabel="frequency [Hz]", ylabel="acceleration\n[m/s²/√Hz]", xlim=(0, rate_hz / 2))
-        plain_log(axes)
-        legend_above(axes)
+        style.plain_log(axes)
+        style.legend_above(axes)
 
     note = "The rotors' speed is not known: neither log nor airframe tells it, and no line stands out."
     if line is not None:
@@ -205,7 +196,7 @@ def windows_picture(sweeps: Sequence[Sweep], window_s: float) -> Picture:
         axes.set(xlabel="window [s]", ylabel="fit R_T² of the simulated rate", xscale="log", ylim=(None, 1.02))
         axes.set_xticks(WINDOWS_S, [f"{span:g}" for span in WINDOWS_S], minor=False)
         axes.minorticks_off()
-        legend_above(axes)
+        style.legend_above(axes)
 
     best = "; ".join(f"{sweep.axis}: best {max(y for _, y in sweep.known):.3f}" for sweep in known)
     return pictured("windows", f"{best}.", plot, 2.6)
