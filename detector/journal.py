@@ -10,7 +10,6 @@ baseline   digest, airframe, layout  note        text                      start
 """
 
 import json
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -19,7 +18,7 @@ from pathlib import Path
 from detector.appender import Appender, Rotation
 from detector.config import Fsync
 from detector.values import EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
-from mavdiag.as_json import event_json
+from mavdiag.as_json import event_json, plain
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.link.messages import Severity
@@ -84,16 +83,15 @@ def _event(event: Event, when: When) -> dict[str, object]:
 
 
 def _stage(change: Change) -> dict[str, object]:
-    """Numbers that are not finite become null, as in an event."""
     names = ("stage", "reason", "monitor", "axis", "statistic", "threshold", "rotor")
     fields = {name: getattr(change, name) for name in names} | {"fault_kind": change.kind}
-    sound = {name: None if isinstance(one, float) and not math.isfinite(one) else one for name, one in fields.items()}
+    held: dict[str, object] = plain(fields)
     spans = [
         {"rotor": one.rotor, "since_s": _s(one.since_ns), "end_s": None if one.end_ns is None else _s(one.end_ns)}
         for one in change.rotors
     ]
     declared_s = None if change.declared_ns is None else _s(change.declared_ns)
-    return {"t_s": _s(change.t_ns)} | sound | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
+    return {"t_s": _s(change.t_ns)} | held | {"seen": change.seen, "declared_s": declared_s, "rotors": spans}
 
 
 def _s(t_ns: int) -> float:

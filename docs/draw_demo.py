@@ -11,10 +11,9 @@ from rich.console import Console
 from mavdiag.baseline import Baseline
 from mavdiag.demo.baselines import own_baselines
 from mavdiag.demo.closed_loop import POLL_S, Flight, closed_loop
-from mavdiag.demo.story import DETECTOR, SPAN_S, THESIS, flight_view
+from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view
 from mavdiag.terminal.live_judge import LiveJudge
-from mavdiag.terminal.view import Line, picture
-from mavdiag.terminal.views import line_for
+from mavdiag.terminal.view import Line, line_for, picture
 
 FLIGHT = Flight(duration_s=30.0, fault="F2/SV2", rotor=1, onset_s=12.0, seed=1)
 UNTIL_S = 22.5  # of flight, when the picture is taken

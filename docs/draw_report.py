@@ -14,9 +14,9 @@ from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.report.evidence import evidence_picture
-from mavdiag.report.rates import residual_picture
+from mavdiag.report.residuals import residual_picture
 from mavdiag.telemetry import Log
-from mavdiag.traces import traces_of
+from mavdiag.traces import rate_traces, slot_traces
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.causes import injections_of
 from sitl_plant.physics.injections import Injection
@@ -53,8 +53,8 @@ def main(folder: Path) -> None:
     _, judged = cracked()
     if judged.chain is None:
         raise SystemExit(f"draw_report: the flight could not be judged: {judged.verdict.reason}")
-    traces = traces_of(judged.chain, judged.pieces)
-    for picture in (evidence_picture(traces.slots, COLUMNS), residual_picture(traces.rates, COLUMNS)):
+    slots, rates = slot_traces(judged.chain, judged.pieces), rate_traces(judged.chain, judged.pieces)
+    for picture in (evidence_picture(slots, COLUMNS), residual_picture(rates, COLUMNS)):
         (folder / f"report-{picture.key}.svg").write_text(picture.svg, encoding="utf-8")
 
 

@@ -1,12 +1,34 @@
-"""Verdicts and events as the JSON objects of the public contract. Numbers that are not finite become null."""
+"""Values as JSON, by one rule: a number that is not finite becomes null. Verdicts and events are public contract."""
 
+import json
 import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from mavdiag.decision.alarm import Event
 from mavdiag.judging import LogVerdict, MonitorSummary
 
-__all__ = ["event_json", "verdict_json"]
+
+def plain(value: Any) -> Any:
+    """The value as JSON has it: dataclasses and mappings become objects, tuples lists, what is not finite null."""
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def json_line(value: Any) -> str:
+    """`plain` of the value in one line of ASCII."""
+    return json.dumps(plain(value), allow_nan=False)
+
+
+def number(value: float | None) -> float | None:
+    """Nine digits of a figure; None for what is not finite."""
+    return None if value is None or not math.isfinite(value) else float(f"{value:.9g}")
 
 
 def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
@@ -17,10 +39,10 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
         "end_s": _rounded(end_s),
         "monitor": event.monitor,
         "axis": event.axis,
-        "statistic": _number(event.statistic),
-        "threshold": _number(event.threshold),
-        "fsd_s": _number(event.statistic) if thesis else None,
-        "fml_s": _number(event.threshold) if thesis else None,
+        "statistic": number(event.statistic),
+        "threshold": number(event.threshold),
+        "fsd_s": number(event.statistic) if thesis else None,
+        "fml_s": number(event.threshold) if thesis else None,
         "rotor": event.rotor,
         "fault_type": event.fault_type,
         "severity": event.severity,
@@ -47,14 +69,14 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
         "profile": verdict.profile,
         "rate_hz": round(verdict.rate_hz, 3),
         "monitors": {monitor.name: _monitor_json(monitor) for monitor in verdict.monitors},
-        "events": [event_json(one.t_s, one.end_s, one.event) for one in verdict.events],
+        "events": [event_json(judged.t_s, judged.end_s, judged.event) for judged in verdict.events],
     }
 
 
 def _monitor_json(monitor: MonitorSummary) -> dict[str, Any]:
     return {
-        "max": _number(monitor.maximum),
-        "threshold": _number(monitor.threshold),
+        "max": number(monitor.maximum),
+        "threshold": number(monitor.threshold),
         "unit": monitor.unit,
         "alarms": monitor.alarms,
         "judged_s": round(monitor.judged_s, 3),
@@ -66,7 +88,3 @@ def _monitor_json(monitor: MonitorSummary) -> dict[str, Any]:
 
 def _rounded(t_s: float | None) -> float | None:
     return None if t_s is None else round(t_s, 6)
-
-
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else float(f"{value:.9g}")

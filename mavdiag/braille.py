@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACROSS", "DOWN", "cells", "character"]
-
 ACROSS, DOWN = 2, 4  # dots of one character
 _FIRST = 0x2800
 _BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))  # of each dot, by column and row

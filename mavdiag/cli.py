@@ -3,16 +3,14 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import ack, balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
+from mavdiag.commands import ack, balance, baseline, history, identify, inspect, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
-
-__all__ = ["app", "main"]
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)
 app.command("report")(report.report)
-app.command("look")(look.look)
+app.command("look")(inspect.inspect)
 app.command("demo")(demo.demo)
 app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)

@@ -2,7 +2,8 @@
 
 The vehicle is seen from above with its nose up. A rotor has its number, its sense of rotation, and a fill and a label
 from the caller. The SVG holds no style attribute and no script: a page may restyle it by its classes and ids, and a
-strict Content-Security-Policy lets it pass. What has no fill of its own is drawn in `currentColor`.
+strict Content-Security-Policy lets it pass. What has no fill of its own is drawn in `currentColor`. Its elements are in
+drawing.svg, a template.
 """
 
 import math
@@ -10,12 +11,13 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from xml.sax.saxutils import escape, quoteattr
+from functools import cache
+from importlib import resources
+
+from jinja2 import Environment, Template
 
 from mavdiag.airframe.layout import Place, RotorLayout
 from mavdiag.printable import printable
-
-__all__ = ["Colour", "RotorMark", "airframe_svg", "rotor_places", "text_colour", "where"]
 
 SIZE = 240.0  # of the viewBox
 REACH = 76.0  # from its centre to the outermost rotor's centre
@@ -117,103 +119,47 @@ def airframe_svg(
     Classes: `airframe`; `body`, `arm`, `forward`; `rotor` with `data-rotor` and the mark's kind, in it `rotor-disc`,
     `rotor-spin`, `rotor-number`, `rotor-label`.
     """
-    places, marks = rotor_places(layout), marks or {}
-    points = [(SIZE / 2 + REACH * place.y_m, SIZE / 2 - REACH * place.x_m) for place in places]
-    radius = _radius(points)
-    named = f"{prefix}-title"
-    words = "; ".join(f"rotor {i} {where(one)}, {_turning(one)}" for i, one in enumerate(places, start=1))
-    discs = (
-        _rotor(number, point, radius, place, marks.get(number, RotorMark()), prefix)
-        for number, (point, place) in enumerate(zip(points, places, strict=True), start=1)
-    )
-    return "\n".join(
-        (
-            f'<svg xmlns="http://www.w3.org/2000/svg" class="airframe" viewBox="0 0 {SIZE:g} {SIZE:g}" role="img" '
-            f"aria-labelledby={quoteattr(named)} color={quoteattr(Colour.REFERENCE)} "
-            'font-family="system-ui, sans-serif">',
-            f"<title id={quoteattr(named)}>{_text(title or f'airframe {layout.name}')}</title>",
-            f"<desc>{_text(words)}</desc>",
-            '<g class="arms" stroke="currentColor" stroke-width="4" stroke-linecap="round" opacity="0.45">',
-            *(f'<line class="arm" {_line(point, radius)}/>' for point in points),
-            "</g>",
-            *_body(),
-            *discs,
-            "</svg>",
+    places, marks, middle = rotor_places(layout), marks or {}, SIZE / 2
+    points = [(middle + REACH * place.y_m, middle - REACH * place.x_m) for place in places]
+    gaps = [SHARE * math.dist(a, b) for i, a in enumerate(points) for b in points[:i]]
+    radius = min([RADIUS_MOST, *gaps])  # the largest with which none touches another one
+    inside, height = radius >= LABEL_FROM, min(20.0, 0.8 * radius)
+    rotors = []
+    for number, ((x, y), place) in enumerate(zip(points, places, strict=True), start=1):
+        mark = marks.get(number, RotorMark())
+        share = max(0.0, 1.0 - radius / max(radius, math.dist((x, y), (middle, middle))))  # of the arm, to the rim
+        rotors.append(
+            {
+                "number": number,
+                "x": round(x, 1),
+                "y": round(y, 1),
+                "arm": (round(middle + share * (x - middle), 1), round(middle + share * (y - middle), 1)),
+                "spin": place.spin,
+                "mark": mark,
+                "ink": text_colour(mark.fill),
+                "number_y": round(y + 0.36 * height - (0.3 * height if mark.label and inside else 0.0), 1),
+                "label_y": round(y + 0.75 * height if inside else y + radius + 10.0, 1),
+            }
         )
+    words = (f"{where(one)}, turns {'' if one.spin == 'cw' else 'counter-'}clockwise" for one in places)
+    return _template().render(
+        size=f"{SIZE:g}",
+        middle=middle,
+        body=BODY,
+        ink=Colour.REFERENCE,
+        prefix=prefix,
+        title=title or f"airframe {layout.name}",
+        words="; ".join(f"rotor {number} {text}" for number, text in enumerate(words, start=1)),
+        rotors=rotors,
+        radius=round(radius, 1),
+        reach=round(0.84 * radius, 1),
+        inside=inside,
+        height=round(height, 1),
+        label_height=round(min(11.0, 0.34 * radius) if inside else 9.0, 1),
     )
 
 
-def _radius(points: list[tuple[float, float]]) -> float:
-    """Of all rotors: the largest with which none touches another one or the body's middle."""
-    gaps = [math.dist(a, b) for i, a in enumerate(points) for b in points[:i]]
-    return min([RADIUS_MOST, *(SHARE * gap for gap in gaps)])
-
-
-def _turning(place: Place) -> str:
-    return "turns clockwise" if place.spin == "cw" else "turns counter-clockwise"
-
-
-def _text(text: str) -> str:
-    return escape(printable(text))
-
-
-def _line(to: tuple[float, float], radius: float) -> str:
-    """An arm, from the centre to the rim of its rotor."""
-    middle = SIZE / 2
-    share = max(0.0, 1.0 - radius / max(radius, math.dist(to, (middle, middle))))
-    x, y = middle + share * (to[0] - middle), middle + share * (to[1] - middle)
-    return f'x1="{middle:g}" y1="{middle:g}" x2="{x:.1f}" y2="{y:.1f}"'
-
-
-def _body() -> tuple[str, ...]:
-    middle, nose = SIZE / 2, SIZE / 2 - BODY - 4.0
-    return (
-        f'<circle class="body" cx="{middle:g}" cy="{middle:g}" r="{BODY:g}" fill="currentColor" opacity="0.3"/>',
-        f'<path class="forward" d="M{middle:g} {nose - 14:g}l8 13h-16z" fill="currentColor"/>',
-    )
-
-
-def _rotor(number: int, point: tuple[float, float], radius: float, place: Place, mark: RotorMark, prefix: str) -> str:
-    """The group of one rotor."""
-    (x, y), ink = point, text_colour(mark.fill)
-    inside = radius >= LABEL_FROM
-    height = min(20.0, 0.8 * radius)
-    number_y = y + 0.36 * height - (0.3 * height if mark.label and inside else 0.0)
-    label_y = y + 0.75 * height if inside else y + radius + 10.0
-    label = (
-        f'<text class="rotor-label" x="{x:.1f}" y="{label_y:.1f}" text-anchor="middle" '
-        f'font-size="{min(11.0, 0.34 * radius) if inside else 9:.1f}" '
-        f'fill="{ink if inside else "currentColor"}">{_text(mark.label)}</text>'
-    )
-    classes = f"rotor {mark.kind}".strip()
-    return "".join(
-        (
-            f'<g id={quoteattr(f"{prefix}-rotor-{number}")} class={quoteattr(classes)} data-rotor="{number}">',
-            f'<circle class="rotor-disc" cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" '
-            f'fill={quoteattr(mark.fill or "none")} stroke="currentColor" stroke-width="1.5"/>',
-            _spin(point, 0.84 * radius, place, ink),
-            f'<text class="rotor-number" x="{x:.1f}" y="{number_y:.1f}" text-anchor="middle" '
-            f'font-size="{height:.1f}" font-weight="600" fill="{ink}">{number}</text>',
-            label,
-            "</g>",
-        )
-    )
-
-
-def _spin(centre: tuple[float, float], radius: float, place: Place, ink: str) -> str:
-    """An arc with an arrow head that shows the sense of rotation, seen from above; an SVG angle grows clockwise."""
-    turn = 1.0 if place.spin == "cw" else -1.0
-    start, end = math.radians(-90.0 - 50.0 * turn), math.radians(-90.0 + 50.0 * turn)
-    (cx, cy), head = centre, 0.24 * radius
-    x0, y0 = cx + radius * math.cos(start), cy + radius * math.sin(start)
-    x1, y1 = cx + radius * math.cos(end), cy + radius * math.sin(end)
-    along = end + turn * math.pi / 2
-    wings = [
-        (x1 + head * math.cos(along + math.pi + one), y1 + head * math.sin(along + math.pi + one))
-        for one in (0.55, -0.55)
-    ]
-    return (
-        f'<path class="rotor-spin" d="M{x0:.1f} {y0:.1f}A{radius:.1f} {radius:.1f} 0 0 {int(turn > 0)} {x1:.1f} '
-        f'{y1:.1f}M{wings[0][0]:.1f} {wings[0][1]:.1f}L{x1:.1f} {y1:.1f}L{wings[1][0]:.1f} {wings[1][1]:.1f}" '
-        f'fill="none" stroke="{ink}" stroke-width="1.8" stroke-linecap="round"/>'
-    )
+@cache
+def _template() -> Template:
+    made = Environment(autoescape=True, trim_blocks=True, finalize=lambda value: printable(str(value)))
+    return made.from_string((resources.files("mavdiag") / "drawing.svg").read_text(encoding="utf-8"))

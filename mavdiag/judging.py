@@ -14,6 +14,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.chain import Account, Chain, ChainState, Piece, chain_of
 from mavdiag.decision.account import Coverage, Stretch, reason_of
 from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.decision.words import fault_reason
 from mavdiag.errors import InputError
 from mavdiag.monitors import by_name
 from mavdiag.monitors.base import FaultKind
@@ -41,7 +42,6 @@ __all__ = [
 PIECE_ROWS = 8000  # rows that are judged together (our choice: 6,000 to 12,000 take the same time)
 MIN_JUDGED_S = 1.0  # less judged time supports no verdict (our choice)
 MOST_STRETCHES = 3  # that were not judged, which a reason names (our choice)
-MOST_ROTORS = 8  # that a reason lists with their spans (our choice)
 NEVER_FLEW = "never airborne: no armed flight with thrust"
 JUDGED_SHARE = 0.8  # of the flown time that must be judged for "healthy", unless told otherwise (our choice)
 
@@ -319,7 +319,7 @@ class _Evidence:
         faults = [change for change in self.changes if change.stage is Stage.FAULT]
         upset = "" if self.upset is None else self.upset.text
         if faults:
-            told = _fault_reason(faults, self.events) + _when(faults[0].t_ns, self.log)
+            told = fault_reason(_kind(faults), faults, self.events) + _when(faults[0].t_ns, self.log)
             return Verdict.FAULT, "; ".join(filter(None, (told, upset, self._share())))
         if upset:
             return Verdict.FAULT, f"{FaultKind.LOSS_OF_CONTROL}: {upset}; {self._share()}"
@@ -402,35 +402,6 @@ def _kind(changes: Sequence[Change]) -> FaultKind | None:
     """The gravest kind of them."""
     kinds = [one.kind for one in changes if one.kind is not None]
     return max(kinds, key=lambda one: one.rank, default=None)
-
-
-def _fault_reason(faults: Sequence[Change], events: Sequence[Event]) -> str:
-    """The kind, the highest evidence, every rotor that was named, and the type that was named last."""
-    kind = _kind(faults)
-    faults = [one for one in faults if one.kind is kind]
-    worst = max(faults, key=lambda one: one.statistic / one.threshold if one.threshold else 0.0)
-    highest = max(
-        (event for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis)),
-        key=lambda event: event.statistic,
-        default=None,
-    )
-    statistic = worst.statistic if highest is None else highest.statistic
-    places = 3
-    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
-        places += 1
-    spans = _rotors(faults)
-    rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
-    if len(spans) > 1:
-        rotor = "; " + ", ".join(f"rotor {one.rotor} from {one.since_s:.1f} s" for one in spans[:MOST_ROTORS])
-        rotor += f" and {len(spans) - MOST_ROTORS} more" if len(spans) > MOST_ROTORS else ""
-    graded = next((f"; {one.fault_type}" for one in reversed(faults) if one.fault_type is not None), "")
-    axis = f" on {worst.axis}" if worst.axis is not None else ""
-    count = f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
-    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
-    doubts = {by_name(event.monitor).doubt for event in events if by_name(event.monitor).decides}
-    doubt = "".join(f"; {text}" for text in doubts if text and len(doubts) == 1)
-    what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
-    return f"{what}{evidence}{rotor}{graded}{doubt}, {count}"
 
 
 def _rotors(changes: Sequence[Change]) -> tuple[NamedRotor, ...]:

@@ -1,7 +1,7 @@
 """What the chain showed while it judged, as arrays over time: for figures, strips and displays.
 
 Nothing is judged here. `ChainOutput.pieces` holds the rows and the monitors' statistics of each step; these functions
-put them together.
+put them together, in order of time.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,6 @@ from mavdiag.chain import Chain, Piece, Slot
 from mavdiag.monitors.run_length import RunLength
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, IntArray
-
-__all__ = ["RateTrace", "SlotTrace", "Traces", "rate_traces", "slot_traces", "traces_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,46 +52,30 @@ class SlotTrace:
     found: Statistic
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Traces:
-    """All of a flight: an entry for each modelled axis, and one for each slot. pieces: what they were made of."""
-
-    rates: tuple[RateTrace, ...]
-    slots: tuple[SlotTrace, ...]
-    pieces: tuple[Piece, ...]
-
-
-def traces_of(chain: Chain, pieces: Sequence[Piece]) -> Traces:
-    """The traces of what a chain judged. pieces: of its outputs, in order."""
-    return Traces(rate_traces(chain, pieces), slot_traces(chain, pieces), tuple(pieces))
-
-
 def rate_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[RateTrace, ...]:
-    """One for each axis that the chain has a model of."""
-    found = []
+    """One for each axis that the chain has a model of. pieces: of the chain's outputs, in order."""
+    traces = []
+    rates = [piece.rows.rates for piece in pieces]
     for number, slot in enumerate(chain.slots):
-        monitor = slot.monitor
+        monitor, found = slot.monitor, [piece.found[number] for piece in pieces]
         if not isinstance(monitor, RunLength):
             continue
         column = monitor.axis.column
-        rates = [piece.rows.rates for piece in pieces]
-        statistics = [piece.found[number] for piece in pieces]
-        measured = _one([one.y[:, column] for one in rates])
-        found.append(
-            RateTrace(
-                axis=monitor.axis,
-                segment=_one([np.full(len(one), one.segment) for one in rates]).astype(np.int64),
-                t_ns=_one([one.t_ns for one in rates]).astype(np.int64),
-                commanded=_one([one.u[:, column] for one in rates]),
-                measured=measured,
-                simulated=measured - _one([one.signal for one in statistics]),
-                fsd_s=_one([one.value for one in statistics]),
-                judged=_one([one.valid for one in statistics]).astype(np.bool_),
-                margin_rad_s=monitor.reference,
-                fml_s=slot.threshold,
-            )
+        measured = _column([block.y[:, column] for block in rates])
+        trace = RateTrace(
+            axis=monitor.axis,
+            segment=_column([np.full(len(block), block.segment) for block in rates]).astype(np.int64),
+            t_ns=_column([block.t_ns for block in rates]).astype(np.int64),
+            commanded=_column([block.u[:, column] for block in rates]),
+            measured=measured,
+            simulated=measured - _column([statistic.signal for statistic in found]),
+            fsd_s=_column([statistic.value for statistic in found]),
+            judged=_column([statistic.valid for statistic in found]).astype(np.bool_),
+            margin_rad_s=monitor.reference,
+            fml_s=slot.threshold,
         )
-    return tuple(found)
+        traces.append(trace)
+    return tuple(traces)
 
 
 def slot_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[SlotTrace, ...]:
@@ -105,20 +87,25 @@ def slot_traces(chain: Chain, pieces: Sequence[Piece]) -> tuple[SlotTrace, ...]:
 
 def _joined(found: Sequence[Statistic]) -> Statistic:
     """Statistics that follow each other as one."""
-    some = [one for one in found if len(one)]
-    width = max((one.rotors.shape[1] for one in some), default=0)
-    known = [one.rotors if one.rotors.shape[1] == width else np.full((len(one), width), np.nan) for one in some]
+    some = [statistic for statistic in found if len(statistic)]
+    width = max((statistic.rotors.shape[1] for statistic in some), default=0)
+    shapes = ((statistic, (len(statistic), width)) for statistic in some)
+    rotors = [one.rotors if one.rotors.shape == shape else np.full(shape, np.nan) for one, shape in shapes]
+    value, level, signal, valid, t_ns = (
+        _column([getattr(statistic, name) for statistic in some])
+        for name in ("value", "level", "signal", "valid", "t_ns")
+    )
     return Statistic(
-        t_ns=_one([one.t_ns for one in some]).astype(np.int64),
+        t_ns=t_ns.astype(np.int64),
         period_s=some[0].period_s if some else 0.0,
-        value=_one([one.value for one in some]),
-        valid=_one([one.valid for one in some]).astype(np.bool_),
-        level=_one([one.level for one in some]),
-        signal=_one([one.signal for one in some]),
-        rotors=np.concatenate(known) if known else np.empty((0, 0)),
+        value=value,
+        valid=valid.astype(np.bool_),
+        level=level,
+        signal=signal,
+        rotors=np.concatenate(rotors) if rotors else np.empty((0, 0)),
     )
 
 
-def _one(parts: Sequence[FloatArray | IntArray | BoolArray]) -> FloatArray:
+def _column(parts: Sequence[FloatArray | IntArray | BoolArray]) -> FloatArray:
     joined: FloatArray = np.concatenate(parts) if parts else np.empty(0)
     return joined

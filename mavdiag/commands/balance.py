@@ -1,12 +1,11 @@
 """`mavdiag balance`: is this unbalance permissible by ISO 1940-1?"""
 
-import json
-from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
+from mavdiag.as_json import json_line
 
 __all__ = ["balance"]
 
@@ -23,5 +22,5 @@ def balance(
     report = assess_unbalance(
         unbalance_g_mm(mass_g, radius_mm), rotor_mass_g=rotor_mass_g, speed_rpm=rpm, grade=grade_named(grade)
     )
-    typer.echo(json.dumps(asdict(report)) if as_json else report.sentence)
+    typer.echo(json_line(report) if as_json else report.sentence)
     raise typer.Exit(0 if report.within else 1)

@@ -3,7 +3,6 @@
 `mavdiag model FILE` shows it; `sweep`, `compare` and `track` are the lab's tools on a log.
 """
 
-import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -16,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from mavdiag import commandline
+from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
 from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Vehicle, parse_order
 from mavdiag.commands.progress import working
@@ -100,7 +100,7 @@ def show(
         models = {one: _fitted(flight, order, method) for one, flight in flights.items()}
     for one, model in models.items():
         figures = model_figures(model)
-        typer.echo(json.dumps(_as_json(one, model, figures)) if as_json else "\n".join(_lines(one, model, figures)))
+        typer.echo(json_line(_as_json(one, model, figures)) if as_json else "\n".join(_lines(one, model, figures)))
         if plot is not None:
             path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{one}")
             flight = flights.get(one)
@@ -305,9 +305,8 @@ def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
     model, order = row.model, ",".join(map(str, row.order))
     fitted = {"r2t": math.nan, "yic": math.nan} if model is None else {"r2t": model.r2t, "yic": model.yic}
     figures = {**fitted, "r2t_validation": row.r2t_validation}
-    known = {name: value if math.isfinite(value) else None for name, value in figures.items()}
     reason = {"refused": row.refused} if row.refused else {}
-    return {"order": order, "window": row.window or None, **known, "best": best, **reason}
+    return {"order": order, "window": row.window or None, **plain(figures), "best": best, **reason}
 
 
 def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
@@ -317,7 +316,7 @@ def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
 
     if as_json:
         for line in lines:
-            typer.echo(json.dumps({key: asdict(one) if isinstance(one, Figure) else one for key, one in line.items()}))
+            typer.echo(json_line(line))
         return
     table = Table(*(lines[0] if lines else ()), box=None, padding=(0, 2, 0, 0))
     for line in lines:

@@ -1,7 +1,8 @@
 """`mavdiag report`: flights, or a campaign, as one page with figures."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,26 +17,15 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.face import now
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.logs import read_log
-from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
+from mavdiag.logs.csv_columns import is_csv, load_column_map
 from mavdiag.storage import check_output, write_atomically
 from mavdiag.telemetry import Log
 
 if TYPE_CHECKING:
     from mavdiag.report.flight import FlightReport
 
-__all__ = ["report", "write_report"]
-
 DRAWN = 40  # logs of one page that have figures, so that the page stays small (our choice)
 LEAST_POINTS = 120
-
-
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """How logs are read and drawn. columns: of CSV recordings. points: across a figure."""
-
-    vehicle: int | None
-    columns: ColumnMap | None
-    points: int
 
 
 def report(
@@ -57,42 +47,41 @@ def report(
     The page needs no network and no script. Exit code: 0 written, whatever the verdicts; 2 error: also if no log could
     be read, and then there is no page.
     """
+    from mavdiag.report import page
+    from mavdiag.report.campaign import read_campaign
+    from mavdiag.report.thinned import COLUMNS
+
     check_output(output)
     if campaign is not None:
         if logs or baseline is not None:
             raise UsageError("--campaign takes neither logs nor --baseline; make two pages")
-        _campaign(campaign, output)
+        write_atomically(output, page.campaign_page(read_campaign(campaign), str(campaign), now()))
+        say(f"written to {output}")
         return
     if not logs or baseline is None:
         raise UsageError("name logs and --baseline FILE, or --campaign FILE")
-    mapped = None if columns is None else load_column_map(columns)
-    _flights(logs, baseline, output, vehicle, mapped)
-
-
-def _flights(logs: Sequence[Path], baseline: Path, output: Path, vehicle: int | None, mapped: ColumnMap | None) -> None:
-    from mavdiag.report.page import Made, flights_page
-
     reference = Baseline.load(baseline)
+    mapped = None if columns is None else load_column_map(columns)
     found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
     if found.skipped:
         say(found.skipped_sentence, err=True)
-    options = _Reading(vehicle, mapped, _points(len(found.logs)))
+    points = max(LEAST_POINTS, COLUMNS // max(1, len(found.logs) // 4))  # fewer where many logs share a page
     reports = [
-        _flight(one, reference, options, figures=number < DRAWN)
+        _flight(one, reference, partial(read_log, one.path, vehicle, columns=mapped), points, figures=number < DRAWN)
         for number, one in enumerate(each(found.logs, "drawn", sizes_of([one.path for one in found.logs])))
     ]
-    if all(one.verdict.verdict is Verdict.ERROR for one in reports):
-        first = reports[0].verdict
+    verdicts = [flight.verdict for flight in reports]
+    if all(verdict.verdict is Verdict.ERROR for verdict in verdicts):
         more = f"; nor could {len(reports) - 1} others be read" if len(reports) > 1 else ""
-        raise InputError(f"{first.log}: {first.reason}{more}")
-    write_atomically(output, flights_page(reports, reference, Made(now(), str(baseline))))
-    for one in reports:
-        say(f"{one.verdict.log}: {one.verdict.verdict}")
+        raise InputError(f"{verdicts[0].log}: {verdicts[0].reason}{more}")
+    write_atomically(output, page.flights_page(reports, reference, page.Made(now(), str(baseline))))
+    for verdict in verdicts:
+        say(f"{verdict.log}: {verdict.verdict}")
     say(f"written to {output}")
 
 
 def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path) -> LogVerdict:
-    """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be drawn or written."""
+    """Judge one log, write its page, return the verdict. Raises UsageError if it cannot be written."""
     from mavdiag.report.flight import flight_report
     from mavdiag.report.page import Made, flights_page
 
@@ -102,30 +91,15 @@ def write_report(log: Log, baseline: Baseline, baseline_path: Path, output: Path
     return judged.verdict
 
 
-def _flight(named: Named, baseline: Baseline, options: _Reading, *, figures: bool) -> "FlightReport":
-    """One bad log is reported and does not lose the others."""
-    from mavdiag.report.flight import flight_report, unread_report
+def _flight(named: Named, baseline: Baseline, read: Callable[[], Log], points: int, *, figures: bool) -> "FlightReport":
+    """One bad log is reported and does not lose the others. points: across a figure."""
+    from mavdiag.report.flight import FlightReport, flight_report
 
     name, trouble = str(named.path), named.trouble
     try:
         if not trouble:
-            log = replace(read_log(named.path, options.vehicle, columns=options.columns), name=name)
-            return flight_report(log, baseline, judge_in_full(log, baseline), options.points, figures=figures)
+            log = replace(read(), name=name)
+            return flight_report(log, baseline, judge_in_full(log, baseline), points, figures=figures)
     except InputError as error:
         trouble = str(error).removeprefix(f"{name}: ")
-    return unread_report(LogVerdict(name, Verdict.ERROR, trouble))
-
-
-def _points(logs: int) -> int:
-    """Points across a figure: fewer where many logs share a page."""
-    from mavdiag.report.thinned import COLUMNS
-
-    return max(LEAST_POINTS, COLUMNS // max(1, logs // 4))
-
-
-def _campaign(path: Path, output: Path) -> None:
-    from mavdiag.report.campaign import read_campaign
-    from mavdiag.report.campaign_page import campaign_page
-
-    write_atomically(output, campaign_page(read_campaign(path), str(path), now()))
-    say(f"written to {output}")
+    return FlightReport(LogVerdict(name, Verdict.ERROR, trouble))

@@ -16,8 +16,6 @@ from mavdiag.link.ports import open_endpoint
 from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.telemetry import Axis
 
-__all__ = ["watch"]
-
 LISTENING = ("udpin:", "tcpin:")
 SPAN_S = 20.0
 

@@ -1,17 +1,51 @@
-"""A diagnosis in a pilot's words: which rotor, and what it does. The figures behind them are in the journal.
+"""A diagnosis and a verdict in words: for a pilot's text, a line of a terminal and a page.
 
-The phrase is that of the monitor whose evidence leads (`Monitor.phrase`). "2.6x" is times its threshold. Thrust that is
-lost is the share of its thrust that a rotor lost which is commanded more to lift the same (`airframe.trim.loss_of`).
+The phrase of a fault is that of the monitor whose evidence leads (`Monitor.phrase`). "2.6x" is times its threshold.
+Thrust that is lost is the share of its thrust that a rotor lost which is commanded more to lift the same
+(`airframe.trim.loss_of`).
 """
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from mavdiag.airframe.trim import loss_of
 from mavdiag.decision.diagnosis import Change, Diagnosis, Stage
-from mavdiag.monitors import BY_NAME
+from mavdiag.decision.events import Event
+from mavdiag.monitors import BY_NAME, by_name
 from mavdiag.monitors.base import FaultKind
+from mavdiag.units import NS_PER_S
+
+if TYPE_CHECKING:  # a verdict is made above this module
+    from mavdiag.judging import LogVerdict, MonitorSummary
 
 MOTORS_MOST = 8  # that are listed by number; more do not fit into a text (our choice)
+MOSTLY = 0.9  # of what was judged: a monitor that judged more has judged the flight (our choice)
+TYPES = {"F1": "an edge cut", "F2": "a crack", "F3": "surface unbalance"}
+
+#: What each monitor looks at, for a reader who meets its name for the first time.
+OBSERVES = {
+    "fsd": "how long the body rate differs from the model's (the thesis's rule)",
+    "innovation": "motion that is predicted badly one step ahead",
+    "rotor_signature": "unexplained motion along the arm of one rotor",
+    "unbalance": "vibration that turns with a rotor",
+    "vibration_level": "the autopilot's own vibration level",
+    "rotor_trim": "one rotor commanded more than in health",
+    "trim_step": "one rotor commanded more than a minute ago",
+    "sensor_noise": "noise of one sensor axis alone",
+    "sensor_drift": "gyro and attitude that do not agree",
+    "control_loss": "a body rate that nobody commanded",
+    "thrust_loss": "thrust that is missing while the vehicle turns",
+}
+
+#: The verdicts in short, in the order in which they ask for attention.
+VERDICTS = {
+    "error": "not readable",
+    "fault": "fault",
+    "suspected": "suspected",
+    "not_judgeable": "not judgeable",
+    "healthy": "healthy",
+}
 
 
 def finding_words(finding: Change | Diagnosis, most: int = 80) -> str:
@@ -32,7 +66,7 @@ def finding_words(finding: Change | Diagnosis, most: int = 80) -> str:
     elif finding.kind in (None, FaultKind.PROPELLER) and phrase != _template(finding):  # it tells of what a rotor does
         whose = "rotor unknown: "
     told = (whose + ", ".join(part for part in (phrase, graded) if part), whose + phrase, phrase or whose)
-    return next((one.strip() for one in told if len(one.strip()) <= most), told[-1].strip()[:most])
+    return next((text.strip() for text in told if len(text.strip()) <= most), told[-1].strip()[:most])
 
 
 def motors_words(finding: Change | Diagnosis) -> str:
@@ -47,14 +81,145 @@ def motors_words(finding: Change | Diagnosis) -> str:
     return "rotor unknown" if finding.kind in (None, FaultKind.PROPELLER) else "all motors"
 
 
+def stage_line(stage: str, reason: str, rotor: int | None = None, kind: str | None = None) -> str:
+    """A stage of the decision in one line, by the kind of its fault where it is known.
+
+    >>> stage_line("fault", "a monitor is above its threshold", 2)
+    'fault: a monitor is above its threshold, rotor 2'
+    """
+    return f"{kind or stage}: {reason}" + ("" if rotor is None else f", rotor {rotor}")
+
+
+def diagnosis_line(held: Diagnosis) -> str:
+    """What is held of a vehicle in one line, with its evidence."""
+    if held.stage not in (Stage.FAULT, Stage.SUSPECTED) or held.monitor is None:
+        return str(held)
+    unit = f" {held.unit}" if held.unit else ""
+    return f"{held} ({held.monitor} {held.statistic:.3g} > {held.threshold:.3g}{unit})"
+
+
+def fault_reason(kind: FaultKind | None, faults: Sequence[Change], events: Sequence[Event]) -> str:
+    """Why a fault was declared: the highest evidence, every rotor that was named, and the type that was named last.
+
+    kind: the gravest of the faults, which the reason is about. events: all alarms of the flight.
+    """
+    faults = [change for change in faults if change.kind is kind]
+    worst = max(faults, key=lambda change: change.statistic / change.threshold if change.threshold else 0.0)
+    same = (event.statistic for event in events if (event.monitor, event.axis) == (worst.monitor, worst.axis))
+    statistic, places = max(same, default=worst.statistic), 3
+    while places < 9 and f"{statistic:.{places}g}" == f"{worst.threshold:.{places}g}" != "0":
+        places += 1
+    spans = faults[-1].rotors
+    rotor = f"; rotor {spans[0].rotor}" if len(spans) == 1 else ""
+    if len(spans) > 1:
+        named = (f"rotor {span.rotor} from {span.since_ns / NS_PER_S:.1f} s" for span in spans[:MOTORS_MOST])
+        rotor = f"; {', '.join(named)}" + (f" and {len(spans) - MOTORS_MOST} more" * (len(spans) > MOTORS_MOST))
+    graded = next((f"; {change.fault_type}" for change in reversed(faults) if change.fault_type is not None), "")
+    axis = f" on {worst.axis}" if worst.axis is not None else ""
+    evidence = f"{worst.monitor}{axis} {statistic:.{places}g} > {worst.threshold:.{places}g}"
+    doubt = f"; {text}" if (text := _doubt(events)) else ""
+    what = "" if kind in (None, FaultKind.PROPELLER) else f"{kind}: "
+    return f"{what}{evidence}{rotor}{graded}{doubt}, {_count(events)}"
+
+
+def headline(verdict: "LogVerdict") -> str:
+    """The verdict in one sentence."""
+    judged = f"{verdict.judged_s:.0f} s of {verdict.flown_s:.0f} s of flight were judged"
+    sentences = {
+        "error": f"This file could not be read: {verdict.reason}.",
+        "not_judgeable": f"This flight cannot be judged by this baseline: {own_reason(verdict)}.",
+        "healthy": f"No fault was found; {judged}.",
+        "suspected": f"A fault is suspected, none was declared; {judged}.",
+    }
+    if verdict.verdict != "fault":
+        return sentences[verdict.verdict]
+    kind = verdict.kind or FaultKind.PROPELLER
+    near = {FaultKind.PROPELLER: "of", FaultKind.GROSS_LOSS: "at"}.get(kind)
+    where = f" {near} rotor {verdict.rotor}" if verdict.rotor is not None and near else ""
+    since = "" if verdict.since_s is None else f", declared first at {verdict.since_s:.1f} s of the vehicle's clock"
+    return f"A {kind}{where} was found{_graded(verdict, kind)}{since}; {judged}."
+
+
+def evidence_sentence(verdict: "LogVerdict") -> str:
+    """What the verdict rests on, one sentence; empty where nothing was judged."""
+    if verdict.verdict == "suspected":
+        return f"What was suspected: {own_reason(verdict)}."
+    if verdict.verdict == "healthy":
+        decided = [monitor for monitor in verdict.monitors if monitor.decides and monitor.maximum is not None]
+        nearest = max(decided, key=_ratio, default=None)
+        if nearest is None:
+            return ""
+        share = 100 * _ratio(nearest)
+        return f"The deciding monitor that came nearest to its threshold is {nearest.name}, with {share:.0f} % of it."
+    if verdict.verdict != "fault":
+        return ""
+    above = sorted((monitor for monitor in verdict.monitors if _ratio(monitor) > 1), key=_ratio, reverse=True)
+    told = ", ".join(f"{monitor.name} {_ratio(monitor):.1f} times" for monitor in above) or "none at the end"
+    events = [judged.event for judged in verdict.events]
+    doubt = f" This alone does not tell the cause ({text})." if (text := _doubt(events)) else ""
+    return f"Above their thresholds: {told} ({_count(events)} of single monitors).{doubt}"
+
+
+def advice(verdict: "LogVerdict") -> str:
+    """What to do now, one sentence."""
+    if verdict.verdict == "fault" and verdict.kind is FaultKind.SENSOR:
+        return "Before the next flight, check the inertial sensor and its mount; no propeller is blamed."
+    if verdict.verdict == "fault" and verdict.kind not in (None, FaultKind.PROPELLER):
+        return "Do not fly before the cause is known: look at motors, controllers, propellers and their wiring."
+    rotor = verdict.rotor
+    first = "the propellers" if rotor is None else f"the propeller of rotor {rotor} first, then the others"
+    return {
+        "fault": f"Before the next flight, look at {first}: nicks, cracks, a bent blade, a loose or changed propeller.",
+        "suspected": "Look at the propellers and judge the next flight too: it may be a manoeuvre that was not learnt.",
+        "healthy": "Damage that is smaller than the thresholds can find is not excluded; this is no proof of health.",
+        "not_judgeable": "`mavdiag inspect LOG --baseline FILE` says which message or parameter is missing, and what "
+        "the log shows by itself.",
+        "error": "Check the file; the other logs of this page are not affected.",
+    }[verdict.verdict]
+
+
+def unjudged(verdict: "LogVerdict") -> tuple[str, ...]:
+    """The monitors that did not judge a good part of the flight, and why: one phrase each."""
+    enough = MOSTLY * verdict.judged_s
+    return tuple(f"{m.name}: {m.not_judged}" for m in verdict.monitors if m.not_judged and m.judged_s <= enough)
+
+
+def own_reason(verdict: "LogVerdict") -> str:
+    """The reason without the notes, which stand by themselves."""
+    return verdict.reason.removesuffix("; ".join(("", *verdict.notes)))
+
+
+def _graded(verdict: "LogVerdict", kind: FaultKind) -> str:
+    """The type that was named last."""
+    faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
+    last = next((change for change in reversed(faults) if change.fault_type is not None), None)
+    if kind is not FaultKind.PROPELLER or last is None or last.fault_type is None:
+        return ""
+    severity = "" if last.severity is None else f", severity {last.severity} of 3"
+    return f", most like {TYPES.get(last.fault_type, 'type')} ({last.fault_type}{severity})"
+
+
+def _doubt(events: Sequence[Event]) -> str:
+    """What leaves the cause open, where the alarms of all deciding monitors share it; else empty."""
+    doubts = {monitor.doubt for event in events if (monitor := by_name(event.monitor)).decides}
+    return next(iter(doubts)) if len(doubts) == 1 else ""
+
+
+def _count(events: Sequence[Event]) -> str:
+    return f"{len(events)} alarm{'s' if len(events) != 1 else ''}"
+
+
+def _ratio(monitor: "MonitorSummary") -> float:
+    return 0.0 if monitor.maximum is None or not monitor.threshold else monitor.maximum / monitor.threshold
+
+
 def _template(finding: Change | Diagnosis) -> str:
-    """The phrase of the leading monitor."""
     monitor = BY_NAME.get(finding.monitor or "")
     return "" if monitor is None else monitor.phrase
 
 
 def _phrase(finding: Change | Diagnosis) -> str:
-    """The same with its figure; empty where it is not known."""
+    """The leading monitor's phrase with its figure; empty where that is not known."""
     if not (math.isfinite(finding.statistic) and finding.threshold > 0):
         return ""
     rise = max(finding.statistic, 0.0)

@@ -19,18 +19,16 @@ from mavdiag.face import with_airframe
 from mavdiag.learning import LearnOptions, thesis_options
 from mavdiag.monitors.run_length import RunLengthSpec
 
-__all__ = ["cache_folder", "delete_unused", "own_baselines", "thesis_monitors"]
-
 HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
 FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
 HEALTHY_S = 40.0
 UNUSED_S = 30 * 86_400.0  # after which a baseline is deleted (our choice)
 
 
-def thesis_monitors(baseline: Baseline) -> list[tuple[float, float]]:
-    """Margin [rad/s] and FML [s] of each axis."""
-    entries = ((entry.spec, entry.threshold.value) for entry in baseline.monitors)
-    return [(spec.margin_rad_s, fml_s) for spec, fml_s in entries if isinstance(spec, RunLengthSpec)]
+def thesis_rule(baseline: Baseline) -> Baseline:
+    """The part of a baseline that judges by the thesis's rule alone; without monitors if it has none."""
+    rules = tuple(entry for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec))
+    return baseline.model_copy(update={"monitors": rules})
 
 
 def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
@@ -76,7 +74,7 @@ def cache_folder() -> Path:
 def _usable(path: Path) -> bool:
     """Whether there is one, and it can be read; then it is marked as used now."""
     try:
-        usable = bool(thesis_monitors(Baseline.load(path)))
+        usable = bool(thesis_rule(Baseline.load(path)).monitors)
     except BaselineError:
         return False
     with suppress(OSError):

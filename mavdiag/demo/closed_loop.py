@@ -13,8 +13,6 @@ from mavdiag.link.ports import open_endpoint
 from mavdiag.terminal.ground_station import GroundStation, ReceivedText
 from mavdiag.terminal.live_judge import LiveJudge
 
-__all__ = ["POLL_S", "DemoResult", "Flight", "Loop", "closed_loop"]
-
 READY_S = 120.0  # the emulator compiles its loop at its first start
 POLL_S = 0.05
 
@@ -59,17 +57,17 @@ class DemoResult:
     @property
     def alerts(self) -> tuple[ReceivedText, ...]:
         """Declared faults."""
-        return tuple(one for one in self.texts if one.severity <= Severity.CRITICAL)
+        return tuple(text for text in self.texts if text.severity <= Severity.CRITICAL)
 
     @property
     def false_alarms(self) -> int:
         """Faults that were declared before there was one."""
-        return sum(one.t_s < self.onset_s for one in self.alerts)
+        return sum(text.t_s < self.onset_s for text in self.alerts)
 
     @property
     def detected_s(self) -> float | None:
         """When the fault was first alerted."""
-        return next((one.t_s for one in self.alerts if one.t_s >= self.onset_s), None)
+        return next((text.t_s for text in self.alerts if text.t_s >= self.onset_s), None)
 
     @property
     def good(self) -> bool:

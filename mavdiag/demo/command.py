@@ -1,27 +1,34 @@
-"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station."""
+"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
 
-import json
 import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
 from mavdiag.commands.report import write_report
-from mavdiag.decision.diagnosis import Change
-from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_monitors
-from mavdiag.demo.closed_loop import DemoResult, Flight, closed_loop
+from mavdiag.decision.diagnosis import Change, Stage
+from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_rule
+from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
 from mavdiag.errors import UsageError
+from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
 from mavdiag.storage import check_output
+from mavdiag.telemetry import Axis
+from mavdiag.terminal.ground_station import GroundStation
 from mavdiag.units import NS_PER_S
 
-__all__ = ["demo"]
+if TYPE_CHECKING:  # rich takes time to load
+    from mavdiag.terminal.view import Line, View
 
 ONSET_SHARE = 0.4  # of the flight
+SPAN_S = 12.0  # that the strips show
+DETECTOR, THESIS = "detector: ", "thesis rule: "
 
 
 def demo(
@@ -40,8 +47,6 @@ def demo(
     The detector judges by all monitors; the thesis rule is shown beside it. Exit code 0 only if the fault was alerted
     over MAVLink and nothing was alerted before its onset, else 1.
     """
-    from mavdiag.demo.showing import watch  # rich takes time to load
-    from mavdiag.demo.story import SPAN_S, first_crossing
     from mavdiag.terminal.live_judge import LiveJudge
 
     if duration < 10:
@@ -49,54 +54,91 @@ def demo(
     if report is not None:
         check_output(report)
     fused, thesis = (baseline, baseline) if baseline is not None else own_baselines(quiet=as_json)
-    _print_baseline(thesis, quiet=as_json)
+    reference = thesis_rule(Baseline.load(thesis))
+    if not reference.monitors:
+        raise UsageError(f"{thesis}: has no fsd monitor; the demo needs one from `mavdiag identify`")
+    if not as_json:
+        rule = reference.monitors[0]
+        typer.echo(f"thesis rule: margin {rule.spec.margin_rad_s:.4f} rad/s, FML {rule.threshold.value:.3f} s")
     flight = Flight(duration, fault, rotor, round(ONSET_SHARE * duration, 1), seed)
     with tempfile.TemporaryDirectory() as folder:
         record = Path(folder) / "flight.tlog"
-        beside = LiveJudge(Baseline.load(thesis), SPAN_S)
-        with closed_loop(flight, fused, beside, record) as loop:
+        with closed_loop(flight, fused, LiveJudge(reference, SPAN_S), record) as loop:
             changes = watch(loop, flight, quiet=as_json)
         result = DemoResult(flight.onset_s, tuple(loop.station.texts))
         if as_json:
-            _print_json(result)
+            typer.echo(_json(result))
         else:
-            _print_result(result, flight, first_crossing(changes, flight.onset_s))
+            _print_result(result, flight, changes)
             _print_report(record, fused, report or cache_folder() / "demo-report.html")
     raise typer.Exit(0 if result.good else 1)
 
 
-def _print_baseline(reference: Path, *, quiet: bool) -> None:
-    thesis = thesis_monitors(Baseline.load(reference))
-    if not thesis:
-        raise UsageError(f"{reference}: has no fsd monitor; the demo needs one from `mavdiag identify`")
-    margin_rad_s, fml_s = thesis[0]
-    if not quiet:
-        typer.echo(f"thesis rule: margin {margin_rad_s:.4f} rad/s, FML {fml_s:.3f} s")
+def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
+    """Listen until the flight is over, showing it if there is somebody to show it to.
+
+    Returns how the decision of the thesis rule changed.
+    """
+    from mavdiag.terminal.view import line_for
+    from mavdiag.terminal.watching import Screen
+
+    changes: list[Change] = []
+    with Screen(lambda events: flight_view(loop.station, flight, events), quiet=quiet) as screen:
+        running = True
+        while running:
+            running = loop.plant.running
+            fresh = loop.station.listen(POLL_S)
+            changes += [news for news in fresh if isinstance(news, Change)]
+            screen.show([line_for(news, DETECTOR, THESIS) for news in fresh], last=not running)
+    return changes
 
 
-def _print_json(result: DemoResult) -> None:
+def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]) -> "View":
+    """The picture of a moment. events: so far."""
+    from mavdiag.terminal.view import LEGEND, View, figure_levels, levels_of, rate_strips
+
+    now_s, judge = station.t_s, station.judge
+    fault = f"{flight.fault} on rotor {flight.rotor}"
+    phase = f"damaged: {fault} since" if now_s >= flight.onset_s else f"healthy; {fault} comes at"
+    alerts = [line for line in events if line.severity <= Severity.CRITICAL and line.text.startswith(DETECTOR)]
+    return View(
+        title=f"flight {now_s:.1f} of {flight.duration_s:g} s, {phase} {flight.onset_s:g} s",
+        headline=alerts[-1].text.removeprefix(DETECTOR) if alerts else "no alert",
+        alert=bool(alerts),
+        from_s=now_s - SPAN_S,
+        to_s=now_s,
+        strips=() if judge is None else rate_strips(judge, Axis.ROLL),
+        levels=figure_levels(station) if judge is None else levels_of(judge),
+        events=tuple(events),
+        foot="" if judge is None else f"{LEGEND}; {judge.link_line}",
+    )
+
+
+def _json(result: DemoResult) -> str:
     detected = result.detected_s
-    content = {
-        "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
-        "onset_s": result.onset_s,
-        "detected_s": detected,
-        "latency_s": None if detected is None else round(detected - result.onset_s, 3),
-        "alerts": [asdict(one) for one in result.alerts],
-        "false_alarms": result.false_alarms,
-    }
-    typer.echo(json.dumps(content))
+    return json_line(
+        {
+            "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
+            "onset_s": result.onset_s,
+            "detected_s": detected,
+            "latency_s": None if detected is None else round(detected - result.onset_s, 3),
+            "alerts": [asdict(text) for text in result.alerts],
+            "false_alarms": result.false_alarms,
+        }
+    )
 
 
-def _print_result(result: DemoResult, flight: Flight, thesis: Change | None) -> None:
-    """The story in four lines."""
+def _print_result(result: DemoResult, flight: Flight, changes: Sequence[Change]) -> None:
+    """The story in four lines. changes: of the decision of the thesis rule."""
     onset_s = flight.onset_s
     say(f"injected: {flight.fault} on rotor {flight.rotor} at {onset_s:g} s")
     if result.detected_s is None:
         say("detector: the fault was not alerted")
     else:
-        last = [one.text for one in result.alerts if one.t_s >= onset_s][-1]
+        last = [text.text for text in result.alerts if text.t_s >= onset_s][-1]
         say(f"detector: alerted {result.detected_s - onset_s:.2f} s after the onset; it ends with {last!r}")
-    if thesis is None:
+    faults = (one for one in changes if one.stage is Stage.FAULT and one.t_ns / NS_PER_S >= onset_s)
+    if (thesis := next(faults, None)) is None:
         say("thesis rule: it did not alarm after the onset")
     else:
         after_s = thesis.t_ns / NS_PER_S - onset_s

@@ -1,65 +1,37 @@
 """Child processes of the demo (edge): started from this Python by module name, and always ended."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
-import threading
+import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from queue import Empty, Queue
+from collections.abc import Iterator
 
 from mavdiag.errors import LinkError
 
-__all__ = ["Child", "child", "run_child"]
-
 GRACE_S = 3.0
-POLL_S = 0.1
+POLL_S = 0.05
+READ_BYTES = 1 << 20
 
 
 class Child:
-    """A running process and the lines that it printed."""
+    """A running process. What it prints goes to a file, so that it never waits for a reader."""
 
-    def __init__(self, module: str, arguments: Sequence[str]) -> None:
-        self.module = module
-        self.lines: list[str] = []
-        self._fresh: Queue[str] = Queue()
+    def __init__(self, module: str, *arguments: str) -> None:
+        self.module, self._printed, self._told = module, b"", 0
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115  # closed when the process has ended
+        command = [sys.executable, "-m", module, *arguments]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
+            command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT
         )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
 
-    def _read(self) -> None:
-        if self._process.stdout is not None:
-            for line in self._process.stdout:
-                self.lines.append(line.rstrip())
-                self._fresh.put(line.rstrip())
-
-    def wait_for(self, text: str, timeout_s: float) -> str:
-        """The first new line that holds `text`.
-
-        Raises LinkError with the last line if none comes within `timeout_s` in all, or as soon as the process ended.
-        """
-        until = time.monotonic() + timeout_s
-        while True:
-            ended = not self.running  # looked at before the queue: its last lines still count
-            left = until - time.monotonic()
-            try:
-                line = self._fresh.get(timeout=min(max(left, 0.0), POLL_S))
-            except Empty:
-                if ended or left <= 0:
-                    raise LinkError(
-                        f"{self.module} {'stopped' if ended else 'did not get ready'}: {self.last}"
-                    ) from None
-                continue
-            if text in line:
-                return line
+    @property
+    def lines(self) -> list[str]:
+        """The lines that it printed so far."""
+        self._read()
+        return self._printed.rpartition(b"\n")[0].decode(errors="replace").splitlines()
 
     @property
     def last(self) -> str:
@@ -71,12 +43,27 @@ class Child:
         """Whether it still runs."""
         return self._process.poll() is None
 
+    def wait_for(self, text: str, timeout_s: float) -> str:
+        """The first new line that holds `text`.
+
+        Raises LinkError with the last line if none comes within `timeout_s` in all, or as soon as the process ended.
+        """
+        until = time.monotonic() + timeout_s
+        while True:
+            ended = not self.running  # looked at before the lines: its last ones still count
+            for line in self.lines[self._told :]:
+                self._told += 1
+                if text in line:
+                    return line
+            if ended or time.monotonic() >= until:
+                raise LinkError(f"{self.module} {'stopped' if ended else 'did not get ready'}: {self.last}")
+            time.sleep(POLL_S)
+
     def finish(self, timeout_s: float | None = None) -> int:
         """Wait for its end and return its exit code."""
         code = self._process.wait(timeout_s)
-        self._reader.join(GRACE_S)
-        if self._process.stdout is not None and not self._reader.is_alive():
-            self._process.stdout.close()
+        self._read()
+        self._output.close()
         return code
 
     def end(self) -> None:
@@ -89,19 +76,25 @@ class Child:
             self._process.kill()
         self.finish(GRACE_S)
 
+    def _read(self) -> None:
+        """Read on, without moving the place at which the process writes."""
+        if not self._output.closed:
+            while more := os.pread(self._output.fileno(), READ_BYTES, len(self._printed)):
+                self._printed += more
+
 
 @contextlib.contextmanager
 def child(module: str, *arguments: str) -> Iterator[Child]:
     """A process that ends with the block."""
-    one = Child(module, arguments)
+    process = Child(module, *arguments)
     try:
-        yield one
+        yield process
     finally:
-        one.end()
+        process.end()
 
 
 def run_child(module: str, *arguments: str) -> None:
     """Run a process to its end. Raises LinkError with its last line if it fails."""
-    with child(module, *arguments) as one:
-        if one.finish() != 0:
-            raise LinkError(f"{module} failed: {one.last}")
+    with child(module, *arguments) as process:
+        if process.finish() != 0:
+            raise LinkError(f"{module} failed: {process.last}")

@@ -1,36 +1,18 @@
-"""What the rows of one flight show without a baseline, as values. Nothing here is a verdict: there is nothing to
-compare with but the limits that autopilots publish."""
+"""What the rows of one flight, a block a segment, show without a baseline, as values. Nothing here is a verdict: there
+is nothing to compare with but the limits that autopilots publish."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import MIN_OUTPUT, shown_trim
 from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
 from mavdiag.rows.windows import spans
-from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry, Three
+from mavdiag.telemetry import BoolArray, FloatArray, Signal, Telemetry
 from mavdiag.units import RPM
-
-__all__ = [
-    "VIBRATION_HIGH",
-    "VIBRATION_USUAL",
-    "OutputLoad",
-    "RotorLine",
-    "Trim",
-    "Vibration",
-    "motors_of",
-    "output_loads",
-    "rotor_line",
-    "told_hz",
-    "trim",
-    "vibration",
-]
 
 # ArduPilot's own advice on the message VIBRATION (wiki, "Measuring Vibration"): up to 30 m/s^2 is normally acceptable,
 # above 30 there may be problems, above 60 there nearly always are.
@@ -39,8 +21,9 @@ FULL, IDLE = 0.98, 0.06  # an output at its upper or its lower end (our choice)
 MADE_UP_RAD_S = 6000 * RPM  # that PX4 tells of full output in simulation (SimulatorMavlink: ESC_STATUS)
 HELD_S = 0.3  # or at a limit of the mixer: it stands still for so long, as no motor in flight does (our choice)
 AWAY = 0.5  # and by more than this share of the mean beside it (our choice)
-LEAST_S = 2.0  # of unbroken flight that a spectrum needs (our choice)
-SPECTRUM_S = 1.0  # of one of its windows, so 1 Hz wide lines (our choice)
+LEAST_S = 2.0  # of unbroken flight that a line is looked for in (our choice)
+SPECTRUM_S = 1.0  # of one window of a spectrum, so 1 Hz wide lines: as narrow as a rotor's speed is steady (our choice)
+LEAST_ROWS = 8  # of a window: fewer show no line
 LINE_FROM_HZ = 25.0  # slower rotors fly nothing that this tool is for (our choice)
 LINE_TO = 0.45  # of the sample rate
 AROUND = 0.2  # of the frequency: the neighbourhood that a line is compared with (our choice)
@@ -65,15 +48,6 @@ class OutputLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Trim:
-    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`)."""
-
-    roll: float
-    pitch: float
-    yaw: float
-
-
-@dataclass(frozen=True, slots=True)
 class Vibration:
     """Level of the autopilot's own message, x, y, z [m/s^2].
 
@@ -81,8 +55,8 @@ class Vibration:
     is above 30 or 60 m/s^2.
     """
 
-    median: Three
-    high: Three
+    median: tuple[float, ...]
+    high: tuple[float, ...]
     above_usual: float
     above_high: float
 
@@ -107,6 +81,15 @@ class RotorLine:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """frequency_hz: (n,). power: (n, 2) density of x and y [(m/s^2)^2/Hz]. averaged: number of windows."""
+
+    frequency_hz: FloatArray
+    power: FloatArray
+    averaged: int
+
+
 def told_hz(telemetry: Telemetry) -> float:
     """Mean speed of the rotors that turn, as the vehicle tells it, in turns a second; NaN if it does not.
 
@@ -126,91 +109,95 @@ def told_hz(telemetry: Telemetry) -> float:
     return float(told.mean() / math.tau)
 
 
-def motors_of(flight: Sequence[Rows]) -> list[int]:
-    """Columns of the outputs that move in flight as motors may; what stands still or idles is none."""
-    return moving_outputs(Stretches([rows.block for rows in flight]))
-
-
-def output_loads(flight: Sequence[Rows], motors: Sequence[int]) -> tuple[OutputLoad, ...]:
+def output_loads(flight: Sequence[Block], motors: Sequence[int]) -> tuple[OutputLoad, ...]:
     """The load of each motor's output in flight; none where there are no outputs. motors: their columns, from 0."""
-    found = [(_outputs(block, motors), block.dt_s) for block in joined(flight)]
-    known = [(outputs, dt_s) for outputs, dt_s in found if outputs.size]
-    if not known:
+    parts = [(outputs, block.dt_s) for block in flight if (outputs := _outputs(block, motors)).size]
+    if not parts:
         return ()
-    outputs = np.concatenate([one for one, _ in known])
-    still = np.concatenate([_standing(one, dt_s) for one, dt_s in known])
+    outputs = np.concatenate([part for part, _ in parts])
+    still = np.concatenate([_standing(part, dt_s) for part, dt_s in parts])
     means = outputs.mean(axis=0)
     level = float(means.mean())
     full = (outputs >= FULL) | (still & (outputs > (1 + AWAY) * level))
     idle = (outputs <= IDLE) | (still & (outputs < (1 - AWAY) * level))
-    return tuple(
-        OutputLoad(motor + 1, float(mean), float(mean / level - 1), float(upper.mean()), float(lower.mean()))
-        for motor, mean, upper, lower in zip(motors, means, full.T, idle.T, strict=True)
-    )
+    columns = (means, means / level - 1, full.mean(axis=0), idle.mean(axis=0))
+    return tuple(OutputLoad(n + 1, *map(float, of)) for n, *of in zip(motors, *columns, strict=True))
+
+
+def trim(flight: Sequence[Block], layout: RotorLayout) -> Mapping[str, float] | None:
+    """Mean roll, pitch and yaw trim of the rotors, as a share of the hover command (`airframe.trim`).
+
+    None where neither outputs nor torque commands show it.
+    """
+    values = [value[known] for value, known in (shown_trim(block, layout) for block in flight)]
+    mean = np.concatenate(values).mean(axis=0).tolist() if sum(map(len, values)) else None
+    return None if mean is None else dict(zip(("roll", "pitch", "yaw"), mean, strict=True))
+
+
+def vibration(flight: Sequence[Block]) -> Vibration | None:
+    """The autopilot's own vibration level in flight; None if it does not send it."""
+    levels = [block.vibration[block.valid & block.known(Signal.VIBRATION)] for block in flight]
+    if not sum(map(len, levels)):
+        return None
+    level = np.concatenate(levels)
+    median, high = np.percentile(level, (50, 95), axis=0)
+    above_usual, above_high = (float((level.max(axis=1) > limit).mean()) for limit in (VIBRATION_USUAL, VIBRATION_HIGH))
+    return Vibration(tuple(median.tolist()), tuple(high.tolist()), above_usual, above_high)
+
+
+def spectrum_of(flight: Sequence[Block], least_s: float = SPECTRUM_S) -> Spectrum | None:
+    """Spectrum of the accelerometer's x and y, by Welch's averages (IEEE Trans. Audio Electroacoust. 15 (1967)).
+
+    least_s: of the unbroken stretches of flight that it is taken of [s]; None if there is none.
+    """
+    from scipy.signal import welch  # here, for it takes a second to load
+
+    hz, power, averaged = np.empty(0), np.empty(0), 0
+    for block in flight:
+        width = round(SPECTRUM_S / block.dt_s)
+        for first, stop in spans(block.valid & np.isfinite(block.force[:, :2]).all(axis=1)):
+            if width < LEAST_ROWS or stop - first < max(width, least_s / block.dt_s):
+                continue
+            count = (stop - first - width // 2) // (width - width // 2)
+            hz, density = welch(block.force[first:stop, :2], 1 / block.dt_s, nperseg=width, axis=0)
+            power = count * density + (power if averaged else 0.0)
+            averaged += count
+    return Spectrum(hz, power / averaged, averaged) if averaged else None
+
+
+def rotor_line(flight: Sequence[Block], corner_hz: float | None, told_hz: float) -> RotorLine:
+    """The line of the rotors.
+
+    corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
+    """
+    rate_hz = 1 / flight[0].dt_s if flight else 0.0
+    to_hz = min(LINE_TO * rate_hz, math.inf if corner_hz is None else corner_hz) if flight else LINE_FROM_HZ
+    none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
+    if not flight:
+        return replace(none, reason="there is no flight in it")
+    if to_hz <= 1.5 * LINE_FROM_HZ:
+        slow = corner_hz is None or corner_hz > to_hz
+        why = f"accelerometer comes at {rate_hz:.0f} Hz" if slow else f"IMU stream is low-passed at {corner_hz:g} Hz"
+        return replace(none, reason=f"the {why}, which shows no rotor's line")
+    spectrum = spectrum_of(flight, LEAST_S)
+    if spectrum is None:
+        return replace(none, reason=f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
+    hz, excess = spectrum.frequency_hz, _above_neighbours(spectrum)
+    best = int(np.argmax(np.where((hz >= LINE_FROM_HZ) & (hz <= to_hz), excess, -np.inf)))
+    if excess[best] < LINE_DB:
+        return replace(none, reason=f"no line stands {LINE_DB:g} dB above its neighbourhood")
+    near = [(np.abs(hz - n * hz[best]) <= 0.02 * n * hz[best]) & (hz <= to_hz) for n in range(2, HARMONICS + 1)]
+    heard = (n for n, at in enumerate(near, start=2) if at.any() and excess[at].max() >= LINE_DB)
+    return replace(none, hz=float(hz[best]), db=float(excess[best]), harmonics=tuple(heard))
 
 
 def _standing(outputs: FloatArray, dt_s: float) -> BoolArray:
     """(n, k) whether an output keeps its value for `HELD_S` or longer around this row."""
     standing = np.zeros(outputs.shape, dtype=np.bool_)
     for column, found in zip(outputs.T, standing.T, strict=True):
-        edges = np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan))
-        lengths = np.diff(edges)
+        lengths = np.diff(np.flatnonzero(np.diff(column, prepend=np.nan, append=np.nan)))
         found[:] = np.repeat(lengths * dt_s >= HELD_S, lengths)
     return standing
-
-
-def trim(flight: Sequence[Rows], layout: RotorLayout) -> Trim | None:
-    """The mean trim of a flight; None where neither outputs nor torque commands show it."""
-    found = [shown_trim(block, layout) for block in joined(flight)]
-    values = np.concatenate([np.empty((0, 3)), *(value[known] for value, known in found)])
-    return Trim(*values.mean(axis=0).tolist()) if len(values) else None
-
-
-def vibration(flight: Sequence[Rows]) -> Vibration | None:
-    """The autopilot's own vibration level in flight; None if it does not send it."""
-    blocks = joined(flight)
-    levels = [block.vibration[block.valid & block.known(Signal.VIBRATION)] for block in blocks]
-    level = np.concatenate([np.empty((0, 3)), *levels])
-    if not len(level):
-        return None
-    median, high = np.median(level, axis=0).tolist(), np.percentile(level, 95, axis=0).tolist()
-    worst = level.max(axis=1)
-    above_usual, above_high = (float((worst > limit).mean()) for limit in (VIBRATION_USUAL, VIBRATION_HIGH))
-    return Vibration((median[0], median[1], median[2]), (high[0], high[1], high[2]), above_usual, above_high)
-
-
-def rotor_line(flight: Sequence[Rows], corner_hz: float | None, told_hz: float) -> RotorLine:
-    """The line of the rotors.
-
-    corner_hz: of the low-pass in the IMU stream; None if none is known. told_hz: what `told_hz` gives.
-    """
-    blocks = joined(flight)
-    if not blocks:
-        return RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, LINE_FROM_HZ, "there is no flight in it")
-    rate_hz = 1 / blocks[0].dt_s
-    to_hz = LINE_TO * rate_hz if corner_hz is None else min(LINE_TO * rate_hz, corner_hz)
-    none = RotorLine(math.nan, math.nan, (), told_hz, LINE_FROM_HZ, to_hz)
-    if to_hz <= 1.5 * LINE_FROM_HZ:
-        why = (
-            f"the accelerometer comes at {rate_hz:.0f} Hz"
-            if corner_hz is None or corner_hz > to_hz
-            else (f"the IMU stream is low-passed at {corner_hz:g} Hz")
-        )
-        return _because(none, f"{why}, which shows no rotor's line")
-    power, hz = _spectrum(blocks, rate_hz)
-    if not len(power):
-        return _because(none, f"there are no {LEAST_S:g} s of unbroken flight with an accelerometer")
-    excess = _above_neighbours(power, hz)
-    inside = (hz >= LINE_FROM_HZ) & (hz <= to_hz)
-    best = int(np.argmax(np.where(inside, excess, -np.inf)))
-    if excess[best] < LINE_DB:
-        return _because(none, f"no line stands {LINE_DB:g} dB above its neighbourhood")
-    heard = [n for n in range(2, HARMONICS + 1) if _stands_out(excess, hz, n * float(hz[best]), to_hz)]
-    return RotorLine(float(hz[best]), float(excess[best]), tuple(heard), told_hz, LINE_FROM_HZ, to_hz)
-
-
-def _because(none: RotorLine, reason: str) -> RotorLine:
-    return RotorLine(none.hz, none.db, none.harmonics, none.told_hz, none.from_hz, none.to_hz, reason)
 
 
 def _outputs(block: Block, motors: Sequence[int]) -> FloatArray:
@@ -223,36 +210,12 @@ def _outputs(block: Block, motors: Sequence[int]) -> FloatArray:
     return turning
 
 
-def _spectrum(blocks: Sequence[Block], rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Power of x and y together over the frequency (Welch), over all unbroken stretches; empty if there is none."""
-    from scipy.signal import welch  # here, for it takes a second to load
-
-    width = round(SPECTRUM_S * rate_hz)
-    total, weight, hz = np.zeros(width // 2 + 1), 0, np.empty(0)
-    for block in blocks:
-        there = block.valid & np.isfinite(block.force[:, :2]).all(axis=1)
-        for first, stop in spans(there):
-            if stop - first < LEAST_S * rate_hz:
-                continue
-            hz, power = welch(block.force[first:stop, :2], rate_hz, nperseg=width, axis=0)
-            total += power.sum(axis=1) * (stop - first)
-            weight += stop - first
-    return (total / weight, hz) if weight else (np.empty(0), np.empty(0))
-
-
-def _above_neighbours(power: FloatArray, hz: FloatArray) -> FloatArray:
-    """How far each frequency stands above the median of its neighbourhood [dB]."""
-    floor = np.empty(len(power))
-    for number, at in enumerate(hz):
-        reach = max(AROUND * at, 5 * hz[1])
-        first, stop = np.searchsorted(hz, (at - reach, at + reach))
-        floor[number] = np.median(power[first:stop])
+def _above_neighbours(spectrum: Spectrum) -> FloatArray:
+    """How far x and y together stand above the median of the neighbourhood at each frequency [dB]."""
+    hz, power = spectrum.frequency_hz, spectrum.power.sum(axis=1)
+    reach = np.maximum(AROUND * hz, 5 * hz[1])
+    around = zip(np.searchsorted(hz, hz - reach), np.searchsorted(hz, hz + reach), strict=True)
+    floor = np.array([np.median(power[first:stop]) for first, stop in around])
     tiny = np.finfo(np.float64).tiny
     excess: FloatArray = 10 * np.log10(np.maximum(power, tiny) / np.maximum(floor, tiny))
     return excess
-
-
-def _stands_out(excess: FloatArray, hz: FloatArray, at: float, to_hz: float) -> bool:
-    """Whether there is a line within 2 % of a frequency."""
-    near = (np.abs(hz - at) <= 0.02 * at) & (hz <= to_hz)
-    return bool(near.any() and excess[near].max() >= LINE_DB)

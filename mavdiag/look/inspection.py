@@ -1,65 +1,54 @@
-"""What a log or a link offers the diagnosis, as values: signals, clock, units, rotors, and each monitor's needs."""
+"""What a log or a link shows without a judgement, as values: signals, clock, units, rotors, the flight, and what each
+monitor lacks. It never says that a vehicle is well: without a baseline there is nothing that could show it."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from mavdiag import monitors
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.excitation import Stretches, moving_outputs
 from mavdiag.airframe.parameters import layout_from_parameters
+from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import SIGNALS
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.learning.flights import LearntFlight, airborne, front_for
+from mavdiag.learning.guards import upsets
 from mavdiag.learning.rotors import of_log_kind, with_rotors
 from mavdiag.link.codec import message_name
 from mavdiag.link.profiles import PROFILES, scale_doubt
 from mavdiag.link.scale import CONTRARY, AxisCheck, gravity_of, gyro_checks
+from mavdiag.link.sequence import LinkCount
 from mavdiag.link.wants import LABELS, log_remedy, messages_of, remedy
-from mavdiag.monitors import (
-    MONITORS,
-    control_loss,
-    innovation,
-    monitor_of,
-    rotor_signature,
-    sensor_drift,
-    sensor_noise,
-    thrust_loss,
-)
+from mavdiag.look import figures
+from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import Monitor
 from mavdiag.monitors.vibration_band import corner_of
 from mavdiag.rows.grid import unbroken
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = [
-    "Clock",
-    "MonitorState",
-    "Summary",
-    "Units",
-    "baseline_statement",
-    "clock_of",
-    "monitor_states",
-    "rotors_of",
-    "summary",
-    "units_of",
-]
-
 USUAL = 3.0  # steps above this multiple of the median are gaps, and no jitter (our choice)
+GAP_S = 0.035  # of the gyro: a longer one is not interpolated (METHOD section 4)
 WINDOW_S = 0.1  # of the rate filters, as `mavdiag identify` has it by default
 LATE_SHARE = 95.0  # percentile of the transport delay that is called its spread
 DRIFT_S = 10  # within fewer seconds the drift of a clock is lost in the transport (our choice)
+LEAST_CLOCK = 20  # samples that a clock is seen by (our choice)
+NOTHING: Mapping[int, float] = {}
 SLACK = 0.98  # a rate that is this share of what is needed will do
 
 # The slowest gyro that a monitor can work with [Hz].
 _LEAST_HZ: Mapping[str, float] = {
-    "innovation": innovation.MIN_RATE_HZ,
-    "rotor_signature": rotor_signature.MIN_RATE_HZ,
-    "sensor_noise": sensor_noise.LEAST_RATE_HZ,
-    "sensor_drift": sensor_drift.MIN_RATE_HZ,
-    "control_loss": control_loss.MIN_RATE_HZ,
-    "thrust_loss": thrust_loss.MIN_RATE_HZ,
+    "innovation": monitors.innovation.MIN_RATE_HZ,
+    "rotor_signature": monitors.rotor_signature.MIN_RATE_HZ,
+    "sensor_noise": monitors.sensor_noise.LEAST_RATE_HZ,
+    "sensor_drift": monitors.sensor_drift.MIN_RATE_HZ,
+    "control_loss": monitors.control_loss.MIN_RATE_HZ,
+    "thrust_loss": monitors.thrust_loss.MIN_RATE_HZ,
 }
 
 
@@ -71,7 +60,9 @@ class Summary:
     samples: how many there are.
     rate_hz: their mean rate but for pauses (`rows.grid.unbroken`); None with fewer than two times.
     jitter_ms: standard deviation of the steps that are no gaps.
-    longest_gap_s: the longest step.
+    longest_gap_s: the longest step. gaps: steps of three usual ones or more.
+    missing: share of the samples that the usual step would have brought, 0..1.
+    repeated: samples with the time of another one.
     lowest, highest: of each column; None where a column holds no number.
     """
 
@@ -81,20 +72,11 @@ class Summary:
     rate_hz: float | None
     jitter_ms: float | None
     longest_gap_s: float | None
+    gaps: int
+    missing: float
+    repeated: int
     lowest: tuple[float | None, ...]
     highest: tuple[float | None, ...]
-
-
-def summary(series: Series) -> Summary:
-    """Figures of one signal, which has samples."""
-    steps: FloatArray = np.diff(np.unique(series.t_ns)).astype(np.float64)
-    rate = jitter = gap = None
-    if len(steps):
-        rate, gap = float(NS_PER_S / unbroken(steps).mean()), float(steps.max()) / NS_PER_S
-        jitter = float(steps[steps < USUAL * np.median(steps)].std()) / NS_PER_MS
-    known = [column[np.isfinite(column)] for column in series.values.T]
-    lowest, highest = (tuple(float(of(column)) if len(column) else None for column in known) for of in (np.min, np.max))
-    return Summary(series.signal, series.unit, len(series), rate, jitter, gap, lowest, highest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,31 +95,6 @@ class Clock:
     signals_ms: Mapping[str, float]
 
 
-def clock_of(telemetry: Telemetry) -> Clock | None:
-    """The clock by the gyro's samples; None where none came with a time of arrival of its own."""
-    gyro = telemetry.get(Signal.BODY_RATE)
-    if gyro is None or len(gyro) < 20 or np.array_equal(gyro.t_ns, gyro.host_ns):
-        return None
-    behind: FloatArray = (gyro.host_ns - gyro.t_ns) / NS_PER_S
-    second = (gyro.t_ns - gyro.t_ns[0]) // NS_PER_S
-    seconds, order, starts = _by_second(gyro.t_ns)
-    least = np.minimum.reduceat(behind[order], starts)
-    known = len(least) >= DRIFT_S
-    slope, start = np.polyfit(seconds, least, 1) if known else (0.0, float(least.min()))
-    late = behind - (start + slope * second)
-    others = (one for one in telemetry.series if len(one) >= 20 and one.signal is not Signal.BODY_RATE)
-    signals = {
-        one.signal.value: 1e3 * (float(((one.host_ns - one.t_ns) / NS_PER_S).min()) - float(behind.min()))
-        for one in others
-    }
-    return Clock(
-        float(behind.min()),
-        1e6 * float(slope) if known else None,
-        1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
-        signals,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class Units:
     """Whether the units are what they are taken for.
@@ -152,6 +109,168 @@ class Units:
     gyro: tuple[AxisCheck, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class MonitorState:
+    """One monitor: whether what comes is enough for it, and what is not and what gives it, one phrase each.
+
+    monitor, label: its name in a baseline, and how a text calls it.
+    """
+
+    monitor: str
+    label: str
+    works: bool
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MessageRate:
+    """A message of a link, and how often it came."""
+
+    id: int
+    name: str
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """All that is told of a log or a link; its fields are those of the JSON.
+
+    log: its name. source: as it was given. profile: its link or kind. span_s: from its first to its last sample.
+    flight_s: valid time in flight; 0 if none. no_flight: why there is none; empty if there is.
+    upset: when and how it fell or tumbled, one sentence; empty if it did not.
+    gyro_gaps, lost_s: gaps of the gyro longer than 35 ms, and their time in all.
+    messages, link: each message of a link; frames received, lost, reordered and duplicated; None for a log without.
+    asked: what the autopilot answered to our requests, one sentence each; empty if nothing was asked.
+    clock: None where nothing came with a time of arrival of its own.
+    rotors: what is known of the rotors' layout, one sentence.
+    loads, trim: of the motors; empty or None where outputs and torque commands are missing.
+    vibration: by the autopilot's own message; None without it.
+    line: the rotors' line in the accelerometer; None without flight.
+    baseline: whether it is of this link; empty without one.
+    monitors: which can work, and what is missing for the others.
+    """
+
+    log: str
+    source: str
+    profile: str
+    span_s: float
+    flight_s: float
+    no_flight: str
+    upset: str
+    notes: tuple[str, ...]
+    signals: tuple[Summary, ...]
+    gyro_gaps: int
+    lost_s: float
+    messages: tuple[MessageRate, ...]
+    link: Mapping[str, int] | None
+    asked: tuple[str, ...]
+    clock: Clock | None
+    units: Units
+    rotors: str
+    loads: tuple[figures.OutputLoad, ...]
+    trim: Mapping[str, float] | None
+    vibration: figures.Vibration | None
+    line: figures.RotorLine | None
+    baseline: str
+    monitors: tuple[MonitorState, ...]
+
+    @property
+    def gyro(self) -> Summary | None:
+        """The gyro as it arrives."""
+        return next((signal for signal in self.signals if signal.signal == Signal.BODY_RATE), None)
+
+    @property
+    def works(self) -> tuple[str, ...]:
+        """The monitors that such logs carry enough for."""
+        return tuple(state.monitor for state in self.monitors if state.works)
+
+
+def inspection_of(
+    log: Log,
+    told: Airframe,
+    source: str = "",
+    baseline: Baseline | None = None,
+    count: LinkCount | None = None,
+    rates_hz: Mapping[int, float] = NOTHING,
+    asked: tuple[str, ...] = (),
+) -> Inspection:
+    """Look at a log, or at what came of a link. told: what is known of its vehicle; `Airframe()` for nothing.
+
+    baseline: its monitors are told; None for all monitors.
+    count, rates_hz: of the autopilot's frames; the rate of each message by its number. asked: as in `Inspection`.
+    """
+    airframe, learnt, no_flight = rotors_of(log, told)
+    signals = tuple(summary(series) for series in log.telemetry.series if len(series))
+    flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout
+    motors = moving_outputs(Stretches(flight)) if layout is None else range(layout.rotors)
+    profile, gaps = PROFILES.get(log.profile), _gyro_gaps(log.telemetry)
+    corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
+    counted = ("received", "lost", "reordered", "duplicated")
+    return Inspection(
+        log=log.name,
+        source=source or log.name,
+        profile=log.profile,
+        span_s=_span_s(log.telemetry),
+        flight_s=sum(float(np.count_nonzero(block.valid)) * block.dt_s for block in flight),
+        no_flight=no_flight,
+        upset="" if learnt is None else "; ".join(finding.text for finding in upsets([learnt])),
+        notes=log.notes,
+        signals=signals,
+        gyro_gaps=len(gaps),
+        lost_s=float(gaps.sum()),
+        messages=tuple(MessageRate(m, message_name(m), hz) for m, hz in sorted(rates_hz.items())),
+        link=None if count is None else {name: getattr(count, name) for name in counted},
+        asked=asked,
+        clock=clock_of(log.telemetry) if profile is not None else None,
+        units=units_of(log),
+        rotors=airframe.layout_statement,
+        loads=figures.output_loads(flight, motors),
+        trim=None if layout is None else figures.trim(flight, layout),
+        vibration=figures.vibration(flight),
+        line=figures.rotor_line(flight, corner_hz, figures.told_hz(log.telemetry)) if flight else None,
+        baseline="" if baseline is None else baseline_statement(baseline, log, signals),
+        monitors=monitor_states(log, signals, airframe, baseline),
+    )
+
+
+def summary(series: Series) -> Summary:
+    """Figures of one signal, which has samples."""
+    t_ns = np.unique(series.t_ns)
+    steps: FloatArray = np.diff(t_ns).astype(np.float64)
+    rate = jitter = longest = None
+    gaps, missing = 0, 0.0
+    if len(steps):
+        usual = float(np.median(steps))
+        rate, longest = float(NS_PER_S / unbroken(steps).mean()), float(steps.max()) / NS_PER_S
+        jitter = float(steps[steps < USUAL * usual].std()) / NS_PER_MS
+        gaps = int(np.count_nonzero(steps >= USUAL * usual))
+        missing = max(0.0, 1.0 - len(t_ns) / (float(t_ns[-1] - t_ns[0]) / usual + 1.0))
+    known = [column[np.isfinite(column)] for column in series.values.T]
+    lowest, highest = (tuple(float(of(column)) if len(column) else None for column in known) for of in (np.min, np.max))
+    timing = (rate, jitter, longest, gaps, missing, len(series) - len(t_ns))
+    return Summary(series.signal, series.unit, len(series), *timing, lowest, highest)
+
+
+def clock_of(telemetry: Telemetry) -> Clock | None:
+    """The clock by the gyro's samples; None where none came with a time of arrival of its own."""
+    gyro = telemetry.get(Signal.BODY_RATE)
+    if gyro is None or len(gyro) < LEAST_CLOCK or np.array_equal(gyro.t_ns, gyro.host_ns):
+        return None
+    behind = _behind_s(gyro)
+    seconds, order, starts = _by_second(gyro.t_ns)
+    least = np.minimum.reduceat(behind[order], starts)
+    known = len(least) >= DRIFT_S
+    slope, start = np.polyfit(seconds, least, 1) if known else (0.0, float(least.min()))
+    late = behind - (start + slope * ((gyro.t_ns - gyro.t_ns[0]) // NS_PER_S))
+    others = (one for one in telemetry.series if len(one) >= LEAST_CLOCK and one.signal is not Signal.BODY_RATE)
+    return Clock(
+        float(behind.min()),
+        1e6 * float(slope) if known else None,
+        1e3 * float(np.percentile(late - late.min(), LATE_SHARE)),
+        {one.signal.value: 1e3 * float(_behind_s(one).min() - behind.min()) for one in others},
+    )
+
+
 def units_of(log: Log) -> Units:
     """Gravity is 1 g, at rest and in the mean of a flight; the gyro is the slope of the attitude."""
     get = log.telemetry.get
@@ -160,24 +279,12 @@ def units_of(log: Log) -> Units:
     if force is None or not len(force) or not np.isfinite(force.values).all():
         return Units(None, "no accelerometer along three axes", checks)
     _, order, starts = _by_second(force.t_ns)
-    felt = float(np.median([gravity_of(part) for part in np.split(force.values[order], starts[1:])]))
-    return Units(felt, _gravity(log.profile, felt), checks)
-
-
-def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """The seconds since the first sample that have any, the samples' order by second, and where each begins in it."""
-    second = (t_ns - t_ns[0]) // NS_PER_S
-    order = np.argsort(second, kind="stable")
-    seconds, starts = np.unique(second[order], return_index=True)
-    return seconds, order, starts
-
-
-def _gravity(profile: str, felt_g: float) -> str:
+    felt_g = float(np.median([gravity_of(part) for part in np.split(force.values[order], starts[1:])]))
     if 1.0 / CONTRARY < felt_g < CONTRARY:
-        return "right"
-    named = scale_doubt(PROFILES[profile], felt_g) if profile in PROFILES else ""
+        return Units(felt_g, "right", checks)
+    named = scale_doubt(PROFILES[log.profile], felt_g) if log.profile in PROFILES else ""
     remedy_of = f"; try {named.partition(': ')[2]}" if ": " in named else ""
-    return f"wrong scale, or never at rest{remedy_of}"
+    return Units(felt_g, f"wrong scale, or never at rest{remedy_of}", checks)
 
 
 def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, str]:
@@ -192,26 +299,8 @@ def rotors_of(log: Log, told: Airframe) -> tuple[Airframe, LearntFlight | None, 
         return airframe, flights[0], ""
     except InputError as error:
         said, why = layout_from_parameters(log.parameters, log.mav_type), str(error).removeprefix(f"{log.name}: ")
-        if told.layout is not None:
-            return replace(told, layout_basis=told.layout_basis or "told"), None, why
-        if said.layout is not None:
-            return replace(told, layout=said.layout, layout_basis=said.reason), None, why
-        return replace(told, layout_basis=said.reason or why), None, why
-
-
-@dataclass(frozen=True, slots=True)
-class MonitorState:
-    """One monitor on this log or link.
-
-    monitor, label: its name in a baseline, and how a text calls it.
-    works: whether what comes is enough for it.
-    missing: what is not, and what gives it, one phrase each.
-    """
-
-    monitor: str
-    label: str
-    works: bool
-    missing: tuple[str, ...] = ()
+        basis = said.reason or why if told.layout is None else told.layout_basis or "told"
+        return replace(told, layout=told.layout or said.layout, layout_basis=basis), None, why
 
 
 def monitor_states(
@@ -219,9 +308,8 @@ def monitor_states(
 ) -> tuple[MonitorState, ...]:
     """Each monitor of the registry, or of a baseline: whether it can work, else what is missing."""
     rates = {one.signal: one.rate_hz or 0.0 for one in found if any(v is not None for v in one.highest)}
-    if baseline is None:
-        rows: dict[str, tuple[type[Monitor[Any]], frozenset[Signal]]] = {m.name: (m, m.needs) for m in MONITORS}
-    else:
+    rows: dict[str, tuple[type[Monitor[Any]], frozenset[Signal]]] = {m.name: (m, m.needs) for m in MONITORS}
+    if baseline is not None:
         fits = (monitor_of(entry.spec) for entry in baseline.monitors)
         rows = {monitor.name: (type(monitor), monitor.signals) for monitor in fits}
     states = []
@@ -231,8 +319,45 @@ def monitor_states(
             missing += ("rotor layout: give --layout, or let the vehicle tell FRAME_CLASS and FRAME_TYPE or CA_ROTORn",)
         states.append(MonitorState(kind.name, kind.label, not missing, missing))
     refused = () if baseline is None else baseline.not_judgeable
-    refusals = {one.monitor: one.reason for one in refused if one.monitor not in rows}
+    refusals = {refusal.monitor: refusal.reason for refusal in refused if refusal.monitor not in rows}
     return (*states, *(MonitorState(name, name, works=False, missing=(why,)) for name, why in refusals.items()))
+
+
+def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -> str:
+    """Whether the baseline is of this link, and if not, which field differs."""
+    rate_hz = next((one.rate_hz for one in found if one.signal == Signal.BODY_RATE), None)
+    try:
+        check_link(baseline, profile=log.profile, dt_s=1.0 / rate_hz if rate_hz else baseline.link.dt_s)
+    except BaselineError as error:
+        return str(error)
+    return "of this link" if rate_hz else "of this profile; no gyro came to compare the rate"
+
+
+def _behind_s(series: Series) -> FloatArray:
+    behind: FloatArray = (series.host_ns - series.t_ns) / NS_PER_S
+    return behind
+
+
+def _by_second(t_ns: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """The seconds since the first sample that have any, the samples' order by second, and where each begins in it."""
+    second = (t_ns - t_ns[0]) // NS_PER_S
+    order = np.argsort(second, kind="stable")
+    seconds, starts = np.unique(second[order], return_index=True)
+    return seconds, order, starts
+
+
+def _gyro_gaps(telemetry: Telemetry) -> FloatArray:
+    """The gaps of the gyro that are too long to be interpolated [s]."""
+    gyro = telemetry.get(Signal.BODY_RATE)
+    if gyro is None or len(gyro) < 2:
+        return np.empty(0)
+    steps: FloatArray = np.diff(np.unique(gyro.t_ns)).astype(np.float64) / NS_PER_S
+    return steps[steps > max(GAP_S, 1.5 * float(np.median(steps)))] if len(steps) else steps
+
+
+def _span_s(telemetry: Telemetry) -> float:
+    ends = [(int(one.t_ns.min()), int(one.t_ns.max())) for one in telemetry.series if len(one)]
+    return (max(last for _, last in ends) - min(first for first, _ in ends)) / NS_PER_S if ends else math.nan
 
 
 def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[Signal]:
@@ -241,26 +366,25 @@ def _choice(needs: frozenset[Signal], rates: Mapping[str, float]) -> frozenset[S
     if not all(source <= needs for source in sources):
         return needs
     rest = needs - frozenset[Signal]().union(*sources)
-    return rest | next((one for one in sources if all(rates.get(signal) for signal in one)), sources[0])
+    return rest | next((source for source in sources if all(rates.get(signal) for signal in source)), sources[0])
 
 
 def _signals(log: Log, needs: Iterable[Signal], rates: Mapping[str, float]) -> tuple[str, ...]:
     """The signals that do not come."""
     profile = PROFILES.get(log.profile)
     missing: dict[str, str] = {}
-    for signal in sorted(one for one in needs if not rates.get(one)):
+    for signal in sorted(signal for signal in needs if not rates.get(signal)):
         label = LABELS.get(signal, signal.replace("_", " "))
+        message = None if profile is None else messages_of(profile).get(signal)
         if profile is None:
             gives = log_remedy(log.profile, signal)
             missing[label] = f"no {label}" + (f": set {gives}" if gives else " in the log")
-            continue
-        message = messages_of(profile).get(signal)
-        if message is None:
+        elif message is None:
             missing[label] = f"no {label} on a link of the profile {profile.name}"
-            continue
-        gives = remedy(profile.autopilot, message)
-        name = message_name(message)
-        missing[name] = f"no {name}" + (f": {gives}" if gives else f" ({label})")
+        else:
+            gives = remedy(profile.autopilot, message)
+            name = message_name(message)
+            missing[name] = f"no {name}" + (f": {gives}" if gives else f" ({label})")
     return tuple(missing.values())
 
 
@@ -274,7 +398,11 @@ def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float]) -> t
         return (f"the gyro comes at {rate_hz:.0f} Hz, {least_hz:.0f} Hz are needed",)
     profile = PROFILES.get(log.profile)
     corner_hz = None if profile is None else profile.corner_hz(log.parameters)
-    if kind.name == "sensor_noise" and corner_hz is not None and corner_hz < sensor_noise.LOWPASS_SHARE * rate_hz:
+    if (
+        kind.name == "sensor_noise"
+        and corner_hz is not None
+        and corner_hz < monitors.sensor_noise.LOWPASS_SHARE * rate_hz
+    ):
         return (f"the IMU stream is low-passed at {corner_hz:g} Hz, which takes its noise out of it",)
     if kind.name == "unbalance":
         try:
@@ -282,13 +410,3 @@ def _stream(log: Log, kind: type[Monitor[Any]], rates: Mapping[str, float]) -> t
         except InputError as error:
             return (str(error),)
     return ()
-
-
-def baseline_statement(baseline: Baseline, log: Log, found: Sequence[Summary]) -> str:
-    """Whether the baseline is of this link, and if not, which field differs."""
-    rate_hz = next((one.rate_hz for one in found if one.signal == Signal.BODY_RATE), None)
-    try:
-        check_link(baseline, profile=log.profile, dt_s=1.0 / rate_hz if rate_hz else baseline.link.dt_s)
-    except BaselineError as error:
-        return str(error)
-    return "of this link" if rate_hz else "of this profile; no gyro came to compare the rate"

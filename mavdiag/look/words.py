@@ -1,96 +1,154 @@
-"""A first look as text: a paragraph of short lines for one log, one line each for several."""
+"""An inspection as text: a block of short lines for one log or link, one line each for several logs."""
 
+import itertools
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
 
 from mavdiag.look.figures import VIBRATION_HIGH, VIBRATION_USUAL, OutputLoad, RotorLine, Vibration
-from mavdiag.look.first_look import FirstLook
-from mavdiag.telemetry import Signal
+from mavdiag.look.inspection import Clock, Inspection, Summary
+from mavdiag.printable import printable
 
-__all__ = ["CLOSING", "in_full", "in_one_line"]
-
+WIDTH = 80
 NOTABLE = 0.05  # of the mean output: a rotor that is told in the one line of a log (our choice)
 CLOSING = "this is no verdict: that takes a baseline of flights with sound propellers (mavdiag identify)"
+STREAMS_ADVICE = "ask for what is missing with --ask, or set the parameters named above"
 
 
-def in_full(look: FirstLook) -> list[str]:
-    """The lines about one log."""
-    flight = f"{look.flight_s:.1f} s of flight that can be judged" if not look.no_flight else look.no_flight
-    lines = [f"{look.log}: profile {look.profile}, {look.span_s:.1f} s long, {flight}"]
-    lines += [f"  note: {note}" for note in look.notes]
-    lines += [f"  upset: {look.upset}"] if look.upset else []
-    lines.append(f"  link: {_link(look)}")
-    lines.append(f"  units: {_units(look)}")
-    lines.append(f"  {look.rotors}")
-    lines += _loads(look.loads)
-    if look.trim is not None:
-        shown = ", ".join(f"{axis} {getattr(look.trim, axis):+.3f}" for axis in ("roll", "pitch", "yaw"))
-        lines.append(f"  trim: {shown} of the hover command; payload, balance point and wind are in it, too")
-    lines.append(f"  VIBRATION: {_vibration(look.vibration)}")
-    if look.line is not None:
-        lines.append(f"  rotor line: {_line(look.line)}")
-    works = ", ".join(look.works) or "none"
-    lines.append(f"  with a baseline of such logs these monitors could judge: {works}")
-    lines += [f"    {one.monitor}: {why}" for one in look.monitors for why in one.missing]
-    lines.append(f"  {CLOSING}")
+def in_full(found: Inspection) -> str:
+    """All about one log or link, in lines of at most 80 characters."""
+    return "\n".join(
+        textwrap.fill(printable(text), WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        if isinstance(text, str)
+        else "\n".join(map(printable, text))
+        for text in _paragraphs(found)
+    )
+
+
+def in_one_line(found: Inspection) -> str:
+    """The most that one line can say of a log."""
+    if found.no_flight:
+        return f"{found.log}: {found.profile}, {found.span_s:.0f} s, {found.no_flight}"
+    rate_hz = 0.0 if found.gyro is None else found.gyro.rate_hz or 0.0
+    parts = [found.profile, f"{found.flight_s:.0f} s of flight", f"{rate_hz:.0f} Hz", *filter(None, (found.upset,))]
+    busiest = max(found.loads, key=lambda load: load.over_mean, default=None)
+    if busiest is not None and busiest.over_mean >= NOTABLE:
+        parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
+    if found.trim is not None and not found.loads:
+        parts.append(f"trim {', '.join(f'{value:+.3f}' for value in found.trim.values())}")
+    full = max((load.full_share for load in found.loads), default=0.0)
+    if full > 0:
+        parts.append(f"an output at its end for {100 * full:.1f} %")
+    if found.vibration is not None:
+        parts.append(f"VIBRATION {max(found.vibration.high):.0f} m/s^2")
+    if found.line is not None and not found.line.reason:
+        parts.append(f"line at {found.line.hz:.0f} Hz")
+    parts.append(f"{len(found.works)} of {len(found.monitors)} monitors could judge")
+    return f"{found.log}: {', '.join(parts)}"
+
+
+def _paragraphs(found: Inspection) -> Iterator[str | list[str]]:
+    """Sentences, and tables as lines."""
+    flight = found.no_flight or f"{found.flight_s:.1f} s of flight that can be judged"
+    yield f"{found.log}: profile {found.profile}, {found.span_s:.1f} s long, {flight}"
+    yield from (f"note: {note}" for note in found.notes)
+    yield from found.asked
+    if found.baseline:
+        yield f"baseline: {found.baseline}"
+    if found.upset:
+        yield f"upset: {found.upset}"
+    yield f"link: {_link(found)}"
+    if found.clock is not None:
+        yield f"clock: {_clock(found.clock)}"
+    if found.messages:
+        often = sorted(found.messages, key=lambda message: -message.rate_hz)
+        yield f"messages a second: {', '.join(f'{message.name} {message.rate_hz:.1f}' for message in often)}"
+    if found.signals:
+        yield _signals(found.signals)
+    units = found.units
+    yield f"gravity: {'' if units.gravity_g is None else f'{units.gravity_g:.2f} g, '}{units.gravity}"
+    for axis in units.gyro:
+        delay_ms = 1e3 * (axis.delay_s or 0.0)
+        figures = "" if axis.scale is None else f"{axis.scale:.2f} of the attitude's slope, {delay_ms:+.0f} ms, "
+        yield f"gyro {axis.axis}: {figures}{axis.verdict}"
+    if not units.gyro:
+        yield "gyro: no attitude to compare it with"
+    yield found.rotors
+    yield from _flight(found)
+    yield "monitor"
+    yield from (f"  {state.monitor:<16} {'; '.join(state.missing) or 'works'}" for state in found.monitors)
+    lacking = any(why.startswith("no ") for state in found.monitors for why in state.missing)
+    if found.link is not None and lacking and not found.asked:
+        yield STREAMS_ADVICE
+    yield CLOSING
+
+
+def _flight(found: Inspection) -> Iterator[str]:
+    """What the flight shows; nothing where there is none."""
+    if found.no_flight:
+        return
+    yield from _loads(found.loads)
+    if found.trim is not None:
+        trim = ", ".join(f"{axis} {value:+.3f}" for axis, value in found.trim.items())
+        yield f"trim: {trim} of the hover command; payload, balance point and wind are in it, too"
+    yield f"VIBRATION: {_vibration(found.vibration)}"
+    if found.line is not None:
+        yield f"rotor line: {_line(found.line)}"
+
+
+def _link(found: Inspection) -> str:
+    gyro, text = found.gyro, "no gyro"
+    if gyro is not None and gyro.rate_hz is not None:
+        jitter = "" if gyro.jitter_ms is None else f", jitter {gyro.jitter_ms:.2f} ms"
+        long = f"{found.gyro_gaps} gaps too long to bridge, {found.lost_s:.1f} s in all"
+        text = f"gyro at {gyro.rate_hz:.1f} Hz{jitter}, {long if found.gyro_gaps else 'no long gap'}"
+    if found.link is None:
+        return text
+    received, lost = found.link["received"], found.link["lost"]
+    share = 100.0 * lost / max(received + lost, 1)
+    more = f"{found.link['duplicated']} came twice, {found.link['reordered']} out of order"
+    return f"{text}; {received} messages, {lost} lost ({share:.2f} %), {more}"
+
+
+def _clock(clock: Clock) -> str:
+    pace = "" if clock.drift_ppm is None else "slower than ours" if clock.drift_ppm > 0 else "faster than ours"
+    drift = "" if clock.drift_ppm is None else f", it runs {abs(clock.drift_ppm):.0f} ppm {pace}"
+    late = ", ".join(f"{name} {ms:+.0f} ms" for name, ms in clock.signals_ms.items() if abs(ms) >= 1.0)
+    return f"transport delay varies by {clock.spread_ms:.1f} ms{drift}" + (f"; beside the gyro {late}" if late else "")
+
+
+def _signals(found: Sequence[Summary]) -> list[str]:
+    lines = [f"{'signal':<20}{'samples':>8}{'rate Hz':>9}{'jitter ms':>10}{'gap s':>8}  range of each column"]
+    for signal in found:
+        each = (
+            "no number" if low is None or high is None else f"{low:.3g}..{high:.3g}"
+            for low, high in zip(signal.lowest, signal.highest, strict=True)
+        )
+        counted = ((text, len(list(alike))) for text, alike in itertools.groupby(each))
+        ranges = [text if count == 1 else f"{text} x{count}" for text, count in counted]
+        timing = ((signal.rate_hz, 9, 1), (signal.jitter_ms, 10, 2), (signal.longest_gap_s, 8, 3))
+        row = "".join("-".rjust(width) if x is None else f"{x:{width}.{places}f}" for x, width, places in timing)
+        names = [signal.signal, f"  {signal.unit}"] if signal.unit else [signal.signal]
+        for name, text in itertools.zip_longest(names, ranges, fillvalue=""):
+            middle = f"{signal.samples:>8}{row}" if name == signal.signal else ""
+            lines.append(f"{name:<20}{middle:<35}  {text}".rstrip())
     return lines
 
 
-def in_one_line(look: FirstLook) -> str:
-    """The most that one line can say of a log."""
-    if look.no_flight:
-        return f"{look.log}: {look.profile}, {look.span_s:.0f} s, {look.no_flight}"
-    parts = [look.profile, f"{look.flight_s:.0f} s of flight", f"{_rate(look):.0f} Hz", *filter(None, (look.upset,))]
-    busiest = max(look.loads, key=lambda one: one.over_mean, default=None)
-    if busiest is not None and busiest.over_mean >= NOTABLE:
-        parts.append(f"motor {busiest.number} {100 * busiest.over_mean:+.1f} %")
-    if look.trim is not None and not look.loads:
-        parts.append(f"trim {look.trim.roll:+.3f}, {look.trim.pitch:+.3f}, {look.trim.yaw:+.3f}")
-    full = max((one.full_share for one in look.loads), default=0.0)
-    if full > 0:
-        parts.append(f"an output at its end for {100 * full:.1f} %")
-    if look.vibration is not None:
-        parts.append(f"VIBRATION {max(look.vibration.high):.0f} m/s^2")
-    if look.line is not None and not look.line.reason:
-        parts.append(f"line at {look.line.hz:.0f} Hz")
-    parts.append(f"{len(look.works)} of {len(look.monitors)} monitors could judge")
-    return f"{look.log}: {', '.join(parts)}"
-
-
-def _rate(look: FirstLook) -> float:
-    return next((one.rate_hz or 0.0 for one in look.signals if one.signal == Signal.BODY_RATE), 0.0)
-
-
-def _link(look: FirstLook) -> str:
-    gyro = next((one for one in look.signals if one.signal == Signal.BODY_RATE), None)
-    if gyro is None or gyro.rate_hz is None:
-        return "no gyro"
-    jitter = "" if gyro.jitter_ms is None else f", jitter {gyro.jitter_ms:.2f} ms"
-    gaps = f"{look.gyro_gaps} gaps too long to bridge, {look.lost_s:.1f} s in all" if look.gyro_gaps else "no long gap"
-    return f"gyro at {gyro.rate_hz:.1f} Hz{jitter}, {gaps}"
-
-
-def _units(look: FirstLook) -> str:
-    felt = "" if look.units.gravity_g is None else f"{look.units.gravity_g:.2f} g, "
-    gyro = ", ".join(f"gyro {one.axis} {one.verdict}" for one in look.units.gyro)
-    return f"gravity {felt}{look.units.gravity}" + (f"; {gyro}" if gyro else "")
-
-
-def _loads(loads: Sequence[OutputLoad]) -> list[str]:
+def _loads(loads: Sequence[OutputLoad]) -> Iterator[str]:
     if not loads:
-        return ["  outputs: none in the log; no trim asymmetry by rotor and no saturation can be told"]
-    shares = ", ".join(f"{one.number}: {100 * one.over_mean:+.1f} %" for one in loads)
+        yield "outputs: none in the log; no trim asymmetry by rotor and no saturation can be told"
+        return
+    level = 100 * sum(load.mean for load in loads) / len(loads)
+    shares = ", ".join(f"{load.number}: {100 * load.over_mean:+.1f} %" for load in loads)
+    yield f"motors beside their mean of {level:.0f} %: {shares}"
     ends = [
-        f"{one.number} at its {end} end for {100 * share:.1f} % of the flight"
-        for one in loads
-        for end, share in (("upper", one.full_share), ("lower", one.idle_share))
+        f"{load.number} at its {end} end for {100 * share:.1f} % of the flight"
+        for load in loads
+        for end, share in (("upper", load.full_share), ("lower", load.idle_share))
         if share > 0
     ]
-    level = 100 * sum(one.mean for one in loads) / len(loads)
-    return [
-        f"  motors beside their mean of {level:.0f} %: {shares}",
-        f"  saturation: {'; '.join(ends) if ends else 'no output reached an end'}",
-    ]
+    yield f"saturation: {'; '.join(ends) if ends else 'no output reached an end'}"
 
 
 def _vibration(found: Vibration | None) -> str:
@@ -99,12 +157,9 @@ def _vibration(found: Vibration | None) -> str:
     high = ", ".join(f"{axis} {level:.1f}" for axis, level in zip("xyz", found.high, strict=True))
     text = f"{high} m/s^2 (95 % of the time below)"
     if found.above_high > 0:
-        text += f"; {100 * found.above_high:.1f} % above {VIBRATION_HIGH:.0f}, where ArduPilot expects trouble"
-    elif found.above_usual > 0:
-        text += f"; {100 * found.above_usual:.1f} % above {VIBRATION_USUAL:.0f}, up to which ArduPilot accepts it"
-    else:
-        text += f"; never above {VIBRATION_USUAL:.0f}, up to which ArduPilot accepts it"
-    return text
+        return f"{text}; {100 * found.above_high:.1f} % above {VIBRATION_HIGH:.0f}, where ArduPilot expects trouble"
+    share = f"{100 * found.above_usual:.1f} %" if found.above_usual > 0 else "never"
+    return f"{text}; {share} above {VIBRATION_USUAL:.0f}, up to which ArduPilot accepts it"
 
 
 def _line(found: RotorLine) -> str:

@@ -1,4 +1,4 @@
-"""The results of `sitl-plant campaign`, as values: read and checked where they come in, and what figures need of them.
+"""The results of `sitl-plant campaign`: read and checked where they come in, and drawn.
 
 Each line of the file is one JSON object; its shape is `sitl_plant.campaign.worker.FlightResult`. Only the fields that
 are drawn are read, so that a file of a newer version can be drawn too.
@@ -9,22 +9,30 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
+from mavdiag.report.residuals import MARKERS, NAMES
+from mavdiag.report.style import LINES, Picture, legend_above, missing, pictured
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["Answer", "Campaign", "CampaignFlight", "Roc", "matrix_of", "parse_campaign", "read_campaign", "roc_of"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_BYTES = 1 << 30  # of a file of results (our choice)
 HEALTHY = "healthy"
 UNJUDGED = ("not_judgeable", "error")
-_FAULT = re.compile(r"F[123]/SV[123]")
 REMEDY = "name the file that `sitl-plant campaign -o FILE.jsonl` wrote"
+NO_FAULTS = "no judged flight of this campaign has one of the thesis's propeller faults"
+ORDER = ("F1", "F2", "F3", "propeller fault", "sensor fault", "loss of control", "gross loss of thrust", "a fault")
+LAST = ("suspicion", "nothing", "not judged")
+LIGHT = 0.55  # share of a row from which on its cell is dark and its number white
+_FAULT = re.compile(r"F[123]/SV[123]")
 
 
 class Answer(BaseModel):
@@ -100,12 +108,12 @@ class Campaign:
     @property
     def faulty(self) -> tuple[CampaignFlight, ...]:
         """Judged flights with one of the thesis's faults."""
-        return tuple(one for one in self.flights if one.judged and one.of_thesis)
+        return tuple(flight for flight in self.flights if flight.judged and flight.of_thesis)
 
     @property
     def scales(self) -> tuple[float, ...]:
         """Scales of the faults' fitted terms."""
-        return tuple(sorted({one.phenomenology for one in self.faulty}))
+        return tuple(sorted({flight.phenomenology for flight in self.faulty}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +135,7 @@ class Roc:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """A file of results. Raises InputError, naming it, if it is none."""
+    """Read a file of results. Raises InputError, naming it, if it is none."""
     with open_regular(path, MOST_BYTES) as file:
         data = file.read()
     try:
@@ -142,9 +150,7 @@ def parse_campaign(text: str) -> Campaign:
     """The results in a text of lines. Raises InputError if there is no flight among them."""
     flights: dict[str, CampaignFlight] = {}
     unread = 0
-    for line in text.splitlines():
-        if not line.strip():
-            continue
+    for line in filter(str.strip, text.splitlines()):
         try:
             found = _LINE.validate_json(line)
         except ValidationError:
@@ -168,21 +174,158 @@ def roc_of(healthy: Sequence[float], damaged: Sequence[float]) -> Roc:
         raise InputError("a curve needs the scores of healthy and of damaged flights")
     low, high = np.sort(healthy), np.sort(damaged)
     limits = np.unique(np.concatenate((low, high)))[::-1]
-    above = [1.0 - np.searchsorted(one, limits, side="left") / len(one) for one in (low, high)]
-    false_share, true_share = (np.concatenate(([0.0], one)) for one in above)
+    false_share, true_share = (
+        np.append(0.0, 1.0 - np.searchsorted(scores, limits, side="left") / len(scores)) for scores in (low, high)
+    )
     at_one = (float(np.mean(low > 1.0)), float(np.mean(high > 1.0)))
     area = float(np.trapezoid(true_share, false_share))
     return Roc(false_share, true_share, area, at_one, len(low), len(high))
 
 
-def matrix_of(pairs: Sequence[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
-    """What was true and what was answered, in order of first occurrence, and the counts (true, answered)."""
-    true = tuple(dict.fromkeys(one for one, _ in pairs))
-    answered = tuple(dict.fromkeys(one for _, one in pairs))
-    counts = np.zeros((len(true), len(answered)))
-    for a, b in pairs:
-        counts[true.index(a), answered.index(b)] += 1
-    return true, answered, counts
+def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
+    """All of a campaign, in the order of the page."""
+    return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign), _rotors(campaign))
+
+
+def _roc(campaign: Campaign) -> Picture:
+    healthy = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
+    low = [score for score in healthy if score is not None]
+    curves = []
+    for scale in campaign.scales:
+        high = (flight.score_after for flight in campaign.faulty if flight.phenomenology == scale)
+        known = [score for score in high if score is not None]
+        if low and known:
+            curves.append((scale, roc_of(low, known)))
+    if not curves:
+        lacking = "no healthy flight has a score" if campaign.faulty else NO_FAULTS
+        return missing("campaign-roc", f"{lacking}; campaigns of this version write them")
+
+    def plot(figure: "Figure") -> None:
+        axes = figure.subplots()
+        for line, (scale, roc) in zip(LINES, curves, strict=False):
+            label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
+            line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
+            axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
+        axes.plot((0, 100), (0, 100), color="#767676", linewidth=0.7, linestyle=":", label="chance")
+        labels = {"xlabel": "healthy flights flagged [%]", "ylabel": "damaged flights found [%]"}
+        axes.set(**labels, xlim=(-1, 101), ylim=(-1, 102))
+        legend_above(axes, 2)
+
+    words = "; ".join(
+        f"terms x{scale:g}: area {roc.area:.3f} of {roc.damaged} damaged and {roc.healthy} healthy flights"
+        for scale, roc in curves
+    )
+    note = (
+        f"{curves[0][1].healthy} healthy flights; the score is the highest statistic over its threshold of the "
+        "monitors that decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
+    )
+    return pictured("campaign-roc", f"{words}.", plot, 3.6, note=note)
+
+
+def _severity(campaign: Campaign) -> Picture:
+    if not campaign.faulty:
+        return missing("campaign-severity", NO_FAULTS)
+
+    def plot(figure: "Figure") -> None:
+        several = figure.subplots(1, len(campaign.scales), sharey=True, squeeze=False)[0]
+        for axes, scale in zip(several, campaign.scales, strict=True):
+            for place, (line, kind) in enumerate(zip(LINES, FaultType, strict=False)):
+                shares = [_share(campaign.faulty, f"{kind}/SV{severity}", scale) for severity in (1, 2, 3)]
+                x = [severity + 0.08 * (place - 1) for severity, share in enumerate(shares, start=1) if share]
+                y = np.array([share for share in shares if share])
+                if len(y):
+                    style = {"color": line.color, "linestyle": line.stroke, "marker": MARKERS[kind]}
+                    spread = {"yerr": np.abs(y[:, 1:] - y[:, :1]).T, "elinewidth": 0.8, "capsize": 2}
+                    axes.errorbar(x, y[:, 0], label=NAMES[kind], **spread, **style)
+            axes.set(xlabel=f"severity\n(fitted terms x{scale:g})", ylim=(-3, 103), xlim=(0.6, 3.4))
+            axes.set_xticks((1, 2, 3))
+        several[0].set_ylabel("flights with an alarm [%]")
+        named = {label: line for axes in several for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        legend_above(several[-1], 3, named)
+
+    found = sum(flight.latency_s is not None for flight in campaign.faulty)
+    words = f"{found} of {len(campaign.faulty)} damaged flights had an alarm after the onset."
+    return pictured("campaign-severity", words, plot, 2.9)
+
+
+def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple[float, float, float] | None:
+    """Found share of one fault with Wilson's interval [%]; None without a flight."""
+    from scipy.stats import binomtest
+
+    own = (flight for flight in flights if (flight.cause, flight.phenomenology) == (cause, scale))
+    hits = [flight.latency_s is not None for flight in own]
+    if not hits:
+        return None
+    interval = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
+    return 100 * sum(hits) / len(hits), 100 * float(interval.low), 100 * float(interval.high)
+
+
+def _latency(campaign: Campaign) -> Picture:
+    if not campaign.faulty:
+        return missing("campaign-latency", NO_FAULTS)
+    curves = []
+    for kind in FaultType:
+        own = [flight.latency_s for flight in campaign.faulty if flight.cause.startswith(kind)]
+        if own:
+            curves.append((kind, np.sort([latency_s for latency_s in own if latency_s is not None]), len(own)))
+    longest = 1.05 * max((float(times[-1]) for _, times, _ in curves if len(times)), default=1.0)
+
+    def plot(figure: "Figure") -> None:
+        axes = figure.subplots()
+        for line, (kind, times, count) in zip(LINES, curves, strict=False):
+            share = np.append(np.arange(len(times) + 1), len(times)) * (100 / count)
+            label = f"{NAMES[kind]} ({count} flights)"
+            x = [0.0, *times, longest]
+            axes.step(x, share, where="post", color=line.color, linestyle=line.stroke, label=label)
+        labels = {"xlabel": "time from the onset to the first alarm [s]", "ylabel": "flights noticed [%]"}
+        axes.set(**labels, ylim=(0, 102), xlim=(0, longest))
+        legend_above(axes, 3)
+
+    medians = [f"{kind}: median {np.median(times):.2f} s" for kind, times, _ in curves if len(times)]
+    return pictured("campaign-latency", f"{'; '.join(medians) or 'none noticed'}.", plot, 2.7)
+
+
+def _confusion(campaign: Campaign) -> Picture:
+    pairs = [(flight.cause[:2] if flight.of_thesis else flight.cause, flight.answered) for flight in campaign.flights]
+    pairs.sort(key=lambda pair: (not pair[0].startswith("F"), pair[0] == HEALTHY, pair[0]))
+    order = [*ORDER, *sorted({answer for _, answer in pairs} - {*ORDER, *LAST}), *LAST]
+    return _matrix("campaign-confusion", pairs, order, "answered", "true")
+
+
+def _rotors(campaign: Campaign) -> Picture:
+    named = [flight for flight in campaign.faulty if flight.latency_s is not None]
+    if not named:
+        return missing("campaign-rotors", "no damage of a propeller was found, so no rotor could be named")
+    pairs = sorted((str(flight.rotor), str(flight.answer.rotor or "none")) for flight in named)
+    order = sorted({answer for _, answer in pairs}, key=lambda answer: (answer == "none", answer))
+    return _matrix("campaign-rotors", pairs, order, "named rotor", "damaged rotor")
+
+
+def _matrix(key: str, pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str, down: str) -> Picture:
+    """The counts of each pair of what was true and what was answered."""
+    true = tuple(dict.fromkeys(cause for cause, _ in pairs))
+    columns = [answer for answer in order if answer in {other for _, other in pairs}]
+    counts = np.array([[pairs.count((cause, answer)) for answer in columns] for cause in true])
+    share = counts / counts.sum(axis=1, keepdims=True)
+
+    def plot(figure: "Figure") -> None:
+        axes = figure.subplots()
+        axes.pcolormesh(share, cmap="Greys", vmin=0.0, vmax=1.2, edgecolors="white", linewidth=1.5)
+        for (row, column), count in np.ndenumerate(counts):
+            ink = "white" if share[row, column] > LIGHT else "black"
+            axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
+        axes.set_yticks(np.arange(len(true)) + 0.5, true)
+        axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
+        axes.set(xlabel=across, ylabel=down)
+        axes.invert_yaxis()
+        axes.grid(visible=False)
+        axes.tick_params(length=0)
+
+    words = "; ".join(
+        f"{cause}: " + ", ".join(f"{answer} {count}" for answer, count in zip(columns, row, strict=True) if count)
+        for cause, row in zip(true, counts, strict=True)
+    )
+    return pictured(key, f"{words}.", plot, 1.1 + 0.3 * len(true))
 
 
 def _is_summary(text: str) -> bool:

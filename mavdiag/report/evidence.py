@@ -1,13 +1,12 @@
 """Which monitor saw what, and when: each slot's statistic in shares of its threshold, strip by strip."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavdiag.drawing import Colour
-from mavdiag.report.style import Picture, drawn
+from mavdiag.report.style import Picture, missing, pictured
 from mavdiag.report.thinned import COLUMNS, highest
 from mavdiag.rows.windows import spans
 from mavdiag.telemetry import FloatArray
@@ -18,22 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["evidence_picture", "name_of", "ratio_of"]
-
 TOP = 1.25  # of the threshold: what is higher is cut off in its strip
-EMPTY = Picture(
-    "evidence",
-    "What each monitor saw, and when",
-    "Each strip is one monitor in shares of its threshold, which is the dashed line: what reaches above that line "
-    "(dark) is evidence, the rest (pale) is what a healthy flight may have, and where nothing is filled the monitor "
-    "did not judge.",
-)
-
-
-def name_of(trace: SlotTrace) -> str:
-    """Monitor and axis, as in a baseline."""
-    name, axis = trace.slot.key
-    return name if axis is None else f"{name} {axis}"
+APART = 1.5  # of two strips, in thresholds
 
 
 def ratio_of(trace: SlotTrace) -> tuple[FloatArray, FloatArray]:
@@ -44,28 +29,26 @@ def ratio_of(trace: SlotTrace) -> tuple[FloatArray, FloatArray]:
 
 def evidence_picture(slots: Sequence[SlotTrace], columns: int = COLUMNS) -> Picture:
     """All monitors over the flight, those that judged any of it."""
-    judged = [one for one in slots if one.found.valid.any()]
+    judged = [trace for trace in slots if trace.found.valid.any()]
     if not judged:
-        return replace(EMPTY, not_drawn="no monitor judged any part of this flight")
+        return missing("evidence", "no monitor judged any part of this flight")
+    names = [" ".join(filter(None, trace.slot.key)) for trace in judged]
+    most = ", ".join(f"{n} {np.nanmax(ratio_of(one)[1]):.2f}" for n, one in zip(names, judged, strict=True))
 
     def plot(figure: "Figure") -> None:
         axes = figure.subplots()
-        for place, trace in enumerate(judged):
-            _strip(axes, trace, 1.5 * (len(judged) - 1 - place), columns)
-        axes.set_yticks([1.5 * i for i in range(len(judged))], [name_of(one) for one in reversed(judged)])
-        axes.set(xlabel="vehicle time [s]", ylim=(-0.1, 1.5 * len(judged) - 0.1))
+        for place, trace in enumerate(reversed(judged)):
+            _strip(axes, trace, APART * place, columns)
+        axes.set_yticks([APART * place for place in range(len(judged))], names[::-1])
+        axes.set(xlabel="vehicle time [s]", ylim=(-0.1, APART * len(judged) - 0.1))
         axes.grid(visible=False, axis="y")
         axes.tick_params(axis="y", length=0)
 
-    highest = ", ".join(f"{name_of(one)} {np.nanmax(ratio_of(one)[1]):.2f}" for one in judged)
-    return replace(
-        EMPTY, svg=drawn(EMPTY.title, f"Highest share of the threshold: {highest}.", plot, 0.6 + 0.36 * len(judged))
-    )
+    return pictured("evidence", f"Highest share of the threshold: {most}.", plot, 0.6 + 0.36 * len(judged))
 
 
 def _strip(axes: "Axes", trace: SlotTrace, base: float, columns: int) -> None:
-    t_s, ratio = ratio_of(trace)
-    t_s, ratio = highest(t_s, ratio, columns)
+    t_s, ratio = highest(*ratio_of(trace), columns)
     height = base + np.clip(ratio, 0.0, TOP)
     for first, stop in spans(np.isfinite(ratio)):
         x, y = _outline(t_s[first:stop], np.minimum(height[first:stop], base + 1.0), base)
@@ -77,5 +60,4 @@ def _strip(axes: "Axes", trace: SlotTrace, base: float, columns: int) -> None:
 
 
 def _outline(t_s: FloatArray, height: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
-    """The outline of what lies between a base and a line."""
     return np.concatenate((t_s[:1], t_s, t_s[-1:])), np.concatenate(([base], height, [base]))

@@ -1,47 +1,28 @@
-"""All that a page says of one flight, as a value: words, tables and pictures."""
+"""All that a page says of one flight, as a value: the verdict, where it comes from, its signals and its pictures."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mavdiag.airframe.airframe import Airframe
+from mavdiag.airframe.traits import joined
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict
 from mavdiag.link.profiles import PROFILES
-from mavdiag.look.figures import rotor_line, told_hz
+from mavdiag.look.figures import rotor_line, spectrum_of, told_hz
+from mavdiag.look.inspection import Summary, summary
 from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
+from mavdiag.report import residuals, rotors, signals
 from mavdiag.report.evidence import evidence_picture
-from mavdiag.report.motion import attitude_picture, height_picture
-from mavdiag.report.plane import plane_picture, severity_picture
-from mavdiag.report.quality import Quality, qualities_of, quality_picture
-from mavdiag.report.rates import NO_MODEL, fsd_picture, rates_picture, residual_picture
-from mavdiag.report.rotors import airframe_picture, bars_picture, shift_of, trim_picture
-from mavdiag.report.spectrum import RotorLine, spectrum_picture
 from mavdiag.report.style import Picture
 from mavdiag.report.thinned import COLUMNS
-from mavdiag.report.windows import sweep_of, windows_picture
 from mavdiag.rows.block import Block
-from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Log
-from mavdiag.traces import Traces, traces_of
-
-__all__ = ["FlightReport", "Source", "flight_report", "unread_report"]
+from mavdiag.traces import rate_traces, slot_traces
 
 OF_LOG = ("attitude", "height", "link")  # pictures that need no judging
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Where a flight's figures come from.
-
-    sha256: of the log; empty if it has none. profile: of its link. started_ns: unix epoch [ns]; 0 if it is not known.
-    """
-
-    sha256: str = ""
-    profile: str = ""
-    started_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,59 +30,60 @@ class FlightReport:
     """One flight of a page.
 
     verdict: with its monitors, events and notes.
-    source: where it comes from.
+    sha256: of the log; empty if it has none. profile: of its link. started_ns: unix epoch [ns]; 0 if it is not known.
     link: each signal as it came.
     pictures: in the order of the page.
     """
 
     verdict: LogVerdict
-    source: Source
-    link: tuple[Quality, ...] = ()
+    sha256: str = ""
+    profile: str = ""
+    started_ns: int = 0
+    link: tuple[Summary, ...] = ()
     pictures: tuple[Picture, ...] = ()
-
-
-def unread_report(verdict: LogVerdict) -> FlightReport:
-    """Of a file that could not be read."""
-    return FlightReport(verdict, Source())
 
 
 def flight_report(
     log: Log, baseline: Baseline, judged: JudgedFlight, columns: int = COLUMNS, *, figures: bool = True
 ) -> FlightReport:
-    """All of one flight. columns: points across a figure. figures: False for words and tables alone.
-
-    Raises UsageError if a figure is wanted and matplotlib is not installed.
-    """
-    source = Source(log.sha256, log.profile, log.started_ns)
-    link = qualities_of(log.telemetry)
+    """All of one flight. columns: points across a figure. figures: False for words and tables alone."""
+    link = tuple(summary(series) for series in log.telemetry.series if len(series))
     pictures = _pictures(log, baseline, judged, columns) if figures else ()
-    return FlightReport(judged.verdict, source, link, pictures)
+    return FlightReport(judged.verdict, log.sha256, log.profile, log.started_ns, link, pictures)
 
 
 def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) -> tuple[Picture, ...]:
-    traces = Traces((), (), ()) if judged.chain is None else traces_of(judged.chain, judged.pieces)
-    blocks = [piece.rows.block for piece in judged.pieces if len(piece.rows.block)]
-    since_s, frame = _since_s(judged.verdict), baseline.airframe
-    airframe, bars, trim = _of_rotors(blocks, baseline, judged.verdict, columns)
+    rates = () if judged.chain is None else rate_traces(judged.chain, judged.pieces)
+    slots = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
+    blocks = joined([piece.rows for piece in judged.pieces if len(piece.rows.block)])
+    frame, verdict = baseline.airframe, judged.verdict
+    # From when on a damaged propeller shows; None for the whole flight: what follows a loss says nothing of it.
+    since_s = verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
+    healthy = next((entry.spec for entry in baseline.monitors if isinstance(entry.spec, RotorTrimSpec)), None)
+    threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
+    shift = None if frame.layout is None else rotors.shift_of(blocks, frame.layout, healthy, threshold)
+    models = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec) and blocks]
+    order = baseline.window.order
+    sweeps = [signals.sweep_of(blocks, one.axis, one.model.order, one.model.method, order) for one in models]
+    corner_hz = _corner_hz(log, frame)
+    rate_hz = 1 / blocks[0].dt_s if blocks else math.nan
     drawn = (
-        airframe,
-        evidence_picture(traces.slots, columns),
-        bars,
-        trim,
-        rates_picture(traces.rates, columns),
-        residual_picture(traces.rates, columns),
-        fsd_picture(traces.rates, columns),
-        plane_picture(traces.rates, frame.classifier),
-        severity_picture(traces.rates, traces.slots, since_s, frame.classifier),
-        spectrum_picture(
-            blocks, _rotor_line(log, frame, [piece.rows for piece in judged.pieces]), _corner_hz(log, frame)
-        ),
-        _windows(blocks, baseline),
-        attitude_picture(log.telemetry, columns),
-        height_picture(log.telemetry, columns),
-        quality_picture(log.telemetry, columns),
+        rotors.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
+        evidence_picture(slots, columns),
+        rotors.bars_picture(shift, since_s),
+        rotors.trim_picture(shift, columns),
+        residuals.rates_picture(rates, columns),
+        residuals.residual_picture(rates, columns),
+        residuals.fsd_picture(rates, columns),
+        residuals.plane_picture(rates, frame.classifier),
+        residuals.severity_picture(rates, slots, since_s, frame.classifier),
+        signals.spectrum_picture(spectrum_of(blocks), _rotor_line(log, frame, blocks), corner_hz, rate_hz),
+        signals.windows_picture(sweeps, baseline.window.samples * baseline.link.dt_s),
+        signals.attitude_picture(log.telemetry, columns),
+        signals.height_picture(log.telemetry, columns),
+        signals.link_picture(log.telemetry, columns),
     )
-    return tuple(_explained(one, baseline, judged) for one in drawn)
+    return tuple(_explained(picture, baseline, judged) for picture in drawn)
 
 
 def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Picture:
@@ -110,54 +92,22 @@ def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Pi
         return picture
     if judged.chain is None:
         return replace(picture, not_drawn="this flight could not be judged: the verdict says why")
-    if picture.not_drawn != NO_MODEL:
+    if picture.not_drawn != residuals.NO_MODEL:
         return picture
-    lacking = [one.reason for one in baseline.not_judgeable if one.monitor == "fsd"]
     reasons = [one.not_judged for one in judged.verdict.monitors if one.name == "fsd" and one.not_judged]
-    why = next(iter((*reasons, *lacking)), "")
-    return replace(picture, not_drawn=f"the fsd monitor did not judge: {why}" if why else NO_MODEL)
+    reasons += [one.reason for one in baseline.not_judgeable if one.monitor == "fsd"]
+    return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}") if reasons else picture
 
 
-def _of_rotors(
-    blocks: Sequence[Block], baseline: Baseline, verdict: LogVerdict, columns: int
-) -> tuple[Picture, Picture, Picture]:
-    """The airframe, the trim over time and by rotor."""
-    layout, since_s = baseline.airframe.layout, _since_s(verdict)
-    healthy = next((entry.spec for entry in baseline.monitors if isinstance(entry.spec, RotorTrimSpec)), None)
-    threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
-    shift = None if layout is None else shift_of(blocks, layout, healthy, threshold)
-    return (
-        airframe_picture(layout, shift, since_s, verdict.rotor),
-        bars_picture(shift, since_s),
-        trim_picture(shift, columns),
-    )
-
-
-def _since_s(verdict: LogVerdict) -> float | None:
-    """From when on a damaged propeller shows [s]; None for the whole flight: what follows a loss says nothing of it."""
-    return verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
-
-
-def _windows(blocks: Sequence[Block], baseline: Baseline) -> Picture:
-    """The sweep with the order and the method of the baseline's models."""
-    window_s = baseline.window.samples * baseline.link.dt_s
-    specs = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec)]
-    if not blocks:
-        return windows_picture((), window_s)
-    order = baseline.window.order
-    sweeps = [sweep_of(blocks, one.axis, one.model.order, one.model.method, order) for one in specs]
-    return windows_picture(sweeps, window_s)
-
-
-def _rotor_line(log: Log, airframe: Airframe, rows: Sequence[Rows]) -> RotorLine | None:
-    """One per revolution: as the speed controllers report it, else of the airframe's hover, else as it is heard."""
+def _rotor_line(log: Log, airframe: Airframe, blocks: Sequence[Block]) -> tuple[float, str] | None:
+    """One per revolution [Hz]: as the speed controllers report it, else of the airframe's hover, else as heard."""
     told = told_hz(log.telemetry)
     if math.isfinite(told):
-        return RotorLine(told, "the rotor speeds in the log")
+        return told, "the rotor speeds in the log"
     if airframe.hover_rad_s is not None:
-        return RotorLine(airframe.hover_rad_s / math.tau, "the airframe's hover speed")
-    heard = rotor_line(rows, _corner_hz(log, airframe), told)
-    return None if heard.reason else RotorLine(heard.hz, "what is heard, the strongest line above its neighbourhood")
+        return airframe.hover_rad_s / math.tau, "the airframe's hover speed"
+    heard = rotor_line(blocks, _corner_hz(log, airframe), told)
+    return None if heard.reason else (heard.hz, "what is heard, the strongest line above its neighbourhood")
 
 
 def _corner_hz(log: Log, airframe: Airframe) -> float | None:

@@ -1,13 +1,17 @@
 """How every figure looks, and how it becomes SVG that can stand in a page.
 
 The colours are those of `mavdiag.drawing`, which people who are blind to a colour tell apart. None stands alone: each
-line has a stroke of its own as well, so a figure can be read in grey. Text stays text.
+line has a stroke of its own as well, so a figure can be read in grey. Text stays text. matplotlib is imported when the
+first figure is drawn. figures.mplstyle has sizes and fonts, captions.toml what a figure is called and shows.
 """
 
 import io
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
@@ -17,53 +21,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COMMANDED",
-    "LIMIT",
-    "LINES",
-    "MEASURED",
-    "SIMULATED",
-    "Line",
-    "Picture",
-    "drawn",
-    "embedded",
-    "legend_above",
-    "panels",
-    "plain_log",
-    "shaded",
-]
-
+FOLDER = Path(__file__).parent
 WIDTH_IN = 7.6
 FEW_DECADES = 100.0
 PX_PER_PT = 4 / 3
 NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
 LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
+FONTS = "DejaVu Sans, Verdana, Arial, sans-serif"  # as in figures.mplstyle, where matplotlib says it at each text
 SVG = "http://www.w3.org/2000/svg"
 XLINK = "http://www.w3.org/1999/xlink"
-_STYLE: Any = {
-    "svg.hashsalt": "mavdiag",
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#444444",
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.unicode_minus": False,
-    "text.parse_math": False,
-    "lines.linewidth": 1.1,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "hatch.linewidth": 0.6,
-    "path.simplify": True,
-    "figure.facecolor": "white",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +40,13 @@ class Line:
     stroke: str
     width: float = 1.1
 
-    def draw(self, axes: "Axes", t: Any, y: Any, label: str = "") -> None:
+    def draw(self, axes: "Axes", x: Any, y: Any, label: str = NO_LABEL, marker: str = "") -> None:
         """Onto axes."""
-        axes.plot(t, y, label=label or NO_LABEL, color=self.color, linestyle=self.stroke, linewidth=self.width)
+        style: Any = {"color": self.color, "linestyle": self.stroke, "linewidth": self.width}
+        axes.plot(x, y, label=label, marker=marker or None, **style)
 
-    def across(self, axes: "Axes", level: float, label: str = "") -> None:
+    def across(self, axes: "Axes", level: float, label: str = NO_LABEL) -> None:
         """A level, across the axes."""
-        label = label or NO_LABEL
         axes.axhline(level, label=label, color=self.color, linestyle=self.stroke, linewidth=self.width)
 
 
@@ -106,31 +72,57 @@ LINES = (
 class Picture:
     """A figure of a page, or why there is none.
 
-    key: its anchor in a page, letters and hyphens.
-    title: what it shows.
-    caption: one sentence that says what to see.
-    thesis: number of the thesis's figure like it; empty if it has none.
+    key: its anchor in a page, letters and hyphens; its words stand under it in captions.toml.
+    note: what the caption says of this flight.
     svg: the drawing; empty if there is none, and then not_drawn says why.
     """
 
     key: str
-    title: str
-    caption: str
-    thesis: str = ""
+    note: str = ""
     svg: str = ""
     not_drawn: str = ""
 
+    @property
+    def title(self) -> str:
+        """What it shows."""
+        return captions()[self.key]["title"]
+
+    @property
+    def caption(self) -> str:
+        """What to see in it."""
+        return f"{captions()[self.key]['caption']} {self.note}".strip()
+
+    @property
+    def thesis(self) -> str:
+        """Number of the thesis's figure like it; empty if it has none."""
+        return captions()[self.key].get("thesis", "")
+
+
+@cache
+def captions() -> Mapping[str, Mapping[str, str]]:
+    """Title, caption and the thesis's number of each figure, by its key."""
+    return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
+
+
+def pictured(
+    key: str, words: str, plot: Callable[["Figure"], None], height_in: float = 2.6, *, note: str = ""
+) -> Picture:
+    """The picture of what `plot` puts on an empty figure. words: what is in it, for those who cannot see it."""
+    return Picture(key, note, drawn(captions()[key]["title"], words, plot, height_in))
+
+
+def missing(key: str, why: str) -> Picture:
+    """A picture that is not drawn, and the reason as a phrase."""
+    return Picture(key, not_drawn=why)
+
 
 def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
-    """The SVG of what `plot` puts on an empty figure. title, description: for those who cannot see it.
-
-    The same values give the same bytes.
-    """
+    """The SVG of what `plot` puts on an empty figure. The same values give the same bytes."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(fname=FOLDER / "figures.mplstyle"):
         figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
         FigureCanvasSVG(figure)
         plot(figure)
@@ -140,8 +132,10 @@ def drawn(title: str, description: str, plot: Callable[["Figure"], None], height
 
 
 def panels(figure: "Figure", rows: int) -> list["Axes"]:
-    """Axes one above the other, with one axis of time."""
-    return list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    """Axes one above the other, with one axis of vehicle time."""
+    found = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    found[-1].set_xlabel("vehicle time [s]")
+    return found
 
 
 def plain_log(axes: "Axes") -> None:
@@ -169,9 +163,7 @@ def legend_above(axes: "Axes", columns: int = 4, named: Mapping[str, Any] | None
 
 def embedded(svg: str, prefix: str) -> str:
     """The same drawing with a prefix to every id, so that several can stand in one page."""
-    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
-    svg = re.sub(r'href="#', f'href="#{prefix}-', svg)
-    svg = re.sub(r"url\(#", f"url(#{prefix}-", svg)
+    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{prefix}-", svg)
     return re.sub(r'aria-labelledby="(\S+) (\S+)"', rf'aria-labelledby="{prefix}-\1 {prefix}-\2"', svg)
 
 
@@ -194,8 +186,8 @@ def _cleaned(text: str, title: str, description: str) -> str:
     for name in ("width", "height", "version"):
         root.attrib.pop(name, None)
     said = {"width": f"{PX_PER_PT * width:.0f}", "height": f"{PX_PER_PT * height:.0f}", "xmlns": SVG, "role": "img"}
-    stroke = {"stroke-linejoin": "round", "font-family": ", ".join(_STYLE["font.sans-serif"])}
-    root.attrib.update({**said, **stroke, "aria-labelledby": "title desc"})
+    stroke = {"stroke-linejoin": "round", "font-family": FONTS, "aria-labelledby": "title desc"}
+    root.attrib.update({**said, **stroke})
     for place, (name, words) in enumerate((("title", title), ("desc", description))):
         node = ElementTree.Element(name, {"id": name})
         node.text = words

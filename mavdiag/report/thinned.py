@@ -7,21 +7,8 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray, IntArray
 
-__all__ = ["COLUMNS", "columns_of", "envelope", "highest", "with_breaks"]
-
 COLUMNS = 480  # of a figure across the page (our choice)
 BREAK = 3.0  # a step of more than so many usual ones is a gap in the data (our choice)
-
-
-def with_breaks(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The line with a nan in each gap, so that none is drawn across it. t: (n,) rising. y: (n,) or (n, k)."""
-    if len(t) < 3:
-        return t, y
-    steps = np.diff(t)
-    if not (steps > 0).any():
-        return t, y
-    at = np.flatnonzero(steps > BREAK * float(np.median(steps[steps > 0]))) + 1  # times may repeat
-    return np.insert(t, at, t[at - 1]), np.insert(y, at, np.nan, axis=0)
 
 
 def envelope(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
@@ -35,7 +22,7 @@ def envelope(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[Floa
     (8, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
     """
     if len(t) <= 2 * columns:
-        return with_breaks(t, y)
+        return _with_breaks(t, y)
     column, first = columns_of(t, columns)
     low, high = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
     last = np.append(first[1:], len(t)) - 1
@@ -53,7 +40,7 @@ def highest(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[Float
     [1.0, 1.0, 1.0, 1.0]
     """
     if len(t) <= columns:
-        return with_breaks(t, y)
+        return _with_breaks(t, y)
     column, first = columns_of(t, columns)
     times, high = t[first], np.fmax.reduceat(y, first)
     empty = np.flatnonzero(np.diff(column[first]) > 1) + 1
@@ -65,3 +52,12 @@ def columns_of(t: FloatArray, columns: int) -> tuple[IntArray, IntArray]:
     span = float(t[-1] - t[0]) or 1.0
     column = np.minimum((t - t[0]) * (columns / span), columns - 1).astype(np.int64)
     return column, np.flatnonzero(np.diff(column, prepend=-1))
+
+
+def _with_breaks(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The line with a nan in each gap, so that none is drawn across it. Times may repeat."""
+    steps = np.diff(t)
+    if len(t) < 3 or not (steps > 0).any():
+        return t, y
+    at = np.flatnonzero(steps > BREAK * float(np.median(steps[steps > 0]))) + 1
+    return np.insert(t, at, t[at - 1]), np.insert(y, at, np.nan)

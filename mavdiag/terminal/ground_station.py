@@ -11,8 +11,6 @@ from mavdiag.link.signing import Signing
 from mavdiag.printable import printable
 from mavdiag.terminal.live_judge import LiveJudge
 
-__all__ = ["GroundStation", "ReceivedText"]
-
 GCS_SYSID = 255
 BEAT_S = 1.0  # between our heartbeats
 MAV_STATE_ACTIVE, MAVLINK_VERSION = 4, 3  # in HEARTBEAT
@@ -98,16 +96,16 @@ class GroundStation:
     def _take(self, frame: Frame, fresh: list[ReceivedText | Change]) -> None:
         if self.vehicle not in (None, frame.sysid):
             return
-        if frame.compid == Component.AUTOPILOT1 and frame.msgid == MessageId.ATTITUDE:
-            self._times[frame.sysid] = float(str(frame.fields[_BOOT_MS])) / 1e3
-        elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.STATUSTEXT:
-            text = decode_statustext(frame)
-            fresh.append(
-                received := ReceivedText(text.severity, printable(text.text), self._times.get(frame.sysid, 0.0))
-            )
-            self.texts.append(received)
-            del self.texts[:-TEXTS]
-        elif frame.compid == Component.ONBOARD_COMPUTER and frame.msgid == MessageId.NAMED_VALUE_FLOAT:
-            name, value = frame.fields[_NAME], frame.fields[_VALUE]
-            if isinstance(name, bytes) and isinstance(value, float) and self.shown in (None, frame.sysid):
-                self.figures[name.rstrip(b"\0").decode(errors="replace")] = value
+        match frame.compid, frame.msgid:
+            case Component.AUTOPILOT1, MessageId.ATTITUDE:
+                self._times[frame.sysid] = float(str(frame.fields[_BOOT_MS])) / 1e3
+            case Component.ONBOARD_COMPUTER, MessageId.STATUSTEXT:
+                text = decode_statustext(frame)
+                t_s = self._times.get(frame.sysid, 0.0)
+                self.texts.append(ReceivedText(text.severity, printable(text.text), t_s))
+                fresh.append(self.texts[-1])
+                del self.texts[:-TEXTS]
+            case Component.ONBOARD_COMPUTER, MessageId.NAMED_VALUE_FLOAT if self.shown in (None, frame.sysid):
+                name, value = frame.fields[_NAME], frame.fields[_VALUE]
+                if isinstance(name, bytes) and isinstance(value, float):
+                    self.figures[name.rstrip(b"\0").decode(errors="replace")] = value

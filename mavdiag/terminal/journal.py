@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mavdiag.decision.diagnosis import Stage
+from mavdiag.decision.words import stage_line
 from mavdiag.link.messages import Severity
 from mavdiag.storage import open_regular
 from mavdiag.terminal.view import Line
-
-__all__ = ["Journal", "VehicleStory"]
 
 JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
 READ_BYTES = 1 << 20  # at a time
@@ -22,16 +22,11 @@ READ_BYTES = 1 << 20  # at a time
 
 @dataclass(slots=True)
 class VehicleStory:
-    """What a journal says of one vehicle.
-
-    state, stage, reason: the latest of the session and of the decision.
-    fault: whether the stage is a fault.
-    """
+    """What a journal says of one vehicle: the latest state of the session, stage of the decision and its reason."""
 
     state: str = ""
     stage: str = ""
     reason: str = ""
-    fault: bool = False
 
 
 class Journal:
@@ -42,8 +37,8 @@ class Journal:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._begun, self._stack = path, b"", ExitStack()
-        self._file = self._stack.enter_context(open_regular(path, JOURNAL_BYTES))
+        self._path, self._stack = path, ExitStack()
+        self._open()
         self.vehicles: dict[int, VehicleStory] = {}
         self.damaged = 0
 
@@ -53,13 +48,16 @@ class Journal:
         if self._rotated():
             found += self._rest()  # what came between the two looks
             self.close()
-            self._file, self._begun = self._stack.enter_context(open_regular(self._path, JOURNAL_BYTES)), b""
+            self._open()
             found += self._rest()
         return found
 
     def close(self) -> None:
         """Close the file."""
         self._stack.close()
+
+    def _open(self) -> None:
+        self._file, self._begun = self._stack.enter_context(open_regular(self._path, JOURNAL_BYTES)), b""
 
     def _rotated(self) -> bool:
         """Whether another file has the journal's name now; between the two there is none."""
@@ -72,20 +70,17 @@ class Journal:
         found: list[tuple[int, Line]] = []
         while data := self._file.read(READ_BYTES):
             *lines, self._begun = (self._begun + data).split(b"\n")
-            found += [one for line in lines for one in self._taken(line)]
+            for line in lines:
+                try:
+                    content = json.loads(line)
+                    if content.get("vehicle") is None:
+                        continue
+                    number = int(content["vehicle"])
+                    told = _told(self.vehicles.setdefault(number, VehicleStory()), content)
+                    found += [] if told is None else [(number, told)]
+                except (ValueError, TypeError, AttributeError, KeyError):
+                    self.damaged += bool(line.strip())
         return found
-
-    def _taken(self, line: bytes) -> list[tuple[int, Line]]:
-        try:
-            content = json.loads(line)
-            if content.get("vehicle") is None:
-                return []
-            number = int(content["vehicle"])
-            told = _told(self.vehicles.setdefault(number, VehicleStory()), content)
-            return [] if told is None else [(number, told)]
-        except (ValueError, TypeError, AttributeError, KeyError):
-            self.damaged += bool(line.strip())
-            return []
 
 
 def _told(story: VehicleStory, content: dict[str, Any]) -> Line | None:
@@ -97,17 +92,11 @@ def _told(story: VehicleStory, content: dict[str, Any]) -> Line | None:
             return Line(t_s, Severity.INFO, f"{content['from']} -> {content['to']}: {content['reason']}")
         case "stage":
             story.stage, story.reason = str(content["stage"]), str(content["reason"])
-            story.fault = story.stage == "fault"
-            return Line(t_s, Severity.CRITICAL if story.fault else Severity.NOTICE, _stage(content))
+            words = stage_line(story.stage, story.reason, content.get("rotor"), content.get("fault_kind"))
+            return Line(t_s, Severity.CRITICAL if story.stage == Stage.FAULT else Severity.NOTICE, words)
         case "text":
             return Line(t_s, Severity(int(content["severity"])), str(content["text"]))
         case "note":
             return Line(t_s, Severity.INFO, str(content["text"]))
         case _:
             return None
-
-
-def _stage(content: dict[str, Any]) -> str:
-    rotor = f", rotor {content['rotor']}" if content.get("rotor") is not None else ""
-    what = content.get("fault_kind") or content["stage"]
-    return f"{what}: {content['reason']}{rotor}"

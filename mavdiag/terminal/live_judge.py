@@ -15,8 +15,6 @@ from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Axis
 from mavdiag.units import NS_PER_S
 
-__all__ = ["LiveJudge"]
-
 
 @dataclass(slots=True)
 class LiveJudge:
@@ -58,10 +56,9 @@ class LiveJudge:
         """
         received = self._decoder.feed(chunks, now_ns, sources)
         known = sorted(self._decoder.vehicles)
-        if self.vehicle is None and known:
-            if len(known) > 1:
-                raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
-            (self.vehicle,) = known
+        if self.vehicle is None and len(known) > 1:
+            raise InputError(f"there are the vehicles {', '.join(map(str, known))}; choose one with --vehicle")
+        self.vehicle = next(iter(known), None) if self.vehicle is None else self.vehicle
         if self.chain.profile is None and self.vehicle in self._decoder.vehicles:
             self.chain = replace(self.chain, profile=self._decoder.vehicles[self.vehicle].profile.name)
         found = None if self.vehicle is None else received.get(self.vehicle)
@@ -70,8 +67,10 @@ class LiveJudge:
         self._state, output = self.chain.step(self._state, found.telemetry)
         if self._state.refused:
             raise BaselineError(self._state.refused)
-        self._gauges.update({(one.monitor, one.axis): one for one in output.gauges})
-        self.pieces = _latest((*self.pieces, *output.pieces), self.span_s)
+        self._gauges.update({(gauge.monitor, gauge.axis): gauge for gauge in output.gauges})
+        filled = [piece for piece in (*self.pieces, *output.pieces) if len(piece.rows.block)]
+        since_ns = (filled[-1].rows.block.t_ns[-1] if filled else 0) - self.span_s * NS_PER_S
+        self.pieces = tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)
         return output.changes
 
     @property
@@ -85,14 +84,18 @@ class LiveJudge:
         return self._state.diagnosis
 
     @property
-    def waiting(self) -> str:
-        """Why the vehicle is not judged yet; empty if its rows come."""
-        return next(iter(self._decoder.waiting.values()), "") if self.now_s is None else ""
-
-    @property
     def count(self) -> LinkCount | None:
         """What came from the vehicle's autopilot so far, and what was lost."""
         return None if self.vehicle is None else self._decoder.count(self.vehicle)
+
+    @property
+    def link_line(self) -> str:
+        """How the link is, or why the vehicle is not judged yet."""
+        count = self.count
+        if count is None:
+            return next(iter(self._decoder.waiting.values()), "") or "no vehicle yet"
+        lost = 100 * count.lost / max(count.received + count.lost, 1)
+        return f"vehicle {self.vehicle}: {count.received} messages, {lost:.2f} % lost"
 
     @property
     def gauges(self) -> tuple[tuple[str, Axis | None, Gauge | None, str], ...]:
@@ -103,12 +106,3 @@ class LiveJudge:
             judges = gauge is not None and gauge.valid
             found.append((*slot.key, gauge, "" if judges else why_not(self.chain, account) or "warming up"))
         return tuple(found)
-
-
-def _latest(pieces: Sequence[Piece], span_s: float) -> tuple[Piece, ...]:
-    """The pieces that reach into the last seconds."""
-    filled = [piece for piece in pieces if len(piece.rows.block)]
-    if not filled:
-        return ()
-    since_ns = int(filled[-1].rows.block.t_ns[-1]) - span_s * NS_PER_S
-    return tuple(piece for piece in filled if piece.rows.block.t_ns[-1] >= since_ns)

@@ -7,18 +7,14 @@ sample is not lost.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.text import Text
 
 from mavdiag.braille import ACROSS, DOWN, cells, character
-from mavdiag.telemetry import FloatArray
-
-__all__ = ["Curve", "Frame", "strip"]
-
-Grid: TypeAlias = NDArray[Any]
+from mavdiag.telemetry import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,26 +48,25 @@ def strip(curves: Sequence[Curve], frame: Frame) -> list[Text]:
     ['⠤⠄']
     """
     bits = np.zeros((frame.height, frame.width), dtype=np.int64)
-    styles = np.full((frame.height, frame.width), -1)
+    styles = np.full(bits.shape, -1)
     for number, curve in enumerate(curves):
         own = cells(_dots(curve, frame))
         bits |= own
         styles[own > 0] = number
-    return [_line(row, style, curves) for row, style in zip(bits, styles, strict=True)]
+    return [
+        Text.assemble(*((character(b), curves[s].style if b else "") for b, s in zip(row, style, strict=True)))
+        for row, style in zip(bits.tolist(), styles.tolist(), strict=True)
+    ]
 
 
-def _dots(curve: Curve, frame: Frame) -> Grid:
+def _dots(curve: Curve, frame: Frame) -> BoolArray:
     """Which dots a curve sets, (height * 4, width * 2), from the top."""
     columns, rows = frame.width * ACROSS, frame.height * DOWN
-    dots = np.zeros((rows, columns), dtype=np.bool_)
     at = np.floor((curve.t_s - frame.from_s) / (frame.to_s - frame.from_s) * columns)
     inside, known = (at >= 0) & (at < columns), np.isfinite(curve.values)
     keep = inside & known
-    if not keep.any():
-        return dots
     share = (frame.high - curve.values[keep]) / (frame.high - frame.low)
-    row = np.clip(np.round(share * (rows - 1)), 0, rows - 1).astype(np.int64)
-    column = at[keep].astype(np.int64)
+    row, column = np.clip(np.round(share * (rows - 1)), 0, rows - 1).astype(np.int64), at[keep].astype(np.int64)
     top, bottom = np.full(columns, rows), np.full(columns, -1)
     np.minimum.at(top, column, row)
     np.maximum.at(bottom, column, row)
@@ -79,27 +74,18 @@ def _dots(curve: Curve, frame: Frame) -> Grid:
     if curve.dotted:
         top[1::2], bottom[1::2] = rows, -1
     every = np.arange(rows)[:, None]
-    shown: Grid = (every >= top) & (every <= bottom)
+    shown: BoolArray = (every >= top) & (every <= bottom)
     return shown
 
 
-def _connect(top: Grid, bottom: Grid, breaks: Grid) -> None:
+def _connect(top: NDArray[Any], bottom: NDArray[Any], breaks: NDArray[Any]) -> None:
     """Fill the columns that no sample fell into, unless one of `breaks` is among them, and let neighbours meet."""
-    some = np.flatnonzero(bottom >= 0)
-    for before, after in itertools.pairwise(some):
+    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
         if after - before > 1 and not ((breaks > before) & (breaks < after)).any():
             between = np.arange(before + 1, after)
             line = np.interp(between, (before, after), (bottom[before], top[after]))
             top[between] = bottom[between] = np.round(line)
     for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
-        if after == before + 1 and top[after] > bottom[before] + 1:
-            top[after] = bottom[before] + 1
-        elif after == before + 1 and bottom[after] < top[before] - 1:
-            bottom[after] = top[before] - 1
-
-
-def _line(bits: Grid, styles: Grid, curves: Sequence[Curve]) -> Text:
-    line = Text(no_wrap=True)
-    for bit, style in zip(bits, styles, strict=True):
-        line.append(character(bit), curves[int(style)].style if bit else "")
-    return line
+        if after == before + 1:
+            top[after] = min(top[after], bottom[before] + 1)
+            bottom[after] = max(bottom[after], top[before] - 1)

@@ -1,23 +1,30 @@
 """The picture of one vehicle in a terminal: headline, strips, monitors as bars, events, link.
 
-`View` says what is shown, `picture` lays it out within the width of the terminal. Nothing is read or judged here.
+`View` says what is shown, `picture` lays it out within the size of the terminal. Nothing is read or judged here.
 """
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from rich.bar import Bar
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import Severity
+from mavdiag.monitors import by_name
 from mavdiag.printable import printable
+from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.terminal.ground_station import GroundStation, ReceivedText
+from mavdiag.terminal.live_judge import LiveJudge
 from mavdiag.terminal.strips import Curve, Frame, strip
-
-__all__ = ["Level", "Line", "StripView", "View", "line_of", "picture"]
+from mavdiag.traces import RateTrace, rate_traces
+from mavdiag.units import NS_PER_S
 
 MARGIN = 13  # characters left of a strip, for its scale
 FRAME = 4  # characters of the panel's border and padding
@@ -26,6 +33,13 @@ NAME_WIDTH = 16
 FIGURES_WIDTH = 30
 EVENTS = 8
 LEAST_EVENTS = 6  # lines of them that stay where there is little room (our choice)
+STRIP_ROWS = 4
+POINTS_PER_S = 100.0  # of a strip, at most: more would not be seen
+LEAST_RATE = 0.1  # of the scale of rates [rad/s]
+OF_MARGIN = 3.0  # least scale of a residual, in margins
+LEGEND = "white: measured, cyan: simulated, yellow: residual, red: margin"
+_COLOURS = {"measured": "bright_white", "simulated": "cyan", "residual": "yellow", "margin": "red"}
+_SEVERITY = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +51,7 @@ class StripView:
     curves: tuple[Curve, ...]
     low: float
     high: float
-    rows: int = 4
+    rows: int = STRIP_ROWS
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +73,18 @@ class Line:
     severity: Severity
     text: str
 
+    @property
+    def head(self) -> str:
+        """When, and how grave it is."""
+        return f"{self.t_s:8.2f} s  {self.severity.name:<8} "
+
+    @property
+    def style(self) -> str:
+        """Of rich."""
+        return (
+            "bold red" if self.severity <= Severity.CRITICAL else "yellow" if self.severity <= Severity.WARNING else ""
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -73,8 +99,8 @@ class View:
     title: str
     headline: str
     alert: bool
-    from_s: float
-    to_s: float
+    from_s: float = 0.0
+    to_s: float = 1.0
     strips: tuple[StripView, ...] = ()
     levels: tuple[Level, ...] = ()
     events: tuple[Line, ...] = ()
@@ -87,69 +113,99 @@ def picture(view: View, width: int, height: int | None = None) -> Panel:
     Where there is little room the newest events stay, then the monitors, then the strips.
     """
     inner = max(width - FRAME, NARROWEST)
-    style = "bold red" if view.alert else "bold green"
-    parts: list[RenderableType] = [*_lines("", view.headline, style, inner)]
+    head = _wrapped("", view.headline, "bold red" if view.alert else "bold green", inner)
     foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
-    strips, levels, events = _fitted(view, inner, None if height is None else height - 2 - len(parts) - len(foot))
-    for one in strips:
-        parts += _strip(one, view, inner)
-    if levels:
-        parts.append(_levels(levels, inner))
-    return Panel(Group(*parts, *events, *foot), title=Text(printable(view.title)), width=inner + FRAME)
-
-
-def line_of(one: Line) -> Text:
-    """An event as one line, however long."""
-    return Text(_when(one) + printable(one.text), style=_style(one), no_wrap=True)
-
-
-def _fitted(view: View, width: int, room: int | None) -> tuple[Sequence[StripView], Sequence[Level], list[Text]]:
-    """The strips, levels and lines of events that so many lines have room for; None for all."""
-    told = [_lines(_when(one), one.text, _style(one), width) for one in view.events[-EVENTS:]]
-    if room is None:
-        return view.strips, view.levels, [line for lines in told for line in lines]
-    events: list[Text] = []
+    told = [_wrapped(line.head, line.text, line.style, inner) for line in view.events[-EVENTS:]]
+    room, events = math.inf if height is None else height - 2 - len(head) - len(foot), list[Text]()
     most = max(room - len(view.levels) - sum(one.rows for one in view.strips), min(room, LEAST_EVENTS))
     for lines in reversed(told):
         if events and len(events) + len(lines) > most:
             break
         events = [*lines, *events]
-    levels = view.levels[: max(room - len(events), 0)]
-    left, strips = room - len(events) - len(levels), list[StripView]()
+    levels = view.levels[: int(min(max(room - len(events), 0), len(view.levels)))]
+    left, parts = room - len(events) - len(levels), list[RenderableType](head)
     for one in view.strips:
         left -= one.rows
-        if left >= 0:
-            strips.append(one)
-    return strips, levels, events
+        parts += _strip(one, view, inner) if left >= 0 else ()
+    parts += [_levels(levels, inner)] if levels else []
+    return Panel(Group(*parts, *events, *foot), title=Text(printable(view.title)), width=inner + FRAME)
 
 
-def _when(one: Line) -> str:
-    return f"{one.t_s:8.2f} s  {one.severity.name:<8} "
+def line_of(line: Line) -> Text:
+    """An event as one line, however long."""
+    return Text(line.head + printable(line.text), style=line.style, no_wrap=True)
 
 
-def _style(one: Line) -> str:
-    return "bold red" if one.severity <= Severity.CRITICAL else "yellow" if one.severity <= Severity.WARNING else ""
+def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str = "") -> Line:
+    """A text of a detector, or a change of a decision, as a line. text_from, change_from: say whose they are."""
+    if isinstance(news, ReceivedText):
+        return Line(news.t_s, Severity(min(news.severity, Severity.DEBUG)), f"{text_from}{news.text}")
+    words = str(news).partition(" s ")[2]
+    return Line(news.t_ns / NS_PER_S, _SEVERITY.get(news.stage, Severity.INFO), f"{change_from}{words}")
 
 
-def _lines(head: str, text: str, style: str, width: int) -> list[Text]:
+def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
+    """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
+    traces = (one for one in rate_traces(judge.chain, judge.pieces) if one.axis is axis and len(one.t_ns))
+    return tuple(shown for trace in traces for shown in _strips_of(trace))
+
+
+def levels_of(judge: LiveJudge) -> tuple[Level, ...]:
+    """Every monitor against its threshold; of one on two axes both."""
+    found = []
+    for monitor, axis, gauge, reason in judge.gauges:
+        name = by_name(monitor).label + (f" {axis}" if axis is not None else "")
+        figures = (0.0, math.inf, "") if gauge is None else (gauge.statistic, gauge.threshold, gauge.unit)
+        found.append(Level(name, *figures, reason))
+    return tuple(found)
+
+
+def figure_levels(station: GroundStation) -> tuple[Level, ...]:
+    """The thesis rule by the figures that a detector sends: residual against margin, FSD against FML."""
+    figures = station.figures
+    if not {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"} <= figures.keys():
+        return ()
+    return (
+        Level("|residual|", abs(figures["PF_RES"]), figures["PF_MARG"], "rad/s"),
+        Level("FSD", figures["PF_FSD"], figures["PF_FML"], "s"),
+    )
+
+
+def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
+    """No more rows than a strip can show: every n-th is kept, for what is filtered over 0.1 s has nothing between."""
+    period_s = float(np.median(np.diff(trace.t_ns))) / NS_PER_S if len(trace.t_ns) > 1 else 1.0
+    thin = slice(None, None, max(1, int(1 / (POINTS_PER_S * period_s))) if period_s > 0 else 1)
+    t_s, margin = trace.t_ns[thin] / NS_PER_S, trace.margin_rad_s
+    measured, simulated = trace.measured[thin], trace.simulated[thin]
+    residual = np.where(trace.judged, trace.residual, np.nan)[thin]
+    rates = tuple(Curve(t_s, of, _COLOURS[n]) for n, of in (("simulated", simulated), ("measured", measured)))
+    limits = (Curve(t_s, np.full(len(t_s), level), _COLOURS["margin"], dotted=True) for level in (-margin, margin))
+    reach = max(LEAST_RATE, _highest(measured), _highest(simulated))
+    far = max(OF_MARGIN * margin, _highest(residual))
+    beside = (*limits, Curve(t_s, residual, _COLOURS["residual"]))
+    return StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach), StripView(
+        "residual", "rad/s", beside, -far, far
+    )
+
+
+def _highest(values: FloatArray) -> float:
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+
+
+def _wrapped(head: str, text: str, style: str, width: int) -> list[Text]:
     """A text of any length as lines of the width, the later ones indented as far as the head goes."""
     parts = textwrap.wrap(printable(text), max(width - len(head), 1)) or [""]
-    lines = [
-        Text((head if not number else " " * len(head)) + part, style=style, no_wrap=True)
-        for number, part in enumerate(parts)
-    ]
+    heads = [head, *[" " * len(head)] * (len(parts) - 1)]
+    lines = [Text(before + part, style=style, no_wrap=True) for before, part in zip(heads, parts, strict=True)]
     for line in lines:
         line.truncate(width, overflow="ellipsis")  # of characters that are two cells wide
     return lines
 
 
 def _strip(one: StripView, view: View, width: int) -> list[Text]:
-    frame = Frame(view.from_s, view.to_s, one.low, one.high, width - MARGIN, one.rows)
-    lines = strip(one.curves, frame)
-    scale = [""] * one.rows
-    scale[0], scale[-1] = f"{one.high:+.2g}", f"{one.low:+.2g}"
-    names = [part for part in (one.name, one.unit) if part]
-    for row, words in zip(range(1, one.rows - 1), names, strict=False):
+    lines = strip(one.curves, Frame(view.from_s, view.to_s, one.low, one.high, width - MARGIN, one.rows))
+    scale = [f"{one.high:+.2g}", *[""] * (one.rows - 2), f"{one.low:+.2g}"]
+    for row, words in zip(range(1, one.rows - 1), filter(None, (one.name, one.unit)), strict=False):
         scale[row] = words
     return [
         Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim").append_text(line)
@@ -161,20 +217,17 @@ def _levels(levels: Sequence[Level], width: int) -> Table:
     """One row for each monitor; the middle of a bar is the threshold."""
     table = Table.grid(padding=(0, 1))
     room = max(width - NAME_WIDTH - FIGURES_WIDTH - 2, 6)
-    for one in levels:
-        name = Text(f"{one.name:<{NAME_WIDTH}.{NAME_WIDTH}}", no_wrap=True)
-        if one.reason:
-            words = Text(f"not judged: {printable(one.reason)}", style="dim", no_wrap=True)
-            words.truncate(room + FIGURES_WIDTH + 1, overflow="ellipsis")
-            grid = Table.grid()
-            grid.add_row(words)
-            table.add_row(name, grid)
-            continue
-        above = one.value > one.threshold
-        bar = Bar(2 * one.threshold or 1.0, 0, max(one.value, 0.0), width=room, color="red" if above else "green")
-        figures = Text(f"{one.value:8.3g} of {one.threshold:.3g} {one.unit}", no_wrap=True)
-        figures.truncate(FIGURES_WIDTH, overflow="ellipsis")
+    for level in levels:
         row = Table.grid(padding=(0, 1))
-        row.add_row(bar, figures)
-        table.add_row(name, row)
+        if level.reason:
+            words = Text(f"not judged: {printable(level.reason)}", style="dim", no_wrap=True)
+            words.truncate(room + FIGURES_WIDTH + 1, overflow="ellipsis")
+            row.add_row(words)
+        else:
+            colour = "red" if level.value > level.threshold else "green"
+            bar = Bar(2 * level.threshold or 1.0, 0, max(level.value, 0.0), width=room, color=colour)
+            figures = Text(f"{level.value:8.3g} of {level.threshold:.3g} {level.unit}", no_wrap=True)
+            figures.truncate(FIGURES_WIDTH, overflow="ellipsis")
+            row.add_row(bar, figures)
+        table.add_row(Text(f"{level.name:<{NAME_WIDTH}.{NAME_WIDTH}}", no_wrap=True), row)
     return table

@@ -20,7 +20,7 @@ from mavdiag.errors import UsageError
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
 from mavdiag.report.campaign import read_campaign
-from mavdiag.report.campaign_page import campaign_page
+from mavdiag.report.page import campaign_page
 from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker

@@ -45,9 +45,9 @@ def test_l10_a_vehicle_without_imu_is_never_called_a_qdrone2(
     try:
         if words:
             with pytest.raises(InputError, match=words):
-                inspect(address, duration=1.5)
+                inspect([address], duration=1.5)
         else:
-            inspect(address, duration=1.5)
+            inspect([address], duration=1.5)
     finally:
         stop.set()
         sender.join()
@@ -59,7 +59,7 @@ def test_l10_a_vehicle_without_imu_is_never_called_a_qdrone2(
 @pytest.mark.realtime
 def test_a_link_on_which_nothing_comes_is_a_line_that_says_so() -> None:
     with pytest.raises(InputError, match="nothing was received; is the vehicle sending"):
-        inspect(free_address(), duration=0.1)
+        inspect([free_address()], duration=0.1)
 
 
 class FreshArduPilot:
@@ -141,7 +141,7 @@ def test_l10_a_fresh_ardupilot_link_is_told_what_gives_each_monitor_its_streams(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     vehicle = FreshArduPilot()
-    beside(vehicle, lambda address: inspect(address, duration=4.0))
+    beside(vehicle, lambda address: inspect([address], duration=4.0))
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "profile ardupilot" in shown
@@ -156,7 +156,7 @@ def test_a_fresh_ardupilot_link_is_asked_for_streams_and_rotors_and_nothing_is_s
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     vehicle = FreshArduPilot()
-    beside(vehicle, lambda address: inspect(address, duration=2.0, ask=True, as_json=True))
+    beside(vehicle, lambda address: inspect([address], duration=2.0, ask=True, as_json=True))
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     works = {one["monitor"] for one in found["monitors"] if one["works"]}
     assert {"fsd", "innovation", "rotor_signature", "sensor_drift", "control_loss", "thrust_loss"} == works
@@ -187,8 +187,8 @@ class OtherCounts(FreshArduPilot):
 def test_a_raw_imu_of_unknown_scale_is_named_by_gravity(capsys: pytest.CaptureFixture[str]) -> None:
     def look(address: str) -> None:
         with pytest.raises(InputError, match="counts 4096 at rest, 16 bits over 8 g; only 1000 and 2048 are read"):
-            inspect(address, duration=2.0)
-        inspect(address, duration=2.0, profile="ardupilot")
+            inspect([address], duration=2.0)
+        inspect([address], duration=2.0, profile="ardupilot")
 
     beside(OtherCounts(), look)
     assert "gravity: 4.10 g, wrong scale, or never at rest" in capsys.readouterr().out
@@ -196,4 +196,4 @@ def test_a_raw_imu_of_unknown_scale_is_named_by_gravity(capsys: pytest.CaptureFi
 
 def test_ask_is_for_a_link(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--ask is for a link"):
-        inspect(str(tmp_path / "flight.tlog"), ask=True)
+        inspect([str(tmp_path / "flight.tlog")], ask=True)

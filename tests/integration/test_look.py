@@ -20,8 +20,7 @@ from mavdiag.baseline import Baseline
 from mavdiag.cli import app, main
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.logs import read_log
-from mavdiag.look.first_look import first_look
-from mavdiag.look.inspection import clock_of, units_of
+from mavdiag.look.inspection import clock_of, inspection_of, units_of
 from mavdiag.look.words import in_full, in_one_line
 from mavdiag.telemetry import Log, Series, Signal, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
@@ -36,7 +35,9 @@ def emulated(seed: int, seconds: float = 15.0, profile: str = "qdrone2", **confi
 
 
 def test_the_rotor_line_stands_at_the_speed_that_the_rotors_tell() -> None:
-    look = first_look(emulated(5, fault="F1/SV3", rotor=2, onset_s=0.0, trajectory="hover"), airframe_named("qdrone2"))
+    look = inspection_of(
+        emulated(5, fault="F1/SV3", rotor=2, onset_s=0.0, trajectory="hover"), airframe_named("qdrone2")
+    )
     assert look.line is not None
     assert look.line.reason == ""
     assert look.line.told_hz == pytest.approx(167.0, rel=0.05)
@@ -44,7 +45,7 @@ def test_the_rotor_line_stands_at_the_speed_that_the_rotors_tell() -> None:
 
 
 def test_a_low_passed_stream_shows_no_line_and_says_why() -> None:
-    look = first_look(emulated(5, profile="ardupilot"), airframe_named("qdrone2"))
+    look = inspection_of(emulated(5, profile="ardupilot"), airframe_named("qdrone2"))
     assert look.line is not None
     assert math.isnan(look.line.hz)
     assert "low-passed at 20 Hz" in look.line.reason
@@ -52,7 +53,7 @@ def test_a_low_passed_stream_shows_no_line_and_says_why() -> None:
 
 def test_the_load_of_each_motor_is_its_mean_over_the_mean_of_all() -> None:
     log = logged(flying(3000, seed=3))
-    look = first_look(log, Airframe())
+    look = inspection_of(log, Airframe())
     outputs = log[Signal.ACTUATOR].values
     expected = outputs.mean(axis=0) / outputs.mean() - 1
     np.testing.assert_allclose([one.over_mean for one in look.loads], expected, atol=2e-3)
@@ -72,19 +73,19 @@ def test_an_output_at_its_end_and_a_high_vibration_are_told_in_their_share() -> 
     outputs[len(outputs) // 2 :, 1] = 1.0
     level = log[Signal.VIBRATION].values * 0 + np.array([5.0, 6.0, 7.0])
     level[: len(level) // 4] = 65.0
-    look = first_look(changed(changed(log, Signal.ACTUATOR, outputs), Signal.VIBRATION, level), Airframe())
+    look = inspection_of(changed(changed(log, Signal.ACTUATOR, outputs), Signal.VIBRATION, level), Airframe())
     span_s, left_out_s = 30.0, 30.0 - look.flight_s  # the start is not judged
     assert look.loads[1].full_share == pytest.approx(span_s / 2 / look.flight_s, abs=0.01)
     assert look.vibration is not None
     assert look.vibration.above_high == pytest.approx((span_s / 4 - left_out_s) / look.flight_s, abs=0.02)
-    text = "\n".join(in_full(look))
+    text = in_full(look)
     assert "where ArduPilot expects trouble" in text
     assert "2 at its upper end" in text
 
 
 def test_it_never_says_that_a_vehicle_is_well() -> None:
-    for look in (first_look(logged(flying(3000, seed=3)), Airframe()), first_look(emulated(1), Airframe())):
-        text = "\n".join([*in_full(look), in_one_line(look)])
+    for look in (inspection_of(logged(flying(3000, seed=3)), Airframe()), inspection_of(emulated(1), Airframe())):
+        text = f"{in_full(look)}\n{in_one_line(look)}"
         assert "healthy" not in text
         assert "fault" not in text
         assert "this is no verdict" in text
@@ -95,12 +96,12 @@ def test_what_is_missing_is_named_with_the_parameter_that_gives_it() -> None:
     poor = Log(
         "flight", "", "ardupilot", Telemetry(tuple(o for o in full.telemetry if o.signal is not Signal.VIBRATION))
     )
-    missing = {one.monitor: one.missing for one in first_look(poor, airframe_named("qdrone2")).monitors}
+    missing = {one.monitor: one.missing for one in inspection_of(poor, airframe_named("qdrone2")).monitors}
     assert missing["vibration_level"] == ("no VIBRATION: SRn_EXTRA3",)
 
 
 def test_log171_is_looked_at_as_its_records_show() -> None:
-    look = first_look(read_log(shared("data/ardupilot_real/log171.bin")), Airframe())
+    look = inspection_of(read_log(shared("data/ardupilot_real/log171.bin")), Airframe())
     assert look.flight_s == pytest.approx(165.8, abs=1.0)
     assert [round(100 * one.over_mean) for one in look.loads] == [4, 11, -9, -6]
 
@@ -168,20 +169,13 @@ def two_flights(pause_s: float, rate_hz: int = 25) -> Log:
 
 def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
     """A pause as long as both flights once made 11.7 Hz of 25 Hz, and monitors were denied."""
-    alone = first_look(logged(flying(3000, seed=3)), Airframe())
+    alone = inspection_of(logged(flying(3000, seed=3)), Airframe())
     for pause_s in (5.0, 60.0, 600.0):
-        look = first_look(two_flights(pause_s), Airframe())
+        look = inspection_of(two_flights(pause_s), Airframe())
         rates = {one.signal: one.rate_hz for one in look.signals}
         assert rates["body_rate"] == pytest.approx(25.0, rel=0.01)
-        assert look.works == first_look(two_flights(5.0), Airframe()).works
+        assert look.works == inspection_of(two_flights(5.0), Airframe()).works
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
-
-
-def test_a_slow_signal_has_its_own_rate() -> None:
-    log = logged(flying(3000, seed=3))
-    slow = Series(Signal.VOLTAGE, *(log[Signal.ARMED].t_ns[::5],) * 2, log[Signal.ARMED].values[::5])
-    look = first_look(Log("log", "", "px4", Telemetry((*log.telemetry.series, slow))), Airframe())
-    assert {one.signal: one.rate_hz for one in look.signals}["voltage"] == pytest.approx(0.2, rel=0.01)
 
 
 class Counted(np.ndarray):
@@ -220,17 +214,21 @@ def test_the_rotors_of_a_crazyflie_are_known_to_look_and_inspect() -> None:
         assert "give --layout" not in shown
 
 
+def test_look_and_inspect_are_two_names_of_one_command(tmp_path: Path) -> None:
+    recording(tmp_path / "1.csv", 1, 6.0)
+    (tmp_path / "map.toml").write_text(MAP)
+    for options in ([], ["--json"], ["--layout", "hexa-x", "--from", "1"]):
+        rest = [str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), *options]
+        look, inspect = (RUN.invoke(app, [name, *rest]) for name in ("look", "inspect"))
+        assert (look.exit_code, look.stdout) == (inspect.exit_code, inspect.stdout)
+        assert look.exit_code == 0
+        assert ("rotor layout hexa-x" in look.stdout) == ("hexa-x" in options)
+
+
 def test_look_and_identify_name_the_same_rotors() -> None:
     log = logged(flying(3000, seed=3))
     baseline = learn([log], LearnOptions(), created="2026-01-01T00:00:00+00:00")
-    assert first_look(log, Airframe()).rotors == baseline.airframe.layout_statement
-
-
-def test_a_layout_can_be_told_to_look(tmp_path: Path) -> None:
-    recording(tmp_path / "1.csv", 1, 6.0)
-    (tmp_path / "map.toml").write_text(MAP)
-    command = ["look", str(tmp_path / "1.csv"), "--columns", str(tmp_path / "map.toml"), "--layout", "hexa-x"]
-    assert "rotor layout hexa-x" in RUN.invoke(app, command).stdout
+    assert inspection_of(log, Airframe()).rotors == baseline.airframe.layout_statement
 
 
 @pytest.mark.parametrize("command", ["inspect", "watch"])
@@ -247,9 +245,9 @@ def test_an_address_that_is_badly_written_is_an_address_all_the_same(
 
 def test_log171_is_seen_to_tumble_with_a_motor_at_its_limit() -> None:
     path = shared("data/ardupilot_real/log171.bin")
-    look = first_look(read_log(path), Airframe())
+    look = inspection_of(read_log(path), Airframe())
     assert look.upset.startswith("the flight ends in an upset, at 238.8 s: it turns at 22.")
-    text = "\n".join(in_full(look))
+    text = in_full(look)
     assert "upset: the flight ends in an upset, at 238.8 s" in text
     assert "2 at its upper end for" in text
     assert "upset" in in_one_line(look)
@@ -266,7 +264,7 @@ def test_a_motor_that_stands_at_a_limit_of_the_mixer_is_at_its_end() -> None:
     outputs[-300:, 2] = 0.85
     outputs[-300:, 3] = 0.12
     outputs[:300] = 0.5
-    loads = first_look(changed(log, Signal.ACTUATOR, outputs), Airframe()).loads
+    loads = inspection_of(changed(log, Signal.ACTUATOR, outputs), Airframe()).loads
     ends = [(one.full_share > 0.1, one.idle_share > 0.1) for one in loads]
     assert ends == [(False, False), (False, False), (True, False), (False, True)]
 
@@ -278,6 +276,6 @@ def test_outputs_that_are_no_motors_are_not_told_as_such() -> None:
     still = np.tile([0.0, 0.9], (len(motors), 1))
     wobble = 0.01 + 0.005 * np.sin(np.arange(len(motors)))[:, None]
     odd = np.hstack((motors[:, [3, 2]] * [1.0, 0.5], still, motors[:, :1], wobble))  # no layout has these three
-    look = first_look(changed(log, Signal.ACTUATOR, odd), Airframe())
+    look = inspection_of(changed(log, Signal.ACTUATOR, odd), Airframe())
     assert look.rotors.startswith("rotor layout unknown")
     assert [one.number for one in look.loads] == [1, 2, 5]

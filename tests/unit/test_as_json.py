@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from mavdiag.as_json import event_json, verdict_json
+from mavdiag.as_json import event_json, json_line, verdict_json
 from mavdiag.commands import progress
 from mavdiag.decision.alarm import Event
 from mavdiag.judging import LogVerdict, MonitorSummary, Verdict
@@ -31,6 +31,13 @@ def test_the_run_length_and_its_limit_are_told_of_the_thesis_monitor_only() -> N
     assert (found["axis"], found["fsd_s"], found["fml_s"], found["end_s"]) == ("roll", 0.41, 0.12, None)
     other = event_json(1.0, 2.0, Event("innovation", None, 1, 2, float("inf"), 0.12, 0.05, rotor=2, confidence=0.98765))
     assert (other["statistic"], other["fsd_s"], other["rotor"], other["confidence"]) == (None, None, 2, 0.988)
+
+
+def test_what_is_not_finite_is_null_wherever_it_stands() -> None:
+    silent = MonitorSummary("unbalance", Axis.ROLL, float("nan"), float("inf"), "g mm", 0)
+    found = json.loads(json_line({"a": (1.5, float("-inf")), "b": [silent]}))
+    assert found["a"] == [1.5, None]
+    assert (found["b"][0]["maximum"], found["b"][0]["threshold"], found["b"][0]["axis"]) == (None, None, "roll")
 
 
 @pytest.mark.parametrize("terminal", [False, True])

@@ -16,11 +16,11 @@ from detector.values import Note, SendText, StateChanged
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import parse
-from mavdiag.commands import inspect
 from mavdiag.errors import BaselineError, InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Severity
-from mavdiag.look.inspection import MonitorState, Units
+from mavdiag.look.inspection import MessageRate, MonitorState, Units, inspection_of
+from mavdiag.look.words import in_full
 from mavdiag.printable import printable
 from mavdiag.telemetry import Log, Telemetry
 from mavdiag.terminal.ground_station import GroundStation
@@ -84,10 +84,18 @@ def test_lines_of_the_journal() -> None:
 
 def test_what_inspect_says_of_a_log() -> None:
     log = Log(f"{EVIL}.tlog", "", EVIL, Telemetry(), notes=(EVIL,))
-    told = Airframe(layout_basis=EVIL)
-    states = (MonitorState(EVIL, EVIL, works=False, missing=(EVIL,)),)
-    found = inspect.Inspection(EVIL, log, (), {}, None, (EVIL,), None, Units(None, EVIL, ()), told, states, EVIL)
-    assert not steering(inspect._as_text(found))
+    found = replace(
+        inspection_of(log, Airframe(), asked=(EVIL,)),
+        baseline=EVIL,
+        upset=EVIL,
+        rotors=EVIL,
+        no_flight=EVIL,
+        monitors=(MonitorState(EVIL, EVIL, works=False, missing=(EVIL,)),),
+        units=Units(None, EVIL, ()),
+        messages=(MessageRate(1, EVIL, 1.0),),
+    )
+    assert not steering(in_full(found))
+    assert "forged line" in in_full(found)
 
 
 def test_texts_that_the_demo_hears() -> None:

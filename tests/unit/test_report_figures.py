@@ -13,29 +13,36 @@ from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baselin
 from scipy.signal import welch
 
 from mavdiag.airframe.layout import layout_named
+from mavdiag.airframe.propellers import FaultType, propeller
+from mavdiag.airframe.traits import joined
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
+from mavdiag.look.figures import spectrum_of
+from mavdiag.look.inspection import summary
 from mavdiag.report.campaign import roc_of
 from mavdiag.report.evidence import ratio_of
-from mavdiag.report.plane import CLASSES, unbalance_of
-from mavdiag.report.quality import quality_of
-from mavdiag.report.rates import longest_by_column, moment_of, runs_of
+from mavdiag.report.residuals import moment_of, runs_of, unbalance_of
 from mavdiag.report.rotors import shift_of
-from mavdiag.report.spectrum import folded, spectrum_of
+from mavdiag.report.signals import folded, sweep_of
 from mavdiag.report.thinned import envelope, highest
-from mavdiag.report.windows import sweep_of
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Series, Signal
-from mavdiag.traces import RateTrace, Traces, traces_of
+from mavdiag.traces import RateTrace, SlotTrace, rate_traces, slot_traces
 
 pytest.importorskip("numba", reason="the plant is an extra")
 
 
-def traces() -> Traces:
+def rate_traces_of_flight() -> tuple[RateTrace, ...]:
     _, judged = cracked()
     assert judged.chain is not None
-    return traces_of(judged.chain, judged.pieces)
+    return rate_traces(judged.chain, judged.pieces)
+
+
+def slot_traces_of_flight() -> tuple[SlotTrace, ...]:
+    _, judged = cracked()
+    assert judged.chain is not None
+    return slot_traces(judged.chain, judged.pieces)
 
 
 def blocks() -> list[Block]:
@@ -68,7 +75,7 @@ def test_a_gap_in_time_is_not_drawn_across() -> None:
 
 
 def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
-    for trace in traces().rates:
+    for trace in rate_traces_of_flight():
         runs = runs_of(trace)
         walked = walk(trace)
         np.testing.assert_allclose(runs.fsd_s, [span for _, span, _ in walked], rtol=0.03)  # less beyond the envelope
@@ -77,7 +84,7 @@ def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
         assert runs.fsd_s.max() == pytest.approx(trace.fsd_s.max())
         start_s, stop_s = moment_of([trace])
         assert start_s <= trace.t_ns[trace.fsd_s.argmax()] / 1e9 <= stop_s
-        few = longest_by_column(runs, 5)
+        few = runs.longest_by_column(5)
         assert len(few) <= 5 < len(runs)
         assert few.fsd_s.max() == runs.fsd_s.max()
 
@@ -98,13 +105,13 @@ def walk(trace: RateTrace) -> list[tuple[float, float, float]]:
 
 
 def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
-    spectrum = spectrum_of(blocks())
+    spectrum = spectrum_of(joined([piece.rows for piece in cracked()[1].pieces]))
     assert spectrum is not None
     log = cracked()[0]
     speeds = log[Signal.ROTOR_SPEED]
     late = speeds.values[speeds.t_s > ONSET_S][:, ROTOR - 1] / (2 * np.pi)
     line = (spectrum.frequency_hz > 100) & (spectrum.frequency_hz < 199)
-    peak_hz = spectrum.frequency_hz[line][spectrum.density[line, 0].argmax()]
+    peak_hz = spectrum.frequency_hz[line][spectrum.power[line, 0].argmax()]
     assert np.percentile(late, 2) - 2 <= peak_hz <= np.percentile(late, 98) + 2
     valid = np.concatenate([one.valid for one in blocks()])
     force = np.concatenate([one.force for one in blocks()])[valid, :2]
@@ -112,7 +119,7 @@ def test_the_spectrum_is_scipys_and_its_peak_is_the_rotors_speed() -> None:
     frequency, power = welch(force, RATE_HZ, "hann", 400, 200, detrend="constant", axis=0)
     use = frequency > 5
     np.testing.assert_allclose(spectrum.frequency_hz, frequency, rtol=1e-3)
-    np.testing.assert_allclose(spectrum.density[use], np.sqrt(power[use]), rtol=0.05)  # scipy's window is periodic
+    np.testing.assert_allclose(spectrum.power[use], power[use], rtol=0.01)
 
 
 def test_a_line_above_half_of_the_rate_is_shown_where_it_folds_to() -> None:
@@ -123,7 +130,7 @@ def test_a_line_above_half_of_the_rate_is_shown_where_it_folds_to() -> None:
 
 def test_the_window_sweep_fits_what_identify_fits() -> None:
     log, _ = cracked()
-    sweep = sweep_of(blocks(), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
+    sweep = sweep_of(joined([piece.rows for piece in cracked()[1].pieces]), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
     windows = [row.window for row in sweep.rows]
     assert windows == sorted(set(windows))
     row = next(one for one in sweep.rows if one.window == 41)
@@ -134,34 +141,33 @@ def test_the_window_sweep_fits_what_identify_fits() -> None:
 
 
 def test_the_shift_of_a_weak_rotor_is_its_rise() -> None:
-    rows = [one.block for one in flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2))]
-    shift = shift_of(rows, layout_named("x"), None)
+    blocks = joined(flying_rows(flying(2000, seed=4, weak_rotor=3, rise=0.2)))
+    shift = shift_of(blocks, layout_named("x"), None)
     outputs = np.array([0.5, 0.5, 0.6, 0.5])
     B = layout_named("x").mixing
     beside = B @ np.linalg.pinv(B) @ (outputs / outputs.mean() - 1)
     np.testing.assert_allclose(shift.mean(None), beside / 0.75, atol=0.01)
-    assert shift_of(rows, layout_named("x"), None, 0.05).limit == 0.05  # the monitor's own scale
+    assert shift_of(blocks, layout_named("x"), None, 0.05).limit == 0.05  # the monitor's own scale
     assert int(np.argmax(shift.mean(None))) == 2
     assert not shift.beyond_health
     assert np.isnan(shift.shift[:100]).all()  # no 5 s yet
 
 
 def test_the_ratio_is_nan_where_nothing_was_judged() -> None:
-    for trace in traces().slots:
+    for trace in slot_traces_of_flight():
         t_s, ratio = ratio_of(trace)
         assert len(t_s) == len(ratio)
         np.testing.assert_array_equal(np.isfinite(ratio), trace.found.valid)
     verdict = cracked()[1].verdict
-    highest_of = {one.slot.key: np.nanmax(ratio_of(one)[1]) for one in traces().slots if one.found.valid.any()}
+    highest_of = {one.slot.key: np.nanmax(ratio_of(one)[1]) for one in slot_traces_of_flight() if one.found.valid.any()}
     for one in verdict.monitors:
         if one.maximum is not None:
             assert highest_of[one.name, one.axis] == pytest.approx(one.maximum / one.threshold)
 
 
 def test_the_unbalance_is_near_the_propellers() -> None:
-    found = unbalance_of(traces().slots, ONSET_S + 1.0)
-    (crack,) = (one for one in CLASSES if (one.fault_type, one.severity) == ("F2", 2))
-    assert found == pytest.approx(crack.unbalance_g_mm, rel=0.3)
+    found = unbalance_of(slot_traces_of_flight(), ONSET_S + 1.0)
+    assert found == pytest.approx(propeller(FaultType.CRACK, 2).unbalance_g_mm, rel=0.3)
     assert unbalance_of([], None) is None
 
 
@@ -170,12 +176,12 @@ def test_link_quality_counts_what_was_taken_out() -> None:
     kept = np.delete(t_ns, np.r_[100:120, 500:510])
     twice = np.sort(np.append(kept, kept[:7]))
     series = Series(Signal.BODY_RATE, twice, twice, np.zeros((len(twice), 3)))
-    found = quality_of(series)
+    found = summary(series)
     assert (found.gaps, found.repeated) == (2, 7)
-    assert found.rate_hz == pytest.approx(100.0)
-    assert found.longest_s == pytest.approx(0.21)
+    assert found.rate_hz == pytest.approx(97.0, abs=0.01)  # the mean rate: what is missing counts
+    assert found.longest_gap_s == pytest.approx(0.21)
     assert found.missing == pytest.approx(0.03)
-    assert quality_of(replace_length(series, 1)).rate_hz is None
+    assert summary(replace_length(series, 1)).rate_hz is None
 
 
 def replace_length(series: Series, n: int) -> Series:

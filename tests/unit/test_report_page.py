@@ -15,16 +15,15 @@ from page_reading import Page, check
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Stage
+from mavdiag.decision.words import OBSERVES, advice, evidence_sentence, headline
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, judge_in_full
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
-from mavdiag.report.campaign_page import campaign_page
-from mavdiag.report.flight import FlightReport, flight_report, unread_report
-from mavdiag.report.page import Made, flights_page
+from mavdiag.report.flight import FlightReport, flight_report
+from mavdiag.report.page import Made, campaign_page, flights_page
 from mavdiag.report.style import drawn, embedded
-from mavdiag.report.words import OBSERVES, advice, evidence_sentence, headline
 from mavdiag.telemetry import Log, Signal
 
 MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
@@ -107,7 +106,7 @@ def test_no_text_from_outside_is_markup() -> None:
     flight_there = report_of(log, whole(), figures=False)
     frame = whole().airframe
     outside = whole().model_copy(update={"airframe": replace(frame, name=HOSTILE, layout_basis=HOSTILE)})
-    unread = unread_report(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
+    unread = FlightReport(LogVerdict(f"{HOSTILE}/x", Verdict.ERROR, HOSTILE))
     text = flights_page([flight_there, unread], outside, replace(MADE, baseline_path=HOSTILE))
     page = check(text)
     assert "img" not in page.tags
@@ -116,7 +115,7 @@ def test_no_text_from_outside_is_markup() -> None:
 
 
 def test_several_logs_begin_with_a_table_that_leads_to_each() -> None:
-    flights = [weak(), unread_report(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
+    flights = [weak(), FlightReport(LogVerdict("gone.bin", Verdict.ERROR, "no such file"))]
     page = check(flights_page(flights, whole(), MADE))
     assert {"#log-1", "#log-2"} <= set(page.addresses)
     assert "All logs: 1 not readable, 1 fault." in page.said
@@ -133,24 +132,20 @@ def test_every_monitor_has_words_for_a_newcomer() -> None:
 
 
 def test_each_verdict_has_its_sentence_and_advice() -> None:
-    def told(verdict: Verdict, kind: FaultKind | None = None) -> LogVerdict:
-        change = Change(2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, kind)
-        plain = LogVerdict("a", verdict, "because", 9.0, 10.0, changes=(change,) if kind else ())
-        return replace(plain, kind=kind, since_s=2.0, rotor=3) if kind else plain
-
-    sentence = "A propeller fault of rotor 3 was found, most like a crack (F2, severity 2 of 3)"
-    assert headline(told(Verdict.FAULT, FaultKind.PROPELLER)).startswith(sentence)
-    assert headline(told(Verdict.FAULT, FaultKind.SENSOR)).startswith(
-        "A sensor fault was found, declared first at 2.0 s"
+    change = Change(
+        2_000_000_000, Stage.FAULT, "", "unbalance", None, "", 2.0, 1.0, 3, 0.9, "F2", 2, FaultKind.PROPELLER
     )
-    assert headline(told(Verdict.HEALTHY)) == "No fault was found; 9 s of 10 s of flight were judged."
-    suspected = told(Verdict.SUSPECTED)
-    assert "healthy" not in headline(suspected) + evidence_sentence(suspected) + advice(suspected)
-    assert headline(suspected).startswith("A fault is suspected")
-    assert "because" in headline(told(Verdict.NOT_JUDGEABLE))
-    assert "no propeller is blamed" in advice(told(Verdict.FAULT, FaultKind.SENSOR))
-    assert "no proof of health" in advice(told(Verdict.HEALTHY))
-    assert evidence_sentence(told(Verdict.ERROR)) == ""
+    plain = {verdict: LogVerdict("a", verdict, "because", 9.0, 10.0) for verdict in Verdict}
+    blade = replace(plain[Verdict.FAULT], changes=(change,), kind=FaultKind.PROPELLER, since_s=2.0, rotor=3)
+    told = {verdict: f"{headline(one)} {evidence_sentence(one)} {advice(one)}" for verdict, one in plain.items()}
+    assert len(set(told.values())) == len(Verdict)
+    assert {v for v, text in told.items() if "because" in text} == set(Verdict) - {Verdict.FAULT, Verdict.HEALTHY}
+    assert "no proof of health" in told[Verdict.HEALTHY]
+    assert "healthy" not in told[Verdict.SUSPECTED]
+    assert all(words in headline(blade) for words in ("rotor 3", "F2, severity 2 of 3", "2.0 s"))
+    assert "rotor" not in headline(replace(blade, kind=FaultKind.SENSOR)) + advice(
+        replace(blade, kind=FaultKind.SENSOR)
+    )
 
 
 def dots(figure: Figure) -> None:

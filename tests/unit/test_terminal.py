@@ -16,9 +16,9 @@ from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.terminal.ground_station import GroundStation
 from mavdiag.terminal.journal import Journal
-from mavdiag.terminal.screen import Screen
 from mavdiag.terminal.strips import Curve, Frame, strip
 from mavdiag.terminal.view import Level, Line, StripView, View, picture
+from mavdiag.terminal.watching import Screen
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
 FRAME = Frame(from_s=0.0, to_s=10.0, low=-1.0, high=1.0, width=40, height=4)
@@ -105,20 +105,17 @@ def test_a_small_terminal_shows_the_newest_alert_in_full(width: int, height: int
 
 
 def test_a_terminal_of_another_size_is_drawn_anew() -> None:
-    sizes: list[tuple[int, int]] = []
-    console = Console(width=80, height=24, file=io.StringIO(), force_terminal=True, get_time=iter(range(9)).__next__)
-
-    def draw(width: int, height: int) -> str:
-        sizes.append((width, height))
-        return "x" * width
-
-    with Screen(console=console) as screen:
-        screen.show(draw, [], last=True)
-        assert "\x1b[2J" not in console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    out = io.StringIO()
+    console = Console(width=80, height=24, file=out, force_terminal=True, get_time=iter(range(99)).__next__)
+    with Screen(lambda events: View("title", f"{len(events)} events", alert=False), console=console) as screen:
+        screen.show([], last=True)
+        assert "\x1b[2J" not in out.getvalue()
         console.size = ConsoleDimensions(50, 12)
-        screen.show(draw, [], last=True)
-    assert sizes == [(80, 23), (50, 11)]
-    assert "\x1b[2J" in console.file.getvalue()  # type: ignore[attr-defined]
+        screen.show([Line(1.0, Severity.INFO, "news")], last=True)
+    before, after = out.getvalue().split("\x1b[2J")
+    assert "0 events" in before
+    assert "1 events" in after
+    assert ("─" * 60 in before, "─" * 60 in after) == (True, False)
 
 
 def test_the_time_and_figures_are_those_of_one_vehicle() -> None:
@@ -171,7 +168,7 @@ def test_a_stage_of_a_journal_is_the_vehicles_headline(tmp_path: Path) -> None:
     journal = Journal(path)
     ((_, line),) = journal.read()
     assert line.text == "fault: a monitor is above its threshold, rotor 2"
-    assert (line.severity, journal.vehicles[3].fault) == (Severity.CRITICAL, True)
+    assert (line.severity, journal.vehicles[3].stage) == (Severity.CRITICAL, "fault")
     journal.close()
 
 
@@ -182,10 +179,10 @@ def test_no_journal_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_a_pipe_gets_each_event_once() -> None:
     out = io.StringIO()
-    with Screen(console=Console(file=out, width=30)) as screen:
+    with Screen(lambda _: pytest.fail("nothing is drawn"), console=Console(file=out, width=30)) as screen:
         for number in range(3):
-            screen.show(lambda width, height: "never", [Line(float(number), Severity.INFO, f"event {number} " * 5)])
-        screen.show(lambda width, height: "never", [], last=True)
+            screen.show([Line(float(number), Severity.INFO, f"event {number} " * 5)])
+        screen.show([], last=True)
     lines = out.getvalue().splitlines()
     assert [line.split()[0] for line in lines] == ["0.00", "1.00", "2.00"]
     assert lines[2].rstrip().endswith("event 2 event 2")

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from made_baselines import logged, thesis, whole
-from made_telemetry import cut, flight
+from made_telemetry import flight
 from scipy.signal import lfilter
 
-from mavdiag.chain import Piece, chain_of
+from mavdiag.chain import chain_of
 from mavdiag.judging import judge_in_full
 from mavdiag.monitors.run_length import RunLength
-from mavdiag.telemetry import Axis, Signal
-from mavdiag.traces import traces_of
+from mavdiag.telemetry import Axis
+from mavdiag.traces import rate_traces, slot_traces
 
 
 def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
@@ -18,8 +18,7 @@ def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
     push[5000:5600] = 0.3
     judged = judge_in_full(logged(flight(10_000, 50, push=push), "qdrone2"), thesis())
     assert judged.chain is not None
-    traces = traces_of(judged.chain, judged.pieces)
-    roll = next(one for one in traces.rates if one.axis is Axis.ROLL)
+    roll = next(one for one in rate_traces(judged.chain, judged.pieces) if one.axis is Axis.ROLL)
     assert roll.fsd_s[roll.judged].max() == judged.verdict.monitors[0].maximum
     assert roll.fml_s == judged.verdict.monitors[0].threshold
     assert (roll.fsd_s > 0).sum() == (roll.judged & (np.abs(roll.residual) > roll.margin_rad_s)).sum()
@@ -28,7 +27,7 @@ def test_the_traces_hold_the_highest_statistic_of_the_verdict() -> None:
 def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -> None:
     judged = judge_in_full(logged(flight(6000, 4), "qdrone2"), thesis())
     assert judged.chain is not None
-    (trace, _) = traces_of(judged.chain, judged.pieces).rates
+    (trace, _) = rate_traces(judged.chain, judged.pieces)
     (slot, _) = judged.chain.slots
     assert isinstance(slot.monitor, RunLength)
     model = slot.monitor.spec.model.model()
@@ -37,29 +36,9 @@ def test_the_simulated_rate_is_the_models_output_to_the_commanded_rate_alone() -
     np.testing.assert_allclose(trace.simulated[settled:], free[settled:], atol=2e-3)
 
 
-def test_chunks_give_the_same_traces_as_the_whole() -> None:
-    log = logged(flight(6000, 5), "qdrone2")
-    chain = chain_of(thesis())
-    state = chain.start()
-    pieces: list[Piece] = []
-    began_ns = int(log.telemetry[Signal.BODY_RATE].host_ns[0])
-    edges_ns = [began_ns + after_ms * 1_000_000 for after_ms in (1500, 3200, 3210)]
-    for chunk in cut(log.telemetry, edges_ns):
-        state, output = chain.step(state, chunk)
-        pieces += output.pieces
-    pieces += chain.finish(state)[1].pieces
-    whole_ones = traces_of(chain, judge_in_full(log, thesis()).pieces)
-    chunked = traces_of(chain, pieces)
-    for one, other in zip(whole_ones.rates, chunked.rates, strict=True):
-        np.testing.assert_array_equal(one.t_ns, other.t_ns)
-        np.testing.assert_allclose(one.simulated, other.simulated, atol=1e-12)
-    for slot, again in zip(whole_ones.slots, chunked.slots, strict=True):
-        np.testing.assert_allclose(slot.found.value, again.found.value, rtol=1e-9, atol=1e-12)
-
-
 def test_a_flight_that_was_not_judged_has_empty_traces() -> None:
     chain = chain_of(whole())
-    traces = traces_of(chain, ())
-    assert [len(one.t_ns) for one in traces.rates] == [0] * len(traces.rates)
-    assert all(len(one.found) == 0 for one in traces.slots)
-    assert traces.slots[0].found.judged_s == pytest.approx(0.0)
+    assert [len(one.t_ns) for one in rate_traces(chain, ())] == [0, 0]
+    slots = slot_traces(chain, ())
+    assert all(len(one.found) == 0 for one in slots)
+    assert slots[0].found.judged_s == pytest.approx(0.0)
