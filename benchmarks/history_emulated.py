@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mavdiag.archive.figures import figures_of
 from mavdiag.baseline import Baseline
-from mavdiag.history.records import FlightRecord
+from mavdiag.history.records import FlightRecord, record_of
 from mavdiag.history.stretches import WATCHED
-from mavdiag.history.summary import record_of
 from mavdiag.judging import judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import FloatArray, Log
@@ -99,7 +99,8 @@ class _Hangar:
 
     def record(self, log: Log, baseline: Baseline) -> FlightRecord:
         found = judge_in_full(log, baseline)
-        return record_of(log, found, baseline, airframe=self.name, added_ns=log.started_ns)
+        figures = figures_of(log, found)
+        return record_of(found.verdict, figures, airframe=self.name, baseline=baseline.digest, added_ns=log.started_ns)
 
 
 def highest(record: FlightRecord) -> float:

@@ -6,8 +6,6 @@ from mavdiag import commandline
 from mavdiag.commands import ack, balance, baseline, history, identify, inspect, look, model, report, scan, shim, watch
 from mavdiag.demo import command as demo
 
-__all__ = ["app", "main"]
-
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
 app.command("identify")(identify.identify)
 app.command("scan")(scan.scan)

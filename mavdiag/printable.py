@@ -2,8 +2,6 @@
 
 import unicodedata
 
-__all__ = ["printable"]
-
 _STEERING = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # controls, directions, surrogates, unassigned, line ends
 
 

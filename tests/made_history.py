@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavdiag.history.records import FlightRecord, SlotFigures
+from mavdiag.archive.figures import SlotFigures
+from mavdiag.history.records import FlightRecord
 from mavdiag.history.stretches import Series
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray

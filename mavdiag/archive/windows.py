@@ -12,8 +12,6 @@ from mavdiag.judging import JUDGED_SHARE, MIN_JUDGED_S, JudgedFlight, Verdict
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Window", "WindowMonitor", "windows_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class WindowMonitor:
@@ -93,7 +91,7 @@ def _spans(unjudged: Sequence[Stretch], pieces: Sequence[Piece], span_ns: int, f
 def _figures(
     chain: Chain, pieces: Sequence[Piece], span_ns: int, first: int, count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Judged time [s] and highest ratio (-inf if none) of each slot in each window, (slots, count) both."""
+    """(slots, count) judged time [s] and highest ratio, -inf if none."""
     judged_s = np.zeros((len(chain.slots), count))
     ratio = np.full((len(chain.slots), count), -np.inf)
     for piece in pieces:

@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Vehicle, parse_order
+from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Orders, Vehicle, WindowS, parse_order
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
@@ -32,9 +32,7 @@ from mavdiag.identify.validate import ResidualReport, examine_residual, one_step
 from mavdiag.logs.log import LOG_BYTES
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output, open_regular
-from mavdiag.telemetry import Axis, Log
-
-__all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
+from mavdiag.telemetry import Axis, FloatArray, Log
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -59,9 +57,7 @@ app = commandline.application(
 
 LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
 OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
-Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", help="Model order.")]
 Methods: TypeAlias = Annotated[MethodChoice, typer.Option("--method", help="How the model is fitted.")]
-WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help="Savitzky-Golay window.")]
 
 
 def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
@@ -90,23 +86,22 @@ def show(
     if plot is not None:
         check_output(plot)
     if _is_baseline(file):
-        models = {one: record.model() for one, record in models_of(Baseline.load(file)).items() if one in axis.axes}
+        models = {name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in axis.axes}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
         flights: dict[Axis, FlightRates] = {}
     else:
         log = read_log(file, vehicle=vehicle)
-        flights = {one: rates(log, one, window) for one in axis.axes}
-        models = {one: _fitted(flight, order, method) for one, flight in flights.items()}
-    for one, model in models.items():
+        flights = {name: rates(log, name, window) for name in axis.axes}
+        models = {name: _fitted(flight, order, method) for name, flight in flights.items()}
+    for name, model in models.items():
         figures = model_figures(model)
-        typer.echo(json.dumps(_as_json(one, model, figures)) if as_json else "\n".join(_lines(one, model, figures)))
+        told = {"axis": name, **asdict(ModelRecord.of(model)), **asdict(figures)}
+        typer.echo(json.dumps(told) if as_json else "\n".join(_lines(name, model, figures)))
         if plot is not None:
-            path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{one}")
-            flight = flights.get(one)
-            residual = None if flight is None else _residual(model, flight)
-            measured = None if flight is None else _response(flight, window)
-            draw_model(path, model, f"{file.name}, {one}", residual=residual, measured=measured)
+            path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{name}")
+            shown = (_residual(model, flights[name]), _response(flights[name], window)) if flights else (None, None)
+            draw_model(path, model, f"{file.name}, {name}", residual=shown[0], measured=shown[1])
 
 
 class Over(StrEnum):
@@ -134,18 +129,18 @@ def sweep(
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
     with working("fitting a model for each; this takes a minute or more ..."):
-        if over is Over.ORDER:
-            flight = rates(train, axis, window)
-            held_out = None if other is None else _pair(rates(other, axis, window))
-            rows = order_sweep(_pair(flight), held_out, dt=flight.dt_s, method=method.value)
-        else:
-            rows = _windows(train, other, axis, order, method)
+        rows = (
+            _orders(train, other, axis, window, method)
+            if over is Over.ORDER
+            else _windows(train, other, axis, order, method)
+        )
     best = best_row(rows)
-    ranked = sorted(rows, key=lambda row: (row is best, row.score), reverse=True)
-    known = [_sweep_line(row, best=row is best) for row in ranked if row.model is not None]
-    _print([_sweep_line(row, best=row is best) for row in rows] if as_json else known[:SHOWN_ROWS], as_json=as_json)
-    if not as_json:
-        typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
+    if as_json:
+        return _print([_sweep_line(row, best=row is best) for row in rows], as_json=True)
+    known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
+    _print([_sweep_line(row, best=row is best) for row in known[:SHOWN_ROWS]], as_json=False)
+    typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
+    return None
 
 
 @app.command(name="compare")
@@ -161,7 +156,7 @@ def compare_models(
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
+    published = {model.axis: model for model in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
     if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = published.scaled
     measured = _response(flight, window)
@@ -216,7 +211,7 @@ def _fitted(flight: FlightRates, order: str, method: MethodChoice) -> ArxModel:
     return fit(flight.u, flight.y, parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S)
 
 
-def _pair(flight: FlightRates) -> tuple[list[Any], list[Any]]:
+def _pair(flight: FlightRates) -> tuple[list[FloatArray], list[FloatArray]]:
     return flight.u, flight.y
 
 
@@ -238,6 +233,12 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
     cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
     return FrequencyResponse(*cut, found.averages)
+
+
+def _orders(train: Log, other: Log | None, axis: Axis, window_s: float, method: MethodChoice) -> tuple[SweepRow, ...]:
+    flight = rates(train, axis, window_s)
+    held_out = None if other is None else _pair(rates(other, axis, window_s))
+    return order_sweep(_pair(flight), held_out, dt=flight.dt_s, method=method.value)
 
 
 def _windows(train: Log, other: Log | None, axis: Axis, order: str, method: MethodChoice) -> tuple[SweepRow, ...]:
@@ -265,10 +266,6 @@ def _tracked(
             state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
             flown += len(u[first : first + count])
             yield flown * flight.dt_s, recursive.snapshot(spec, state, flight.dt_s)
-
-
-def _as_json(axis: Axis, model: ArxModel, figures: ModelFigures) -> dict[str, Any]:
-    return {"axis": axis, **asdict(ModelRecord.of(model)), **asdict(figures)}
 
 
 def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:

@@ -3,30 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from mavdiag.judging import Verdict
-from mavdiag.telemetry import Axis
-
-__all__ = ["FlightRecord", "Mark", "MarkKind", "SlotFigures"]
-
-
-@dataclass(frozen=True, slots=True)
-class SlotFigures:
-    """One monitor on one axis over a flight.
-
-    monitor, axis: whose figures they are; axis is None where the monitor is about the whole vehicle.
-    unit: of statistic and threshold.
-    threshold: that the flight was judged by.
-    median, peak: of the statistic where it is valid; None if it never was. The peak of `fsd` is the longest run [s].
-    judged_s: time that it judged [s].
-    """
-
-    monitor: str
-    axis: Axis | None
-    unit: str
-    threshold: float
-    median: float | None
-    peak: float | None
-    judged_s: float
+from mavdiag.archive.figures import FlightFigures, SlotFigures
+from mavdiag.judging import LogVerdict, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +13,10 @@ class FlightRecord:
 
     airframe: the name that the history goes by.
     log: what the log was called when it was added.
-    content: hash of what was judged; a flight is kept once.
-    started_ns: wall-clock time of its first record, unix epoch [ns]; 0 if the log does not say.
+    content, started_ns, slots, rotor_trim: as in `FlightFigures`; a flight is kept once.
     added_ns: wall-clock time when it was judged [ns]; it stands for the start where that is not known.
     baseline: digest of the baseline that judged it.
     verdict, reason, judged_s: as in `LogVerdict`.
-    slots: the monitors' figures.
-    rotor_trim: by how much each rotor's command rose against the baseline, median over the flight [fraction of hover];
-        empty where the trim was not judged.
     """
 
     airframe: str
@@ -78,3 +52,22 @@ class Mark:
     t_ns: int
     kind: MarkKind
     note: str = ""
+
+
+def record_of(
+    verdict: LogVerdict, figures: FlightFigures, *, airframe: str, baseline: str, added_ns: int
+) -> FlightRecord:
+    """What is kept of a flight. baseline: its digest. added_ns: the present time, unix epoch [ns]."""
+    return FlightRecord(
+        airframe=airframe,
+        log=verdict.log,
+        content=figures.content,
+        started_ns=figures.started_ns,
+        added_ns=added_ns,
+        baseline=baseline,
+        verdict=verdict.verdict,
+        reason=verdict.reason,
+        judged_s=verdict.judged_s,
+        slots=figures.slots,
+        rotor_trim=figures.rotor_trim,
+    )

@@ -1,4 +1,4 @@
-"""When to warn that a trend reaches its threshold. Pure; the policy is values, and its price is stated.
+"""All that is found of an airframe, and when to warn that a trend reaches its threshold. Pure.
 
 With a the present level, b its growth a flight, r the level of the stretch's first flights (all shares of the
 threshold, `trend`), a statistic is warned of if it is so at each of the last three flights that it judged:
@@ -18,17 +18,18 @@ warning, and wear that slows down is warned of early. The first 20 flights of a 
 warned of. A warning does not say which rotor it is, or why.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from mavdiag.history.changes import Change, changes_of
-from mavdiag.history.stretches import Series
+from mavdiag.history.records import FlightRecord, Mark
+from mavdiag.history.stretches import Series, Stretch, series_of, stretches_of
 from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
+from mavdiag.judging import Verdict
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["POLICY", "WARNS", "Outlook", "Policy", "Review", "review", "warned_at"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,7 @@ class Policy:
 
 
 POLICY = Policy()
+FEW = 10  # flights at either end of a stretch whose medians are compared (our choice)
 SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
 
 
@@ -66,6 +68,10 @@ class Outlook(StrEnum):
     REACHED = "has reached the threshold"
 
 
+WARNS = (Outlook.WARNING, Outlook.REACHED)
+"""The outlooks that ask for action."""
+
+
 @dataclass(frozen=True, slots=True)
 class Review:
     """What is found of one statistic in one stretch.
@@ -77,11 +83,52 @@ class Review:
     changes: where it jumped.
     """
 
+    series: Series
     outlook: Outlook
     trend: Trend | None
     remaining: Remaining | None
     warned_at: int | None
     changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """One airframe.
+
+    flights: all of them, in order of time.
+    stretches: what of them may be compared; trends are those of the last one.
+    found: its series, nearest to the threshold first.
+    rotor_growth: by how much each rotor's trim rose from the first ten to the last ten flights of the stretch [fraction
+        of hover]; empty if not known.
+    """
+
+    airframe: str
+    flights: tuple[FlightRecord, ...]
+    stretches: tuple[Stretch, ...]
+    found: tuple[Review, ...]
+    rotor_growth: tuple[float, ...]
+
+    @property
+    def warned(self) -> tuple[Review, ...]:
+        """The series that reach their threshold soon, or have."""
+        return tuple(review for review in self.found if review.outlook in WARNS)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the last flight is a fault, and nothing was mended or changed since."""
+        last = self.stretches[-1].flights if self.stretches else ()
+        return bool(last) and last[-1].verdict is Verdict.FAULT
+
+
+def overview_of(
+    airframe: str, flights: Sequence[FlightRecord], marks: Sequence[Mark], policy: Policy = POLICY
+) -> Overview:
+    """What is found of an airframe. flights, marks: all of it, in order of time."""
+    stretches = stretches_of(flights, marks)
+    present = stretches[-1] if stretches else None
+    found = [review(series, policy) for series in series_of(present)] if present else []
+    found.sort(key=lambda found: -1.0 if found.trend is None else found.trend.level, reverse=True)
+    return Overview(airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present))
 
 
 def review(series: Series, policy: Policy = POLICY) -> Review:
@@ -92,7 +139,7 @@ def review(series: Series, policy: Policy = POLICY) -> Review:
     trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= policy.confirmed else None
     first = _first_level(share, policy)
     if trend is None or first is None or len(series.number) < policy.first:
-        return Review(Outlook.TOO_FEW, None, None, None, changes)
+        return Review(series, Outlook.TOO_FEW, None, None, None, changes)
     since, grown = warned_at(series, policy), trend.level - first
     error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(policy.first / 2)))
     outlook = Outlook.GROWN if grown > SURE * error else Outlook.STEADY
@@ -100,7 +147,7 @@ def review(series: Series, policy: Policy = POLICY) -> Review:
         outlook = Outlook.REACHED
     elif since is not None and grown >= policy.kept * (1.0 - first):
         outlook = Outlook.WARNING
-    return Review(outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
+    return Review(series, outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
 
 
 def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = None) -> int | None:
@@ -124,10 +171,6 @@ def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = N
     return None
 
 
-WARNS = (Outlook.WARNING, Outlook.REACHED)
-"""The outlooks that ask for action."""
-
-
 def _first_level(share: FloatArray, policy: Policy) -> float | None:
     known = share[: policy.first]
     known = known[np.isfinite(known)]
@@ -135,7 +178,6 @@ def _first_level(share: FloatArray, policy: Policy) -> float | None:
 
 
 def _near(trend: Trend | None, first: float, policy: Policy) -> bool:
-    """Whether the rule holds."""
     if trend is None:
         return False
     grown = trend.level - first
@@ -149,3 +191,12 @@ def _near(trend: Trend | None, first: float, policy: Policy) -> bool:
 def _trend_at(series: Series, share: FloatArray, at: int) -> Trend | None:
     cut = slice(0, at + 1)
     return trend_of(sessions_of(series.number[cut], series.session[cut], share[cut]), float(series.number[at]))
+
+
+def _rotor_growth(stretch: Stretch | None) -> tuple[float, ...]:
+    known = [flight.rotor_trim for flight in stretch.flights if flight.rotor_trim] if stretch else []
+    if len(known) < 2 or len({len(trim) for trim in known}) != 1:
+        return ()
+    trims, count = np.array(known), min(FEW, len(known) // 2)
+    growth: list[float] = (np.median(trims[-count:], axis=0) - np.median(trims[:count], axis=0)).tolist()
+    return tuple(growth)

@@ -8,13 +8,23 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made_archive import archive_baseline, asked, content, made
+from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
 
 from mavdiag.archive.cache import Cache, cache_folder, open_cache
-from mavdiag.archive.job import Answer, Options, Question, Record, record_from, record_text
+from mavdiag.archive.figures import FlightFigures, SlotFigures
+from mavdiag.archive.job import (
+    Answer,
+    Options,
+    Question,
+    Record,
+    digest_of,
+    judge_file,
+    mark_of,
+    record_from,
+    record_text,
+)
 from mavdiag.archive.sources import digest_of_sources, judging_version
 from mavdiag.archive.windows import Window, WindowMonitor
-from mavdiag.archive.work import digest_of_file, judge_file, mark_of
 from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import InputError, LinkError, UsageError
@@ -54,9 +64,13 @@ windows = st.builds(
     Window, floats, floats, st.sampled_from(Verdict), floats, floats, spans, st.none() | texts,
     st.tuples(st.builds(WindowMonitor, texts, floats, spans)),
 )  # fmt: skip
+figures = st.builds(
+    FlightFigures, texts, counts, st.tuples(st.builds(SlotFigures, texts, axes, texts, floats, spans, spans, floats)),
+    st.tuples(floats),
+)  # fmt: skip
 
 
-@given(st.builds(Record, texts, verdicts, st.tuples(windows)))
+@given(st.builds(Record, texts, verdicts, st.tuples(windows), st.none() | figures))
 def test_an_answer_is_the_same_when_it_is_read_again(record: Record) -> None:
     assert record_from(record_text(record)) == record
 
@@ -75,8 +89,8 @@ def test_an_answer_is_that_of_a_fresh_judgement_and_prints_the_same(tmp_path: Pa
     assert fresh.verdict is Verdict.FAULT
     assert fresh.events
     record = judge_file(str(path), asked())
-    assert record.digest == digest_of_file(str(path)) == sha256_of(path.read_bytes())
-    again = Answer(0, path, record_from(record_text(record)), fresh=True).verdict
+    assert record.digest == digest_of(path) == sha256_of(path.read_bytes())
+    again = Answer(path, record_from(record_text(record)), fresh=True).verdict
     assert str(again) == str(fresh)
     assert json.dumps(verdict_json(again)) == json.dumps(verdict_json(fresh))
 
@@ -89,11 +103,14 @@ def test_what_is_no_answer_is_refused(text: str) -> None:
         record_from(text)
 
 
-def test_every_option_the_baseline_and_the_code_make_another_question() -> None:
+def test_every_option_the_baseline_and_the_code_make_another_question(monkeypatch: pytest.MonkeyPatch) -> None:
     options = [Options(), Options(vehicle=1), Options(from_s=1.0), Options(to_s=1.0), Options(windows_s=1.0)]
+    options += [Options(figures=True), Options(flown_ns=1)]
+    scopes = [asked(option).scope for option in options]
     other = archive_baseline().model_copy(update={"digest": "sha256:other"})
-    scopes = [asked(one).scope for one in options]
-    scopes += [Question.of(other, Options(), "a").scope, Question.of(archive_baseline(), Options(), "a").scope]
+    scopes.append(Question.of(other, Options()).scope)
+    monkeypatch.setattr("mavdiag.archive.job.judging_version", lambda: "other")
+    scopes.append(asked().scope)
     assert len(set(scopes)) == len(scopes)
     assert asked().scope == asked().scope
 
@@ -169,7 +186,17 @@ def test_files_of_equal_content_share_a_mark_and_most_others_do_not(tmp_path: Pa
 
 
 def test_a_file_that_cannot_be_read_has_no_digest(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"absent\.tlog: no such file"):
-        digest_of_file(str(tmp_path / "absent.tlog"))
+    assert digest_of(tmp_path / "absent.tlog") == digest_of(tmp_path) == ""
     (tmp_path / "a").write_bytes(content(1, 200))
-    assert digest_of_file(str(tmp_path / "a")) == sha256_of(content(1, 200))
+    assert digest_of(tmp_path / "a") == sha256_of(content(1, 200))
+
+
+def test_figures_are_of_the_flight_that_was_judged_at_the_time_that_was_told(tmp_path: Path) -> None:
+    (path,) = made(tmp_path, "a.tlog")
+    record = judge_file(str(path), asked(Options(figures=True, flown_ns=5)))
+    assert record.figures is not None
+    assert record.figures.started_ns == START_US * 1000  # the log has a clock of its own
+    assert record.figures.content.startswith(record.digest)
+    assert {slot.monitor for slot in record.figures.slots} == set(MONITORS)
+    assert record_from(record_text(record)) == record
+    assert record.verdict == judge_file(str(path), asked()).verdict

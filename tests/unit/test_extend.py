@@ -320,10 +320,10 @@ def test_the_command_refuses_in_one_line(mavdiag: Callable[..., Ran], tmp_path: 
     old, new = tmp_path / "old.json", tmp_path / "new.json"
     monday().save(old)
     second = tmp_path / "second.json"
-    second.write_text((Path(__file__).parent / "baseline_2.json").read_text())
+    second.write_text('{"schema": "mavdiag.baseline/2"}')
     for arguments, says in (
         ((old, "f1.tlog"), "f1: is in the baseline already"),
-        ((second, "f10.tlog"), "mavdiag baseline upgrade"),
+        ((second, "f10.tlog"), "instead of 'mavdiag.baseline/3'"),
         ((tmp_path / "absent.json", "f10.tlog"), "mavdiag identify"),
     ):
         code, out, err = mavdiag("baseline", "extend", *arguments, "-o", new)
