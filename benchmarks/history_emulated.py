@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mavdiag.archive.figures import figures_of
+from mavdiag.archive.figures import FlightRecord, record_of
 from mavdiag.baseline import Baseline
-from mavdiag.history.records import FlightRecord, record_of
 from mavdiag.history.stretches import WATCHED
 from mavdiag.judging import judge_in_full
 from mavdiag.learning import LearnOptions, learn
@@ -99,8 +98,7 @@ class _Hangar:
 
     def record(self, log: Log, baseline: Baseline) -> FlightRecord:
         found = judge_in_full(log, baseline)
-        figures = figures_of(log, found)
-        return record_of(found.verdict, figures, airframe=self.name, baseline=baseline.digest, added_ns=log.started_ns)
+        return record_of(log, found, baseline, airframe=self.name, added_ns=log.started_ns)
 
 
 def highest(record: FlightRecord) -> float:

@@ -32,8 +32,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import beta
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.history.changes import changes_of
-from mavdiag.history.records import FlightRecord
 from mavdiag.history.stretches import Series, Stretch, series_of
 from mavdiag.history.trend import sessions_of
 from mavdiag.history.warn import POLICY, warned_at

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavdiag.archive.figures import SlotFigures
-from mavdiag.history.records import FlightRecord
+from mavdiag.archive.figures import FlightRecord, SlotFigures
 from mavdiag.history.stretches import Series
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavdiag.judging import JudgedFlight
+from mavdiag.baseline import Baseline
+from mavdiag.judging import JudgedFlight, Verdict
 from mavdiag.monitors.rotor_trim import RotorTrim
 from mavdiag.telemetry import Axis, Log
 from mavdiag.traces import SlotTrace, slot_traces
@@ -31,27 +32,47 @@ class SlotFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightFigures:
-    """What is kept of a flight beside its verdict.
+class FlightRecord:
+    """What is kept of a judged flight.
 
+    airframe: the name that the history goes by. log: what the log was called when it was added.
     content: what it is known by, whether its vehicle was named or not: the hash of its file, and the vehicle in it.
     started_ns: wall-clock time of its first record, unix epoch [ns]; 0 if that is not known.
+    added_ns: when it was judged [ns]; it stands for the start where that is not known.
+    baseline: digest of the baseline that judged it.
+    verdict, reason, judged_s: as in `LogVerdict`.
     slots: the monitors' figures.
     rotor_trim: by how much each rotor's command rose against the baseline, median over the flight [fraction of hover];
         empty where the trim was not judged.
     """
 
+    airframe: str
+    log: str
     content: str
     started_ns: int
+    added_ns: int
+    baseline: str
+    verdict: Verdict
+    reason: str
+    judged_s: float
     slots: tuple[SlotFigures, ...] = ()
     rotor_trim: tuple[float, ...] = ()
 
+    @property
+    def t_ns(self) -> int:
+        """When it is taken to have been flown, unix epoch [ns]."""
+        return self.started_ns or self.added_ns
 
-def figures_of(log: Log, judged: JudgedFlight) -> FlightFigures:
-    """The figures of a flight."""
+
+def record_of(
+    log: Log, judged: JudgedFlight, baseline: Baseline, *, airframe: str = "", added_ns: int = 0
+) -> FlightRecord:
+    """What is kept of a flight. added_ns: the present time, unix epoch [ns]."""
     traces = slot_traces(judged.chain, judged.pieces) if judged.chain is not None else ()
     content = log.sha256 if log.vehicle is None else f"{log.sha256}:{log.vehicle}"
-    return FlightFigures(content, log.started_ns, tuple(_slot_figures(trace) for trace in traces), _rotor_trim(traces))
+    known = (airframe, log.name, content, log.started_ns, added_ns, baseline.digest)
+    told = (judged.verdict.verdict, judged.verdict.reason, judged.verdict.judged_s)
+    return FlightRecord(*known, *told, tuple(_slot_figures(trace) for trace in traces), _rotor_trim(traces))
 
 
 def _slot_figures(trace: SlotTrace) -> SlotFigures:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from mavdiag.archive.figures import FlightFigures, figures_of
+from mavdiag.archive.figures import FlightRecord, record_of
 from mavdiag.archive.sources import judging_version
 from mavdiag.archive.windows import Window, windows_of
 from mavdiag.baseline import Baseline, dump, parse
@@ -75,13 +75,13 @@ class Record:
 
     digest: SHA-256 of the file's content; empty if it could not be read.
     verdict: without the name of a log.
-    windows, figures: empty or None if they were not asked for.
+    windows, flight: empty or None if they were not asked for; the flight has no airframe's name.
     """
 
     digest: str
     verdict: LogVerdict
     windows: tuple[Window, ...] = ()
-    figures: FlightFigures | None = None
+    flight: FlightRecord | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +161,8 @@ def judge_file(path: str, question: Question) -> Record:
         return Record(log.sha256, replace(judge(log, baseline, options.judged_share), log=""))
     flight = judge_in_full(log, baseline, options.judged_share)
     windows = () if options.windows_s is None else windows_of(flight, options.windows_s, options.judged_share)
-    figures = figures_of(log, flight) if options.figures else None
-    return Record(log.sha256, replace(flight.verdict, log=""), windows, figures)
+    kept = record_of(log, flight, baseline) if options.figures else None
+    return Record(log.sha256, replace(flight.verdict, log=""), windows, kept)
 
 
 _parsed = lru_cache(maxsize=2)(parse)  # a worker gets the same baseline with every task

@@ -16,6 +16,7 @@ from mavdiag.monitors import MONITORS
 from mavdiag.storage import write_atomically
 
 Value: TypeAlias = str | float | int | None
+Row: TypeAlias = tuple[Value, ...]
 
 #: The columns and their types; those that a window has no figure of its own for are of its log.
 COLUMNS: dict[str, type[str] | type[float] | type[int]] = {
@@ -44,7 +45,7 @@ COLUMNS: dict[str, type[str] | type[float] | type[int]] = {
 }
 
 
-def rows_of(answer: Answer) -> Iterator[tuple[Value, ...]]:
+def rows_of(answer: Answer) -> Iterator[Row]:
     """The rows of a log, by COLUMNS: one for each of its windows, or one where it has none."""
     verdict = answer.verdict
     faults = [change for change in verdict.changes if change.stage is Stage.FAULT and change.kind is verdict.kind]
@@ -73,7 +74,7 @@ def rows_of(answer: Answer) -> Iterator[tuple[Value, ...]]:
         yield tuple(told.get(name) for name in COLUMNS)
 
 
-def write_csv(path: Path, rows: Iterable[Sequence[Value]], columns: Iterable[str] = COLUMNS) -> None:
+def write_csv(path: Path, rows: Iterable[Row], columns: Iterable[str] = COLUMNS) -> None:
     """Write rows with a head. What is not known is an empty field. Raises UsageError if it cannot be written."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -88,7 +89,7 @@ def check_parquet() -> None:
         raise missing_extra("--parquet", "pyarrow", "fleet")
 
 
-def write_parquet(path: Path, rows: Sequence[Sequence[Value]]) -> None:
+def write_parquet(path: Path, rows: Sequence[Row]) -> None:
     """Write rows with the types of the columns; what is not known is null. Raises UsageError if it cannot be."""
     check_parquet()
     import pyarrow

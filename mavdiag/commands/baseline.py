@@ -9,11 +9,12 @@ import typer
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import Accept, AsJson, BaselineOutput, FromS, ToS, Vehicle, read_part
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, followed
 from mavdiag.face import now
 from mavdiag.learning.damage import accepted
 from mavdiag.learning.extend import extend as extended
+from mavdiag.logs.part import read_part
 from mavdiag.storage import check_output
 
 app = commandline.application("Look into a baseline file, or add healthy flights to it.")
@@ -22,7 +23,7 @@ File = Annotated[Path, typer.Argument(help="Baseline made by `mavdiag identify`.
 
 
 @app.command()
-def show(file: File, as_json: AsJson = False) -> None:
+def show(file: File, as_json: opt.AsJson = False) -> None:
     """Print what a baseline says: whose it is, its thresholds with what supports them, and what cannot be judged."""
     baseline = Baseline.load(file)
     say(json.dumps(baseline.model_dump(mode="json", by_alias=True)) if as_json else str(baseline))
@@ -38,14 +39,14 @@ def check(file: File) -> None:
 def extend(
     file: File,
     logs: Annotated[list[Path], typer.Argument(help="Logs of more healthy flights of the same airframe.")],
-    output: BaselineOutput,
+    output: opt.BaselineOutput,
     new_propellers: Annotated[
         bool, typer.Option("--new-propellers", help="They were flown with new propellers; a hover of 15 s is enough.")
     ] = False,
-    accept: Accept = False,
-    vehicle: Vehicle = None,
-    from_s: FromS = None,
-    to_s: ToS = None,
+    accept: opt.Accept = False,
+    vehicle: opt.Vehicle = None,
+    from_s: opt.FromS = None,
+    to_s: opt.ToS = None,
 ) -> None:
     """Add healthy flights of another session, or tell that the propellers are new."""
     check_output(output)

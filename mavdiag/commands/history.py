@@ -6,43 +6,24 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.archive.job import Answer, Options, Question
-from mavdiag.archive.scan import scan
 from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
-from mavdiag.commands.options import (
-    AsJson,
-    BaselineFile,
-    CacheFolder,
-    Jobs,
-    NoCache,
-    Scheduler,
-    Vehicle,
-    choose_cache,
-    choose_workers,
-    find_logs,
-)
-from mavdiag.commands.progress import shown, sizes_of
+from mavdiag.commands import options as opt
+from mavdiag.commands.many import How, judging
 from mavdiag.errors import UsageError, missing_extra
-from mavdiag.history.records import FlightRecord, Mark, MarkKind, record_of
-from mavdiag.history.show import (
-    FLIGHT_COLUMNS,
-    TREND_COLUMNS,
-    day,
-    flight_json,
-    flight_rows,
-    lines_of,
-    overview_json,
-    trend_rows,
-)
+from mavdiag.history import show as shown
+from mavdiag.history.stretches import Mark, MarkKind
 from mavdiag.history.warn import Overview, overview_of
 from mavdiag.printable import printable
 from mavdiag.units import NS_PER_S
@@ -67,7 +48,7 @@ def overview(
     context: typer.Context,
     airframe: AirframeName = None,
     database: Database = FILE,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
     csv_file: CsvFile = None,
 ) -> None:
     """Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.
@@ -84,21 +65,21 @@ def overview(
 @app.command()
 def add(
     logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
-    baseline: BaselineFile,
+    baseline: opt.BaselineFile,
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME", help="Whose flights they are; else the baseline's airframe.")
     ] = None,
     database: Database = FILE,
     again: Annotated[bool, typer.Option("--again", help="Judge and replace flights that are there already.")] = False,
-    vehicle: Vehicle = None,
+    vehicle: opt.Vehicle = None,
     at: Annotated[
         str | None,
         typer.Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.  [default: when added]"),
     ] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    cache: CacheFolder = None,
-    no_cache: NoCache = False,
+    jobs: opt.Jobs = None,
+    scheduler: opt.Scheduler = None,
+    cache: opt.CacheFolder = None,
+    no_cache: opt.NoCache = False,
 ) -> None:
     """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
 
@@ -110,40 +91,32 @@ def add(
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    kept = None if no_cache or again else choose_cache(cache, question.scope)
-    found, failed = find_logs(logs), 0
-    sizes, opened = sizes_of([log.path for log in found.logs]), choose_workers(jobs, len(found.logs), scheduler)
-    with (
-        _open(database, create=True) as history,
-        shown("judging", sizes) as progress,
-        closing(scan(found.logs, question, opened, kept, lambda text: progress.say(text, err=True))) as run,
-    ):
-        for answer, size in zip(run, sizes, strict=True):
-            failed += answer.record.figures is None
-            progress.say(f"{answer.path}: {_added(history, answer, name, reference.digest, again)}")
-            progress.add(size)
-    if found.skipped:
-        say(found.skipped_sentence, err=True)
+    failed, how = 0, How(jobs, scheduler, cache, no_cache or again)
+    with _open(database, create=True) as history, judging(opt.find_logs(logs), question, how) as (answers, tell):
+        for answer in answers:
+            failed += answer.record.flight is None
+            tell(f"{answer.path}: {_added(history, answer, name, again)}")
     raise typer.Exit(2 if failed else 0)
 
 
 @app.command("list")
 def list_flights(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
+    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
 ) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
     with _open(database) as history:
         kept = [history.flights(name) for name in _names(history, airframe)]
     numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
     if csv_file is not None:
-        write_csv(csv_file, [row for number, record in numbered for row in flight_rows(number, record)], FLIGHT_COLUMNS)
+        rows = [row for number, record in numbered for row in shown.flight_rows(number, record)]
+        write_csv(csv_file, rows, shown.FLIGHT_COLUMNS)
     for number, record in numbered:
-        say(json.dumps(flight_json(number, record)) if as_json else _flight_line(number, record))
+        say(json.dumps(shown.flight_json(number, record)) if as_json else _flight_line(number, record))
 
 
 @app.command()
 def show(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
+    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
 ) -> None:
     """Draw the trends since the propellers were new.
 
@@ -153,10 +126,10 @@ def show(
         names = _names(history, airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
     if csv_file is not None:
-        write_csv(csv_file, [row for overview in found for row in trend_rows(overview)], TREND_COLUMNS)
+        write_csv(csv_file, [row for overview in found for row in shown.trend_rows(overview)], shown.TREND_COLUMNS)
     for overview in found:
         if as_json:
-            say(json.dumps(overview_json(overview)))
+            say(json.dumps(shown.overview_json(overview)))
         else:
             _print_lines(overview)
     raise typer.Exit(1 if any(overview.warned or overview.faulty for overview in found) else 0)
@@ -178,19 +151,19 @@ def mark(
     t_ns = time.time_ns() if at is None else _time(at)
     with _open(database, write=True) as history:
         history.mark(Mark(airframe, t_ns, kind, note))
-    say(f"{airframe}: {kind.value}, {day(t_ns)}")
+    say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
 
 
-def _added(history: "History", answer: Answer, airframe: str, baseline: str, again: bool) -> str:
+def _added(history: "History", answer: Answer, airframe: str, again: bool) -> str:
     """Keep an answer; what came of it."""
-    verdict, figures = answer.verdict, answer.record.figures
-    if figures is None:
+    verdict, flight = answer.verdict, answer.record.flight
+    if flight is None:
         return f"error, {verdict.reason}"
-    there = history.airframe_of(figures.content)
+    there = history.airframe_of(flight.content)
     if there is not None and not again:
         return f"is there already, of {there}"
-    record = record_of(verdict, figures, airframe=airframe, baseline=baseline, added_ns=time.time_ns())
-    if not history.add(record, again=again):
+    flight = replace(flight, airframe=airframe, log=verdict.log, added_ns=time.time_ns())
+    if not history.add(flight, again=again):
         return "is there already"
     return f"{'judged again' if there else 'added'}, {verdict.verdict.value.replace('_', ' ')}, {verdict.reason}"
 
@@ -224,7 +197,7 @@ def _time(text: str) -> int:
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:
-    told = f"{record.airframe} {number}: {day(record.t_ns)}, {record.verdict.value.replace('_', ' ')}"
+    told = f"{record.airframe} {number}: {shown.day(record.t_ns)}, {record.verdict.value.replace('_', ' ')}"
     told += f", judged {record.judged_s:.1f} s"
     ratios = [(slot.peak / slot.threshold, slot) for slot in record.slots if slot.peak is not None]
     if ratios:
@@ -236,6 +209,6 @@ def _flight_line(number: int, record: FlightRecord) -> str:
 def _print_lines(overview: Overview) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
     drawn = sys.stdout.isatty()
-    for line in lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
+    for line in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
         text = printable(line.text)
         typer.echo(typer.style(text, fg=typer.colors.RED, bold=True) if line.loud and drawn else text)

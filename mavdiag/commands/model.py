@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from mavdiag import commandline
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Orders, Vehicle, WindowS, parse_order
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
@@ -43,8 +43,6 @@ PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no 
 
 
 class _ShowByDefault(TyperGroup):
-    """`mavdiag model FILE` means `mavdiag model show FILE`."""
-
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "--help"):
             args = ["show", *args]
@@ -57,7 +55,7 @@ app = commandline.application(
 
 LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
 OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
-Methods: TypeAlias = Annotated[MethodChoice, typer.Option("--method", help="How the model is fitted.")]
+Methods: TypeAlias = Annotated[opt.MethodChoice, typer.Option("--method", help="How the model is fitted.")]
 
 
 def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
@@ -72,15 +70,15 @@ def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
 @app.command()
 def show(
     file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
-    axis: Annotated[AxisChoice, typer.Option(help="Axes to show.")] = AxisChoice.BOTH,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
+    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = opt.AxisChoice.BOTH,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual correlation.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
     if plot is not None:
@@ -119,21 +117,35 @@ def sweep(
     validation: Annotated[
         Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
     ] = None,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Fit one model for each order or filter window; the best fit with the best known parameters is marked."""
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
+    dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
+
+    def pair(source: Log, window_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
+        flight = rates(source, axis, window_s)
+        return flight.u, flight.y
+
     with working("fitting a model for each; this takes a minute or more ..."):
-        rows = (
-            _orders(train, other, axis, window, method)
-            if over is Over.ORDER
-            else _windows(train, other, axis, order, method)
-        )
+        if over is Over.ORDER:
+            held_out = None if other is None else pair(other, window)
+            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method.value)
+        else:
+            samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+            rows = window_sweep(
+                lambda n: pair(train, n * dt_s),
+                samples,
+                dt=dt_s,
+                order=chosen,
+                method=method.value,
+                prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
+            )
     best = best_row(rows)
     if as_json:
         return _print([_sweep_line(row, best=row is best) for row in rows], as_json=True)
@@ -147,11 +159,11 @@ def sweep(
 def compare_models(
     log: LogFile,
     axis: OneAxis = Axis.ROLL,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
@@ -177,10 +189,10 @@ def track(
     axis: OneAxis = Axis.ROLL,
     every: Annotated[float, typer.Option(metavar="S", help="Flight time between two lines.")] = 5.0,
     memory: Annotated[float, typer.Option(metavar="S", help="Memory of the estimate.")] = 10.0,
-    order: Orders = "2,2,1",
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?
 
@@ -190,7 +202,7 @@ def track(
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
     lines = []
-    for t_s, model in _tracked(flight, every, memory, parse_order(order)):
+    for t_s, model in _tracked(flight, every, memory, opt.parse_order(order)):
         found = model_figures(model)
         slowest = found.poles[0]
         figures = {"dc_gain": found.dc_gain, "pole_hz": slowest.natural_hz, "damping": slowest.damping}
@@ -207,12 +219,10 @@ def _is_baseline(file: Path) -> bool:
         return False  # the reader of logs says what is wrong with it
 
 
-def _fitted(flight: FlightRates, order: str, method: MethodChoice) -> ArxModel:
-    return fit(flight.u, flight.y, parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S)
-
-
-def _pair(flight: FlightRates) -> tuple[list[FloatArray], list[FloatArray]]:
-    return flight.u, flight.y
+def _fitted(flight: FlightRates, order: str, method: opt.MethodChoice) -> ArxModel:
+    return fit(
+        flight.u, flight.y, opt.parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S
+    )
 
 
 def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
@@ -235,29 +245,9 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     return FrequencyResponse(*cut, found.averages)
 
 
-def _orders(train: Log, other: Log | None, axis: Axis, window_s: float, method: MethodChoice) -> tuple[SweepRow, ...]:
-    flight = rates(train, axis, window_s)
-    held_out = None if other is None else _pair(rates(other, axis, window_s))
-    return order_sweep(_pair(flight), held_out, dt=flight.dt_s, method=method.value)
-
-
-def _windows(train: Log, other: Log | None, axis: Axis, order: str, method: MethodChoice) -> tuple[SweepRow, ...]:
-    dt_s = rates(train, axis).dt_s
-    samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
-    return window_sweep(
-        lambda n: _pair(rates(train, axis, n * dt_s)),
-        samples,
-        dt=dt_s,
-        order=parse_order(order),
-        method=method.value,
-        prepare_validation=None if other is None else lambda n: _pair(rates(other, axis, n * dt_s)),
-    )
-
-
 def _tracked(
     flight: FlightRates, every_s: float, memory_s: float, order: tuple[int, int, int]
 ) -> Iterable[tuple[float, ArxModel]]:
-    """Flight time [s] and the model at that time."""
     spec = recursive.RecursiveSpec(order, forgetting=1.0 - flight.dt_s / memory_s)
     state, count, flown = recursive.start(spec), max(1, round(every_s / flight.dt_s)), 0
     for u, y in zip(flight.u, flight.y, strict=True):
@@ -271,11 +261,9 @@ def _tracked(
 def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
     order = ",".join(map(str, model.order))
     lines = [f"{axis}: {model.method} {order}, {1 / model.dt:.1f} Hz, R_T2 {model.r2t:.4f}, {model.samples} samples"]
-    for one in figures.poles:
-        pair = "" if not one.imaginary.value else f" ± j ({_text(one.imaginary)})"
-        lines.append(
-            f"  pole            {_text(one.real)}{pair}: {_text(one.natural_hz)} Hz, damping {_text(one.damping)}"
-        )
+    for pole in figures.poles:
+        place = _text(pole.real) + (f" ± j ({_text(pole.imaginary)})" if pole.imaginary.value else "")
+        lines.append(f"  pole            {place}: {_text(pole.natural_hz)} Hz, damping {_text(pole.damping)}")
     named = (
         ("DC gain", figures.dc_gain, ""),
         ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)"),
@@ -308,7 +296,6 @@ def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
 
 
 def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
-    """Lines of equal keys, as JSON objects or as a table."""
     from rich.console import Console
     from rich.table import Table
 

@@ -1,21 +1,14 @@
 """Options that several commands share, and how they become values."""
 
-import os
 import re
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
 
-from mavdiag.archive.cache import Cache, cache_folder, open_cache
-from mavdiag.archive.cluster import dask_executor
 from mavdiag.archive.paths import Found, logs_named
-from mavdiag.archive.pool import TaskExecutor, in_this_process, local_executor
-from mavdiag.commandline import say
 from mavdiag.errors import UsageError
 from mavdiag.identify import Order
 from mavdiag.logs.csv_columns import is_csv
@@ -106,26 +99,3 @@ def is_endpoint(source: str) -> bool:
 def find_logs(arguments: Sequence[Path], columns: object = None) -> Found:
     """The logs that arguments name; CSV recordings where there is a column map."""
     return logs_named(arguments) if columns is None else logs_named(arguments, is_csv)
-
-
-def choose_workers(
-    jobs: int | None, logs: int, scheduler: str | None = None
-) -> Callable[[], AbstractContextManager[TaskExecutor]]:
-    """What opens the workers for so many logs: a cluster's, processes, or none."""
-    if scheduler is not None:
-        return partial(dask_executor, scheduler)
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(jobs or processors, logs)
-    return partial(local_executor, count) if count > 1 else in_this_process
-
-
-def choose_cache(folder: Path | None, scope: str) -> Cache | None:
-    """Where answers are kept. Raises UsageError if a folder that was asked for cannot be used; another need not be."""
-    chosen = cache_folder() if folder is None else folder
-    try:
-        return None if chosen is None else open_cache(chosen, scope)
-    except UsageError as error:
-        if folder is not None:
-            raise
-        say(f"answers are not kept: {error}", err=True)
-        return None

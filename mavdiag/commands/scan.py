@@ -1,7 +1,6 @@
 """`mavdiag scan`: judge logs by a baseline."""
 
 import json
-from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -9,29 +8,14 @@ from typing import Annotated
 import typer
 
 from mavdiag.archive.job import Answer, Options, Question
-from mavdiag.archive.scan import scan as archive
-from mavdiag.archive.tables import check_parquet, rows_of, write_csv, write_parquet
+from mavdiag.archive.tables import Row, check_parquet, rows_of, write_csv, write_parquet
 from mavdiag.archive.windows import Window
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import (
-    AsJson,
-    BaselineFile,
-    CacheFolder,
-    Columns,
-    FromS,
-    Jobs,
-    NoCache,
-    Scheduler,
-    ToS,
-    Vehicle,
-    choose_cache,
-    choose_workers,
-    find_logs,
-)
-from mavdiag.commands.progress import shown, sizes_of
-from mavdiag.judging import JUDGED_SHARE, exit_code
+from mavdiag.commands import options as opt
+from mavdiag.commands.many import How, judging
+from mavdiag.judging import JUDGED_SHARE, Verdict, exit_code
 from mavdiag.logs.csv_columns import column_map_text
 from mavdiag.logs.part import check_times
 from mavdiag.storage import check_output
@@ -44,12 +28,12 @@ def scan(
         list[Path],
         typer.Argument(help="Logs to judge: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; quoted patterns."),
     ],
-    baseline: BaselineFile,
-    as_json: AsJson = False,
-    vehicle: Vehicle = None,
-    from_s: FromS = None,
-    to_s: ToS = None,
-    columns: Columns = None,
+    baseline: opt.BaselineFile,
+    as_json: opt.AsJson = False,
+    vehicle: opt.Vehicle = None,
+    from_s: opt.FromS = None,
+    to_s: opt.ToS = None,
+    columns: opt.Columns = None,
     judged_share: Annotated[
         float, typer.Option(min=0.0, max=1.0, metavar="SHARE", help="Of the flown time, judged: less is not healthy.")
     ] = JUDGED_SHARE,
@@ -58,10 +42,10 @@ def scan(
     ] = None,
     csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a table, one row a log or window.")] = None,
     parquet: Annotated[Path | None, typer.Option(metavar="FILE", help="The same table as Parquet.")] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    cache: CacheFolder = None,
-    no_cache: NoCache = False,
+    jobs: opt.Jobs = None,
+    scheduler: opt.Scheduler = None,
+    cache: opt.CacheFolder = None,
+    no_cache: opt.NoCache = False,
 ) -> None:
     """Judge logs. Exit code: 0 healthy, 1 fault, 2 error, 3 not judgeable, 4 suspected; of several logs the first of
     2, 1, 4, 3, 0.
@@ -77,26 +61,21 @@ def scan(
         check_parquet()
     mapped = None if columns is None else column_map_text(columns)
     question = Question.of(reference, Options(vehicle, from_s, to_s, windows, mapped, judged_share))
-    kept = None if no_cache else choose_cache(cache, question.scope)
-    found = find_logs(logs, mapped)
-    answers, sizes = [], sizes_of([log.path for log in found.logs])
-    with shown("judged", sizes, quiet=as_json) as progress:
-        if found.skipped:
-            progress.say(found.skipped_sentence, err=True)
-        opened = choose_workers(jobs, len(found.logs), scheduler)
-        with closing(archive(found.logs, question, opened, kept, lambda text: progress.say(text, err=True))) as run:
-            for answer, size in zip(run, sizes, strict=True):
-                progress.add(size)
-                progress.say(_json_line(answer) if as_json else _lines(answer))
-                answers.append(answer)
-    if (before := sum(not answer.fresh for answer in answers)) and not as_json:
-        say(f"{before} of {len(answers)} answers were known already; --no-cache judges anew", err=True)
-    rows = [row for answer in answers for row in rows_of(answer)]
+    found, how = opt.find_logs(logs, mapped), How(jobs, scheduler, cache, no_cache)
+    verdicts, rows, before = list[Verdict](), list[Row](), 0
+    with judging(found, question, how, quiet=as_json) as (answers, tell):
+        for answer in answers:
+            tell(_json_line(answer) if as_json else _lines(answer))
+            verdicts.append(answer.record.verdict.verdict)
+            rows += rows_of(answer) if csv or parquet else ()
+            before += not answer.fresh
+    if before and not as_json:
+        say(f"{before} of {len(verdicts)} answers were known already; --no-cache judges anew", err=True)
     if csv is not None:
         write_csv(csv, rows)
     if parquet is not None:
         write_parquet(parquet, rows)
-    raise typer.Exit(exit_code([answer.record.verdict.verdict for answer in answers]))
+    raise typer.Exit(exit_code(verdicts))
 
 
 def _json_line(answer: Answer) -> str:

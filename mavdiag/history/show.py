@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.braille import ACROSS, DOWN, cells, character
-from mavdiag.history.records import FlightRecord
 from mavdiag.history.stretches import Stretch, series_of
 from mavdiag.history.trend import Remaining
 from mavdiag.history.warn import WARNS, Outlook, Overview, Review

@@ -14,8 +14,9 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, IntegrityError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.errors import InputError, UsageError, missing_extra
-from mavdiag.history.records import FlightRecord, Mark
+from mavdiag.history.stretches import Mark
 
 METADATA = sa.MetaData()
 SCHEMA = "2"  # of these tables

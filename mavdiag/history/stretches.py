@@ -5,12 +5,13 @@ A trend does not go on over new propellers, a repair or another baseline: there 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.baseline import SESSION_GAP_NS
-from mavdiag.history.records import FlightRecord, Mark
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, FloatArray, IntArray
@@ -18,6 +19,23 @@ from mavdiag.telemetry import Axis, FloatArray, IntArray
 STEPS = ("trim_step",)  # shows what happens within a flight; wear does not raise it
 WATCHED = tuple(name for name, monitor in BY_NAME.items() if monitor.kind is FaultKind.PROPELLER and name not in STEPS)
 """The monitors whose trend is watched: those of propellers."""
+
+
+class MarkKind(StrEnum):
+    """What was done to an airframe between flights. No trend goes on over it."""
+
+    NEW_PROPELLERS = "new propellers"
+    REPAIR = "repair"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A maintenance mark. t_ns: when it was done, unix epoch [ns]. note: what else there is to say."""
+
+    airframe: str
+    t_ns: int
+    kind: MarkKind
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

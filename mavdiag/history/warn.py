@@ -24,9 +24,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.history.changes import Change, changes_of
-from mavdiag.history.records import FlightRecord, Mark
-from mavdiag.history.stretches import Series, Stretch, series_of, stretches_of
+from mavdiag.history.stretches import Mark, Series, Stretch, series_of, stretches_of
 from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import FloatArray

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
 
 from mavdiag.archive.cache import Cache, cache_folder, open_cache
-from mavdiag.archive.figures import FlightFigures, SlotFigures
 from mavdiag.archive.job import (
     Answer,
     Options,
@@ -24,63 +23,22 @@ from mavdiag.archive.job import (
     record_text,
 )
 from mavdiag.archive.sources import digest_of_sources, judging_version
-from mavdiag.archive.windows import Window, WindowMonitor
 from mavdiag.as_json import verdict_json
-from mavdiag.decision.alarm import Change, Event, Stage
+from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, LinkError, UsageError
-from mavdiag.judging import JudgedEvent, LogVerdict, MonitorSummary, NamedRotor, Verdict, judge
+from mavdiag.judging import LogVerdict, Verdict, judge
 from mavdiag.logs import read_log, sha256_of
-from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Axis
 
 DIGEST = "ab" * 32
-floats = st.floats(allow_nan=False)
-spans = st.one_of(st.none(), floats)
-texts = st.text(st.characters(codec="utf-8"), max_size=8)
-axes = st.one_of(st.none(), st.sampled_from(Axis))
-kinds = st.one_of(st.none(), st.sampled_from(FaultKind))
-counts = st.integers(-(2**62), 2**62)
-rotors = st.one_of(st.none(), st.integers(1, 8))
-events = st.builds(
-    JudgedEvent,
-    floats,
-    spans,
-    st.builds(Event, texts, axes, counts, st.none() | counts, floats, floats, floats, rotors, st.none() | texts, rotors,
-              spans, kinds),
-)  # fmt: skip
-changes = st.builds(
-    Change, counts, st.sampled_from(Stage), texts, st.none() | texts, axes, texts, floats, floats, rotors, spans,
-    st.none() | texts, rotors, kinds,
-)  # fmt: skip
-monitors = st.builds(
-    MonitorSummary, texts, axes, spans, floats, texts, counts, floats, st.none() | texts, st.booleans(), floats
-)
-verdicts = st.builds(
-    LogVerdict, st.just(""), st.sampled_from(Verdict), texts, floats, floats, texts, floats, st.tuples(monitors),
-    st.tuples(events), st.tuples(changes), st.tuples(texts), kinds, spans, rotors,
-    st.tuples(st.builds(NamedRotor, st.integers(1, 8), floats, spans)),
-)  # fmt: skip
-windows = st.builds(
-    Window, floats, floats, st.sampled_from(Verdict), floats, floats, spans, st.none() | texts,
-    st.tuples(st.builds(WindowMonitor, texts, floats, spans)),
-)  # fmt: skip
-figures = st.builds(
-    FlightFigures, texts, counts, st.tuples(st.builds(SlotFigures, texts, axes, texts, floats, spans, spans, floats)),
-    st.tuples(floats),
-)  # fmt: skip
 
 
-@given(st.builds(Record, texts, verdicts, st.tuples(windows), st.none() | figures))
+@given(st.from_type(Record))
 def test_an_answer_is_the_same_when_it_is_read_again(record: Record) -> None:
-    assert record_from(record_text(record)) == record
-
-
-def test_no_number_stays_no_number() -> None:
-    change = Change(1, Stage.QUIET, "", None, None, "", float("nan"), float("inf"), None, None, None, None)
-    record = Record(DIGEST, LogVerdict("", Verdict.HEALTHY, "", changes=(change,)))
-    (again,) = record_from(record_text(record)).verdict.changes
-    assert again.statistic != again.statistic
-    assert again.threshold == float("inf")
+    """By its text, for what is no number differs from itself."""
+    again = record_from(record_text(record))
+    assert record_text(again) == record_text(record)
+    assert type(again.verdict.verdict) is Verdict
+    assert [type(change) for change in again.verdict.changes] == [Change] * len(record.verdict.changes)
 
 
 def test_an_answer_is_that_of_a_fresh_judgement_and_prints_the_same(tmp_path: Path) -> None:
@@ -194,9 +152,9 @@ def test_a_file_that_cannot_be_read_has_no_digest(tmp_path: Path) -> None:
 def test_figures_are_of_the_flight_that_was_judged_at_the_time_that_was_told(tmp_path: Path) -> None:
     (path,) = made(tmp_path, "a.tlog")
     record = judge_file(str(path), asked(Options(figures=True, flown_ns=5)))
-    assert record.figures is not None
-    assert record.figures.started_ns == START_US * 1000  # the log has a clock of its own
-    assert record.figures.content.startswith(record.digest)
-    assert {slot.monitor for slot in record.figures.slots} == set(MONITORS)
+    assert record.flight is not None
+    assert record.flight.started_ns == START_US * 1000  # the log has a clock of its own
+    assert record.flight.content.startswith(record.digest)
+    assert {slot.monitor for slot in record.flight.slots} == set(MONITORS)
     assert record_from(record_text(record)) == record
     assert record.verdict == judge_file(str(path), asked()).verdict

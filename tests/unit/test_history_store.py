@@ -11,7 +11,7 @@ from made_history import record, records
 from made_postgres import postgres
 
 from mavdiag.errors import InputError, MavdiagError, UsageError
-from mavdiag.history.records import Mark, MarkKind
+from mavdiag.history.stretches import Mark, MarkKind
 from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_history import DAY_NS, START_NS, record, records, series
 
-from mavdiag.history.records import Mark, MarkKind
 from mavdiag.history.show import (
     FLIGHT_COLUMNS,
     TREND_COLUMNS,
@@ -19,7 +18,7 @@ from mavdiag.history.show import (
     sparkline,
     trend_rows,
 )
-from mavdiag.history.stretches import WATCHED, series_of, stretches_of
+from mavdiag.history.stretches import WATCHED, Mark, MarkKind, series_of, stretches_of
 from mavdiag.history.warn import Outlook, overview_of, review, warned_at
 from mavdiag.telemetry import FloatArray
 
