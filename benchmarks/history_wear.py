@@ -87,7 +87,7 @@ def drawn(seed: int, number: int, law: str = "") -> Drawn:
         share = np.maximum(share, 0.0)
         share[rng.random(FLIGHTS) < missed] = math.nan
         numbers = np.arange(1, FLIGHTS + 1)
-        found.append(Series(monitor, axis, "", 1.0, numbers, session, share, share))
+        found.append(Series(monitor, axis, "", 1.0, numbers, session, share))
     return Drawn(law, tuple(found))
 
 

@@ -5,7 +5,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -201,12 +201,18 @@ def track(
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    lines = []
-    for t_s, model in _tracked(flight, every, memory, opt.parse_order(order)):
-        found = model_figures(model)
-        slowest = found.poles[0]
-        figures = {"dc_gain": found.dc_gain, "pole_hz": slowest.natural_hz, "damping": slowest.damping}
-        lines.append({"flight_s": round(t_s, 3), **figures, "stable": model.stable})
+    spec = recursive.RecursiveSpec(opt.parse_order(order), forgetting=1.0 - flight.dt_s / memory)
+    state, count, flown, lines = recursive.start(spec), max(1, round(every / flight.dt_s)), 0, []
+    for u, y in zip(flight.u, flight.y, strict=True):
+        state = recursive.new_segment(state)
+        for first in range(0, len(u), count):
+            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
+            flown += len(u[first : first + count])
+            model = recursive.snapshot(spec, state, flight.dt_s)
+            found = model_figures(model)
+            figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
+            line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
+            lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
 
 
@@ -243,19 +249,6 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     n = int(np.searchsorted(found.frequency_hz, PASSED / window_s))
     cut = (found.frequency_hz[:n], found.response[:n], found.coherence[:n], found.relative_error[:n])
     return FrequencyResponse(*cut, found.averages)
-
-
-def _tracked(
-    flight: FlightRates, every_s: float, memory_s: float, order: tuple[int, int, int]
-) -> Iterable[tuple[float, ArxModel]]:
-    spec = recursive.RecursiveSpec(order, forgetting=1.0 - flight.dt_s / memory_s)
-    state, count, flown = recursive.start(spec), max(1, round(every_s / flight.dt_s)), 0
-    for u, y in zip(flight.u, flight.y, strict=True):
-        state = recursive.new_segment(state)
-        for first in range(0, len(u), count):
-            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
-            flown += len(u[first : first + count])
-            yield flown * flight.dt_s, recursive.snapshot(spec, state, flight.dt_s)
 
 
 def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:

@@ -78,8 +78,7 @@ def overview_json(overview: Overview) -> dict[str, Any]:
         "last_verdict": overview.flights[-1].verdict if overview.flights else None,
         "warned": [found.series.name for found in overview.warned],
         "stretches": [
-            {"first": stretch.first, "began": stretch.began, "flights": len(stretch.flights)}
-            for stretch in overview.stretches
+            {"first": cut.first, "began": cut.began, "flights": len(cut.flights)} for cut in overview.stretches
         ],
         "trends": [_trend_json(found) for found in overview.found],
         "rotor_growth": [*map(_number, overview.rotor_growth)],

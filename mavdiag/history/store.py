@@ -7,12 +7,14 @@ things. All that SQLAlchemy reports comes out as UsageError in one line; a passw
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 from pydantic import TypeAdapter
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, IntegrityError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
+from sqlalchemy.types import TypeEngine
 
 from mavdiag.archive.figures import FlightRecord
 from mavdiag.errors import InputError, UsageError, missing_extra
@@ -20,31 +22,31 @@ from mavdiag.history.stretches import Mark
 
 METADATA = sa.MetaData()
 SCHEMA = "2"  # of these tables
-FLIGHT = sa.Table(
-    "mavdiag_flight",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
-    sa.Column("airframe", sa.String(200), nullable=False, index=True),
-    sa.Column("content", sa.String(100), nullable=False, unique=True),
-    sa.Column("log", sa.Text, nullable=False),
-    sa.Column("started_ns", sa.BigInteger, nullable=False),
-    sa.Column("added_ns", sa.BigInteger, nullable=False),
-    sa.Column("baseline", sa.String(100), nullable=False),
-    sa.Column("verdict", sa.String(20), nullable=False),
-    sa.Column("reason", sa.Text, nullable=False),
-    sa.Column("judged_s", sa.Float(53), nullable=False),
-    sa.Column("slots", sa.JSON, nullable=False),
-    sa.Column("rotor_trim", sa.JSON, nullable=False),
+
+
+def _table(name: str, **kinds: TypeEngine[Any]) -> sa.Table:
+    columns = (
+        sa.Column(column, kind, nullable=False, index=column == "airframe", unique=column == "content")
+        for column, kind in kinds.items()
+    )
+    return sa.Table(f"mavdiag_{name}", METADATA, sa.Column("id", sa.Integer, primary_key=True), *columns)
+
+
+FLIGHT = _table(
+    "flight",
+    airframe=sa.String(200),
+    content=sa.String(100),
+    log=sa.Text(),
+    started_ns=sa.BigInteger(),
+    added_ns=sa.BigInteger(),
+    baseline=sa.String(100),
+    verdict=sa.String(20),
+    reason=sa.Text(),
+    judged_s=sa.Float(53),
+    slots=sa.JSON(),
+    rotor_trim=sa.JSON(),
 )
-MARK = sa.Table(
-    "mavdiag_mark",
-    METADATA,
-    sa.Column("id", sa.Integer, primary_key=True),
-    sa.Column("airframe", sa.String(200), nullable=False, index=True),
-    sa.Column("t_ns", sa.BigInteger, nullable=False),
-    sa.Column("kind", sa.String(40), nullable=False),
-    sa.Column("note", sa.Text, nullable=False),
-)
+MARK = _table("mark", airframe=sa.String(200), t_ns=sa.BigInteger(), kind=sa.String(40), note=sa.Text())
 VERSION = sa.Table("mavdiag_version", METADATA, sa.Column("version_num", sa.String(32), primary_key=True))
 MAKE_LOCK = 0x6D617664  # of PostgreSQL: two that make the tables at once wait for each other
 BUSY_S = 30  # how long SQLite waits for another that writes (our choice)
@@ -94,18 +96,19 @@ class History:
 
     def flights(self, airframe: str) -> tuple[FlightRecord, ...]:
         """All of an airframe, in order of time; those without a time by when they were added."""
-        columns = [column for column in FLIGHT.c if column.name != "id"]
-        query = sa.select(*columns).where(FLIGHT.c.airframe == airframe).order_by(FLIGHT.c.id)
-        with self._engine.begin() as connection:
-            found = [_FLIGHTS.validate_python(dict(row)) for row in connection.execute(query).mappings()]
+        found = [_FLIGHTS.validate_python(row) for row in self._rows(FLIGHT, airframe)]
         return tuple(sorted(found, key=lambda record: record.t_ns))
 
     def marks(self, airframe: str) -> tuple[Mark, ...]:
         """All of an airframe, in order of time."""
-        columns = [column for column in MARK.c if column.name != "id"]
-        query = sa.select(*columns).where(MARK.c.airframe == airframe).order_by(MARK.c.t_ns, MARK.c.id)
+        found = [_MARKS.validate_python(row) for row in self._rows(MARK, airframe)]
+        return tuple(sorted(found, key=lambda mark: mark.t_ns))
+
+    def _rows(self, table: sa.Table, airframe: str) -> list[dict[str, Any]]:
+        columns = [column for column in table.c if column is not table.c.id]
+        query = sa.select(*columns).where(table.c.airframe == airframe).order_by(table.c.id)
         with self._engine.begin() as connection:
-            return tuple(_MARKS.validate_python(dict(row)) for row in connection.execute(query).mappings())
+            return [dict(row) for row in connection.execute(query).mappings()]
 
 
 @contextmanager
@@ -159,10 +162,9 @@ def address_of(database: str) -> URL:
 
 
 def _check_file(path: Path, create: bool) -> None:
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder; name the file of a history")
     if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is not a regular file; name the file of a history")
+        kind = "a folder" if path.is_dir() else "not a regular file"
+        raise UsageError(f"{path}: is {kind}; name the file of a history")
     if not path.exists() and not create:
         raise InputError(f"{path}: no history there; make one with `mavdiag history add`, or name it by --database")
     if not path.parent.is_dir():

@@ -59,7 +59,7 @@ class Series:
     threshold: the highest that judged any of them: that of a flight on another day than the healthy ones.
     number: (n,) of the flight in its stretch, from 1.
     session: (n,) which session it is of; flights within an hour are of one.
-    peak, median: (n,) of the statistic; NaN where it was not judged.
+    peak: (n,) of the statistic; NaN where it was not judged.
     """
 
     monitor: str
@@ -69,7 +69,6 @@ class Series:
     number: IntArray
     session: IntArray
     peak: FloatArray
-    median: FloatArray
 
     @property
     def name(self) -> str:
@@ -117,11 +116,8 @@ def series_of(stretch: Stretch) -> tuple[Series, ...]:
     found = []
     for key in dict.fromkeys(key for slots in figures for key in slots if key[0] in WATCHED):
         there = [slots[key] for slots in figures if key in slots]
-        peak, median = (
-            np.array([getattr(slots.get(key), name, None) for slots in figures], dtype=np.float64)
-            for name in ("peak", "median")
-        )
+        peak = np.array([slots[key].peak if key in slots else None for slots in figures], dtype=np.float64)
         if np.isfinite(peak).any():
             threshold = max(slot.threshold for slot in there)
-            found.append(Series(*key, there[-1].unit, threshold, np.arange(1, n + 1), session, peak, median))
+            found.append(Series(*key, there[-1].unit, threshold, np.arange(1, n + 1), session, peak))
     return tuple(found)

@@ -86,16 +86,6 @@ class Trend:
     scale: float
     sessions: int
 
-    @property
-    def significance(self) -> float:
-        """The growth in its own standard errors."""
-        return self.slope / math.sqrt(self.slope_variance)
-
-    def forecast(self, flights: float) -> tuple[float, float]:
-        """Level so many flights from now, and its standard error."""
-        variance = self.level_variance + 2 * flights * self.covariance + flights**2 * self.slope_variance
-        return self.level + self.slope * flights, math.sqrt(max(variance, 0.0))
-
     def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
         """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
 

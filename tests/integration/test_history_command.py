@@ -15,27 +15,12 @@ import numpy as np
 import pytest
 from made_history import DAY_NS, START_NS, records
 
-from mavdiag import cli
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.judging import Verdict
 
 pytest.importorskip("sqlalchemy", reason="the history is an extra")
 
 from mavdiag.history.store import open_history
-
-Ran = tuple[int, str, str]
-
-
-@pytest.fixture
-def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(str(caught.value.code)), out, err
-
-    return run
 
 
 @pytest.fixture

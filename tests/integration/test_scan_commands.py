@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 
-from mavdiag import cli
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.monitors import BY_NAME
 
-Ran = tuple[int, str, str]
 EVENT_KEYS = {
     "t_s", "end_s", "monitor", "axis", "statistic", "threshold", "fsd_s", "fml_s", "rotor", "fault_type", "severity",
     "confidence", "fault_kind",
@@ -48,18 +46,6 @@ def crack(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def short(folder: Path) -> Path:
     return recorded(folder, "short.tlog", "--duration", "3", "--seed", "8")
-
-
-@pytest.fixture
-def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(str(caught.value.code)), out, err
-
-    return run
 
 
 @pytest.fixture
