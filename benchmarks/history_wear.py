@@ -36,7 +36,7 @@ from mavdiag.archive.figures import FlightRecord
 from mavdiag.history.changes import changes_of
 from mavdiag.history.stretches import Series, Stretch, series_of
 from mavdiag.history.trend import sessions_of
-from mavdiag.history.warn import POLICY, warned_at
+from mavdiag.history.warn import GROWN, HORIZON, PROGRESS, warned_at
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray
 
@@ -277,7 +277,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     start_s = time.monotonic()
-    print(f"{POLICY}; {platform.machine()}, {os.cpu_count()} cores")
+    print(f"horizon {HORIZON:g}, progress {PROGRESS:g}, grown {GROWN:g}; {platform.machine()}, {os.cpu_count()} cores")
     (run_drawn if arguments.what == "drawn" else run_emulated)(arguments)
     print(f"{time.monotonic() - start_s:.0f} s")
 

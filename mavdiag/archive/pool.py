@@ -51,14 +51,14 @@ def local_executor(workers: int) -> Iterator[TaskExecutor]:
     others = set(multiprocessing.active_children())
     os.environ.update(ENVIRONMENT)
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_settle)
+    whole = False
     try:
         _start(pool, workers)
         yield TaskExecutor(pool, 2 * workers)
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
+        whole = True
     finally:
+        for process in set() if whole else set(multiprocessing.active_children()) - others:
+            process.terminate()
         pool.shutdown(cancel_futures=True)
         for name, value in before.items():
             os.environ.pop(name)
