@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, IntegrityError, SQLAlchemyError
 from sqlalchemy.pool import NullPool
@@ -134,7 +134,7 @@ def open_history(database: str, *, create: bool = False, write: bool = False) ->
             engine.dispose()
     except ImportError as error:
         raise missing_extra(shown, f"a driver ({error})", "history") from error
-    except SQLAlchemyError as error:
+    except (SQLAlchemyError, ValidationError) as error:
         line = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
         raise UsageError(f"{shown}: the history cannot be used ({line})") from error
 

@@ -149,6 +149,18 @@ def test_reading_writes_nothing(database: str) -> None:
         assert history.airframes() == ()
 
 
+def test_a_row_that_does_not_fit_is_an_error_of_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "h.sqlite"
+    with open_history(str(path), create=True) as history:
+        history.add(record(1))
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE mavdiag_flight SET verdict = 'fine'")
+    connection.close()
+    with pytest.raises(UsageError, match="validation error") as caught, open_history(str(path)) as history:
+        history.flights("one")
+    assert "\n" not in str(caught.value)
+
+
 def test_a_table_that_is_missing_is_an_error_of_one_line(tmp_path: Path) -> None:
     path = tmp_path / "h.sqlite"
     with open_history(str(path), create=True):
