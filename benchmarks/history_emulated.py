@@ -20,10 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord, record_of
 from mavdiag.baseline import Baseline
-from mavdiag.history.records import FlightRecord
 from mavdiag.history.stretches import WATCHED
-from mavdiag.history.summary import record_of
 from mavdiag.judging import judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import FloatArray, Log

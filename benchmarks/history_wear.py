@@ -32,11 +32,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import beta
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.history.changes import changes_of
-from mavdiag.history.records import FlightRecord
 from mavdiag.history.stretches import Series, Stretch, series_of
 from mavdiag.history.trend import sessions_of
-from mavdiag.history.warn import POLICY, warned_at
+from mavdiag.history.warn import GROWN, HORIZON, PROGRESS, warned_at
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray
 
@@ -87,7 +87,7 @@ def drawn(seed: int, number: int, law: str = "") -> Drawn:
         share = np.maximum(share, 0.0)
         share[rng.random(FLIGHTS) < missed] = math.nan
         numbers = np.arange(1, FLIGHTS + 1)
-        found.append(Series(monitor, axis, "", 1.0, numbers, session, share, share))
+        found.append(Series(monitor, axis, "", 1.0, numbers, session, share))
     return Drawn(law, tuple(found))
 
 
@@ -277,7 +277,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     start_s = time.monotonic()
-    print(f"{POLICY}; {platform.machine()}, {os.cpu_count()} cores")
+    print(f"horizon {HORIZON:g}, progress {PROGRESS:g}, grown {GROWN:g}; {platform.machine()}, {os.cpu_count()} cores")
     (run_drawn if arguments.what == "drawn" else run_emulated)(arguments)
     print(f"{time.monotonic() - start_s:.0f} s")
 

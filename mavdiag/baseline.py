@@ -2,7 +2,7 @@
 
 It is a contract: the airframe, the link profile and rate, each monitor's fit and threshold with the flights that
 support it, where the data came from, and a digest over all of it. Loading validates everything and refuses what does
-not fit, naming the field; `check_link` refuses another link. `upgrade` reads the older schemas.
+not fit, naming the field; `check_link` refuses another link.
 """
 
 import hashlib
@@ -42,7 +42,6 @@ from mavdiag.thresholds.rule import Threshold, ThresholdRule, flights_for_guaran
 from mavdiag.units import NS_PER_S
 
 __all__ = [
-    "OLD_SCHEMAS",
     "RATE_TOLERANCE",
     "SCHEMA",
     "SESSION_GAP_NS",
@@ -55,7 +54,6 @@ __all__ = [
     "without_mute",
 ]
 
-OLD_SCHEMAS = ("mavdiag.baseline/1", "mavdiag.baseline/2")
 SCHEMA = "mavdiag.baseline/3"
 SESSION_GAP_NS = 3_600 * NS_PER_S  # flights farther apart are of two sessions (our choice)
 RATE_TOLERANCE = NATIVE_TOLERANCE
@@ -226,8 +224,6 @@ def parse(text: str) -> Baseline:
     except (ValueError, RecursionError) as error:
         raise BaselineError(f"not a baseline: the text is no JSON ({error}); {REMEDY}") from error
     found = raw.get("schema") if isinstance(raw, dict) else None
-    if found in OLD_SCHEMAS:
-        raise BaselineError(f"schema: {found!r} is an old one; bring it up with `mavdiag baseline upgrade`")
     if found != SCHEMA:
         raise BaselineError(f"schema: {found!r} instead of {SCHEMA!r}; {REMEDY}")
     baseline = validated(raw)

@@ -17,8 +17,6 @@ from mavdiag import __version__
 from mavdiag.errors import MavdiagError
 from mavdiag.printable import printable
 
-__all__ = ["ERROR", "application", "run", "say", "stop_signals", "version_option"]
-
 ERROR = 2
 INTERRUPTED = 130
 

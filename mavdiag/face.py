@@ -19,9 +19,7 @@ from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.archive.job import Options, Question
 from mavdiag.archive.paths import logs_named
 from mavdiag.archive.pool import in_this_process, local_executor
-from mavdiag.archive.scan import in_order
 from mavdiag.archive.scan import scan as archive
-from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline
 from mavdiag.chain import ChainOutput, chain_of
 from mavdiag.decision.alarm import Change, Diagnosis, Event
@@ -31,8 +29,6 @@ from mavdiag.learning import LearnOptions
 from mavdiag.learning.flights import front_for, rows_of
 from mavdiag.monitors.training import MIN_PIECE_S, training_pieces
 from mavdiag.telemetry import Axis, FloatArray, Log, Telemetry
-
-__all__ = ["FlightRates", "Watch", "judge", "learn", "now", "rates", "read_log", "scan", "with_airframe"]
 
 Source: TypeAlias = Log | str | Path  # a log, or where it is
 
@@ -82,7 +78,8 @@ def learn(
     """
     chosen = with_airframe(options or LearnOptions(), airframe, name)
     chosen = replace(chosen, robust=chosen.robust or robust)
-    found = (log for source in _each(flights) for log in _logs(source, vehicle))
+    sources = [flights] if isinstance(flights, Log | str | Path) else flights
+    found = (log for source in sources for log in _logs(source, vehicle))
     return learning.learn(found, chosen, created=now() if created is None else created)
 
 
@@ -120,9 +117,9 @@ def scan(
     A log that cannot be read is a verdict `error`, and loses nothing. Raises BaselineError for the baseline.
     """
     named = logs_named([flights] if isinstance(flights, str | Path) else flights).logs
-    question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share), judging_version())
+    question = Question.of(_loaded(baseline), Options(vehicle, judged_share=judged_share))
     opened = partial(local_executor, jobs) if jobs > 1 else in_this_process
-    for answer in in_order(archive(named, question, opened)):
+    for answer in archive(named, question, opened):
         yield answer.verdict
 
 
@@ -202,20 +199,13 @@ def now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
-def _each(flights: Source | Iterable[Source]) -> list[Source]:
-    return [flights] if isinstance(flights, Log | str | Path) else list(flights)
-
-
 def _logs(source: Source, vehicle: int | None) -> Iterator[Log]:
-    """The logs that one source names, read one by one: itself, a file, a pattern, all logs below a folder.
-
-    Raises InputError if there are none.
-    """
+    """The logs that a source names, read one by one. Raises InputError if there are none."""
     if isinstance(source, Log):
         yield source
         return
-    for one in logs_named([source]).paths():
-        yield replace(read_log(one, vehicle=vehicle), name=str(one))
+    for path in logs_named([source]).paths():
+        yield replace(read_log(path, vehicle=vehicle), name=str(path))
 
 
 def _loaded(baseline: Baseline | str | Path) -> Baseline:
@@ -223,7 +213,7 @@ def _loaded(baseline: Baseline | str | Path) -> Baseline:
 
 
 def _in_order(output: ChainOutput) -> tuple[Event | Change, ...]:
-    def at(one: Event | Change) -> int:
-        return one.t_ns if isinstance(one, Change) else one.end_ns or one.start_ns
+    def at(told: Event | Change) -> int:
+        return told.t_ns if isinstance(told, Change) else told.end_ns or told.start_ns
 
     return tuple(sorted((*output.events, *output.changes), key=at))

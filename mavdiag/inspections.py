@@ -72,7 +72,7 @@ def read_open(journal: Path) -> dict[int, Inspection]:
         found = _File.model_validate_json(read_text(path, OPEN_BYTES))
     except ValidationError as error:
         raise InputError(f"{path}: no list of open inspections; look at the vehicles and remove the file") from error
-    return {one.vehicle: one for one in found.inspections}
+    return {inspection.vehicle: inspection for inspection in found.inspections}
 
 
 def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
@@ -82,14 +82,13 @@ def ask(journal: Path, vehicle: int | None, whose: str) -> Inspection:
     """
     found = read_open(journal)
     if vehicle is None and len(found) > 1:
-        listed = "; ".join(str(one) for one in found.values())
+        listed = "; ".join(str(inspection) for inspection in found.values())
         raise UsageError(f"{journal}: several inspections are open, choose one with --vehicle: {listed}")
-    one = found.get(next(iter(found), 0) if vehicle is None else vehicle)
-    if one is None:
-        whom = "" if vehicle is None else f" of vehicle {vehicle}"
-        raise UsageError(f"{journal}: no inspection{whom} is open")
-    write_atomically(_beside(journal, f"ack-{one.vehicle}"), f"{whose[:WHOSE_BYTES]}\n")
-    return one
+    asked = found.get(next(iter(found), 0) if vehicle is None else vehicle)
+    if asked is None:
+        raise UsageError(f"{journal}: no inspection{'' if vehicle is None else f' of vehicle {vehicle}'} is open")
+    write_atomically(_beside(journal, f"ack-{asked.vehicle}"), f"{whose[:WHOSE_BYTES]}\n")
+    return asked
 
 
 class Inspections:
@@ -104,10 +103,11 @@ class Inspections:
 
     def held(self, vehicle: int, propellers: int | None) -> Diagnosis:
         """What is known of a vehicle from before. propellers: number of its present set, None if it is not known."""
-        one = self._open.get(vehicle)
-        if one is not None and propellers is not None and propellers > one.propellers:
+        known = self._open.get(vehicle)
+        if known is not None and propellers is not None and propellers > known.propellers:
             self.close(vehicle)
-        return self._open[vehicle].diagnosis if vehicle in self._open else NOTHING_SEEN
+            known = None
+        return NOTHING_SEEN if known is None else known.diagnosis
 
     def take(self, vehicle: int, change: Change, baseline: str, propellers: int, utc: str) -> None:
         """Keep what a change of a vehicle's decision says. utc: now."""
@@ -115,14 +115,12 @@ class Inspections:
             return self.close(vehicle)
         old = self._open.get(vehicle)
         rotors = tuple(dict.fromkeys(span.rotor for span in change.rotors))
-        kind, declared = change.kind or FaultKind.PROPELLER, utc if old is None else old.declared
-        rotor = change.rotor or (rotors[-1] if rotors else None)
         new = Inspection(
             vehicle=vehicle,
-            declared=declared,
-            kind=kind,
+            declared=utc if old is None else old.declared,
+            kind=change.kind or FaultKind.PROPELLER,
             rotors=rotors,
-            rotor=rotor,
+            rotor=change.rotor or (rotors[-1] if rotors else None),
             baseline=baseline,
             propellers=propellers,
         )

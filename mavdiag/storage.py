@@ -22,19 +22,6 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import InputError, UsageError
 
-__all__ = [
-    "TOML_BYTES",
-    "Arrays",
-    "Kept",
-    "Shelf",
-    "check_output",
-    "open_regular",
-    "parse_toml",
-    "read_text",
-    "read_toml",
-    "write_atomically",
-]
-
 Arrays: TypeAlias = tuple[NDArray[Any], ...]
 
 TOML_BYTES = 32 << 10  # the longest of ours has 7 kB; tomllib takes seconds for a larger one's worst (our choice)

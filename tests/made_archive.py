@@ -10,7 +10,6 @@ from flying_telemetry import flying
 from made_baselines import FRAME, NOW
 
 from mavdiag.archive.job import Options, Question
-from mavdiag.archive.sources import judging_version
 from mavdiag.baseline import Baseline
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.codec import Encoder
@@ -85,4 +84,4 @@ def archive_baseline() -> Baseline:
 
 def asked(options: Options | None = None) -> Question:
     """The question about that baseline."""
-    return Question.of(archive_baseline(), options or Options(), judging_version())
+    return Question.of(archive_baseline(), options or Options())

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mavdiag.history.records import FlightRecord, SlotFigures
+from mavdiag.archive.figures import FlightRecord, SlotFigures
 from mavdiag.history.stretches import Series
 from mavdiag.judging import Verdict
 from mavdiag.telemetry import Axis, FloatArray
@@ -17,7 +17,7 @@ DAY_NS = 86_400 * NS_PER_S
 def series(share: FloatArray, *, a_session: int = 2, name: str = "unbalance") -> Series:
     """A series with so many flights a session; its threshold is 1."""
     n = len(share)
-    return Series(name, None, "", 1.0, np.arange(1, n + 1), np.arange(n) // a_session, share, share)
+    return Series(name, None, "", 1.0, np.arange(1, n + 1), np.arange(n) // a_session, share)
 
 
 def record(

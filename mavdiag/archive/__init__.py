@@ -1,5 +1,4 @@
-"""An archive of logs: which files arguments name, each judged once by several workers, and the answers kept.
+"""Many logs to answers: which files arguments name, each judged once by several workers, and the answers kept.
 
-The pure parts are `job` (what is asked and answered) and `windows`; the edges are `paths`, `sources`, `cache`, `work`,
-`pool`, `cluster`, `scan` and `tables`.
+The pure parts are `windows` and `figures`; the edges are `paths`, `job`, `cache`, `pool`, `cluster`, `scan`, `tables`.
 """

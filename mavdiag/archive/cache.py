@@ -8,24 +8,19 @@ from mavdiag.archive.job import Record, record_from, record_text
 from mavdiag.errors import InputError, UsageError
 from mavdiag.storage import read_text, write_atomically
 
-__all__ = ["Cache", "cache_folder", "open_cache"]
-
 RECORD_BYTES = 64 << 20  # of one answer; a flight of an hour with an alarm a second has 1 MB (our choice)
 
 
 @dataclass(frozen=True, slots=True)
 class Cache:
-    """The answers to one question.
-
-    folder: of their files, named by the mark (`archive.work.mark_of`) and the digest of the log.
-    """
+    """The answers to one question. folder: of their files, named by the log's mark (`archive.job`) and its digest."""
 
     folder: Path
 
     def marks(self) -> frozenset[str]:
         """The marks of all contents that have an answer: a log with another one is new."""
         try:
-            return frozenset(one.name.partition("-")[0] for one in self.folder.iterdir())
+            return frozenset(path.name.partition("-")[0] for path in self.folder.iterdir())
         except OSError:
             return frozenset()
 
@@ -48,24 +43,19 @@ class Cache:
 def cache_folder() -> Path | None:
     """Where answers are kept unless told otherwise (XDG Base Directory Specification); None without a home."""
     told = os.environ.get("XDG_CACHE_HOME", "")
-    if Path(told).is_absolute():  # others are to be ignored, says the specification
-        return Path(told) / "mavdiag"
-    try:
-        return Path.home() / ".cache" / "mavdiag"
+    try:  # a relative path is to be ignored, says the specification
+        return (Path(told) if Path(told).is_absolute() else Path.home() / ".cache") / "mavdiag"
     except RuntimeError:
         return None
 
 
 def open_cache(folder: Path, scope: str) -> Cache:
     """The answers of a scope below a folder, which is made. Raises UsageError if it cannot be used."""
-    mine = folder / "scan" / scope
+    mine, why = folder / "scan" / scope, "cannot be written (no permission)"
     try:
         mine.mkdir(parents=True, exist_ok=True)
+        if os.access(mine, os.W_OK | os.X_OK):
+            return Cache(mine)
     except OSError as error:
-        raise UsageError(
-            f"{folder}: no folder to keep answers in ({error.strerror or error}); name another with --cache, "
-            "or use --no-cache"
-        ) from error
-    if not os.access(mine, os.W_OK | os.X_OK):
-        raise UsageError(f"{folder}: cannot be written (no permission); name another with --cache, or use --no-cache")
-    return Cache(mine)
+        why = f"no folder to keep answers in ({error.strerror or error})"
+    raise UsageError(f"{folder}: {why}; name another with --cache, or use --no-cache")

@@ -7,23 +7,7 @@ from contextlib import contextmanager
 from mavdiag.archive.pool import TaskExecutor
 from mavdiag.errors import LinkError, missing_extra
 
-__all__ = ["dask_executor"]
-
 PATIENCE_S = 10.0
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Dask from printing tracebacks of a connection that is lost; what follows from it is an error of ours."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-    before = [one.level for one in loggers]
-    for one in loggers:
-        one.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for one, level in zip(loggers, before, strict=True):
-            one.setLevel(level)
 
 
 @contextmanager
@@ -41,15 +25,29 @@ def dask_executor(address: str) -> Iterator[TaskExecutor]:
         client = Client(address, timeout=PATIENCE_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(f"no Dask scheduler at {address} ({error}); start one with `dask scheduler`") from error
-    with _quiet(), client:
+
+    def manned() -> bool:
+        try:
+            return bool(client.nthreads())
+        except (OSError, TimeoutError):  # then the scheduler has gone, and the tasks say so
+            return True
+
+    with _without_tracebacks(), client:
         threads = sum(client.nthreads().values())
         if not threads:
             raise LinkError(f"the Dask scheduler at {address} has no workers; start some with `dask worker {address}`")
-
-        def manned() -> bool:
-            try:
-                return bool(client.nthreads())
-            except (OSError, TimeoutError):  # then the scheduler has gone, and the tasks say so
-                return True
-
         yield TaskExecutor(client.get_executor(pure=False), 2 * threads, (KilledWorker,), manned)
+
+
+@contextmanager
+def _without_tracebacks() -> Iterator[None]:
+    """Of a connection that is lost: what follows from it is an error of ours."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

@@ -7,9 +7,7 @@ from pathlib import Path
 from mavdiag.errors import InputError
 from mavdiag.logs import is_log
 
-__all__ = ["Found", "Named", "logs_named"]
-
-PATTERN_SIGNS = "*?["
+IsLog = Callable[[Path], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +38,13 @@ class Found:
 
     def paths(self) -> tuple[Path, ...]:
         """The logs themselves, where one that cannot be read is an error. Raises InputError for the first of them."""
-        for one in self.logs:
-            if one.trouble:
-                raise InputError(f"{one.path}: {one.trouble}")
-        return tuple(one.path for one in self.logs)
+        for log in self.logs:
+            if log.trouble:
+                raise InputError(f"{log.path}: {log.trouble}")
+        return tuple(log.path for log in self.logs)
 
 
-def logs_named(arguments: Iterable[str | Path], is_log: Callable[[Path], bool] = is_log) -> Found:
+def logs_named(arguments: Iterable[str | Path], is_log: IsLog = is_log) -> Found:
     """The logs that arguments name. Nothing is raised: what is wrong with an argument is in its `Named.trouble`.
 
     A file is taken as it is. Of a folder, and of what a pattern like "flights/**/*.tlog" matches, all flight logs are
@@ -55,17 +53,16 @@ def logs_named(arguments: Iterable[str | Path], is_log: Callable[[Path], bool] =
     """
     logs: list[Named] = []
     skipped = 0
-    for argument in arguments:
-        path = Path(argument)
-        if path.is_dir():
-            found = list(_below(path, set(), is_log))
-        elif not _exists(path) and any(sign in str(path) for sign in PATTERN_SIGNS):
-            found = list(_matching(path, is_log))
+    for argument in map(Path, arguments):
+        if argument.is_dir():
+            found = list(_below(argument, set(), is_log))
+        elif not _exists(argument) and any(sign in str(argument) for sign in "*?["):
+            found = list(_matching(argument, is_log))
         else:
-            found = [Named(path)]
-        taken = [one for one in found if one is not None]
+            found = [Named(argument)]
+        taken = [log for log in found if log is not None]
         skipped += len(found) - len(taken)
-        logs += taken or [Named(path, "no log there; name files, a folder, or a pattern like 'flights/*.tlog'")]
+        logs += taken or [Named(argument, "no log there; name files, a folder, or a pattern like 'flights/*.tlog'")]
     return Found(tuple(logs), skipped)
 
 
@@ -76,43 +73,37 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _matching(pattern: Path, is_log: Callable[[Path], bool]) -> Iterator[Named | None]:
-    """What a pattern matches, by name; None for a file that is no log."""
+def _matching(pattern: Path, is_log: IsLog) -> Iterator[Named | None]:
     try:
         matches = sorted(Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor))))
     except (OSError, ValueError) as error:
         yield Named(pattern, f"no pattern to look for files by ({error})")
         return
     for path in matches:
-        if path.is_dir():
-            yield from _below(path, set(), is_log)
-        else:
-            yield _file(path, is_log)
+        yield from _below(path, set(), is_log)
 
 
-def _below(folder: Path, seen: set[tuple[int, int]], is_log: Callable[[Path], bool]) -> Iterator[Named | None]:
-    """The logs below a folder, by name; None for a file that is no log. seen: device and number of folders so far."""
+def _below(path: Path, seen: set[tuple[int, int]], is_log: IsLog) -> Iterator[Named | None]:
+    """The logs that a file or folder is or has, by name; None for a file that is none. seen: folders so far."""
+    if not path.is_dir():
+        yield _file(path, is_log)
+        return
     try:
-        about = folder.stat()
+        about = path.stat()
         if (about.st_dev, about.st_ino) in seen:
             return
         seen.add((about.st_dev, about.st_ino))
-        inside = sorted(one for one in folder.iterdir() if not one.name.startswith("."))
+        inside = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
     except OSError as error:
-        yield Named(folder, f"the folder cannot be read ({error.strerror or error})")
+        yield Named(path, f"the folder cannot be read ({error.strerror or error})")
         return
-    for path in inside:
-        if path.is_dir():
-            yield from _below(path, seen, is_log)
-        else:
-            yield _file(path, is_log)
+    for entry in inside:
+        yield from _below(entry, seen, is_log)
 
 
-def _file(path: Path, is_log: Callable[[Path], bool]) -> Named | None:
-    """A file that was not named itself: None if it is no log. One that cannot be read may be one."""
+def _file(path: Path, is_log: IsLog) -> Named | None:
+    """A file that was not named itself. One that cannot be read may be a log."""
     try:
-        if not path.is_file() or path.stat().st_size == 0:
-            return None
-        return Named(path) if is_log(path) else None
+        return Named(path) if path.is_file() and path.stat().st_size and is_log(path) else None
     except (InputError, OSError):
         return Named(path)

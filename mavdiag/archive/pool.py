@@ -13,8 +13,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from mavdiag.errors import InputError
 
-__all__ = ["TaskExecutor", "in_this_process", "local_executor"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 #: Of a worker: one thread of arithmetic; and glibc keeps the arrays' memory for the next log instead of giving it back
@@ -32,8 +30,7 @@ ENVIRONMENT: Mapping[str, str] = MappingProxyType(
 class TaskExecutor:
     """Where the tasks run.
 
-    pool: processes, threads or a cluster.
-    in_flight: how many tasks to submit at a time, so that no worker waits.
+    pool: processes, a cluster, or none. in_flight: how many tasks to submit at a time, so that no worker waits.
     killed: errors that say that a task's workers died, one after the other.
     manned: whether there is any worker; a pool of processes tells by an error if there is none.
     """
@@ -60,14 +57,12 @@ def local_executor(workers: int) -> Iterator[TaskExecutor]:
         yield TaskExecutor(pool, 2 * workers)
         whole = True
     finally:
-        if not whole:
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
+        for process in set() if whole else set(multiprocessing.active_children()) - others:
+            process.terminate()
         pool.shutdown(cancel_futures=True)
         for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
+            os.environ.pop(name)
+            if value is not None:
                 os.environ[name] = value
 
 
@@ -82,7 +77,6 @@ def _start(pool: Executor, workers: int) -> None:
 
 
 def _settle() -> None:
-    """Leave Ctrl-C to the process that started this one, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -95,9 +89,8 @@ def _end_with_parent() -> None:
 
 
 class _Here(Executor):
-    """Runs a task as it is submitted; what is no InputError is raised there and then."""
-
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Run it at once; what is no InputError is raised here and now."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))

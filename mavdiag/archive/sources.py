@@ -7,13 +7,11 @@ from functools import cache
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 
-__all__ = ["digest_of_sources", "judging_version"]
-
 COMPUTED_BY = ("numpy", "scipy", "numba", "pymavlink", "pyulog")  # whose versions may change a figure
 # What cannot change a verdict: bytecode, what is above judging, and what only draws or learns.
 UNRELATED = (
     *("__pycache__", "py.typed", "__main__.py", "mavdiag/__init__.py", "mavdiag/cli.py", "mavdiag/commandline.py"),
-    *("mavdiag/commands", "mavdiag/demo", "mavdiag/face.py", "mavdiag/as_json.py", "mavdiag/traces.py"),
+    *("mavdiag/commands", "mavdiag/demo", "mavdiag/face.py", "mavdiag/as_json.py"),
     *("mavdiag/terminal", "mavdiag/drawing.py", "mavdiag/learning", "mavdiag/testing.py", "mavdiag/link/ports"),
     *(f"mavdiag/{name}" for name in ("history", "look", "report")),
     *(f"mavdiag/archive/{name}.py" for name in ("cache", "cluster", "paths", "pool", "scan", "sources", "tables")),

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.chain import Chain, Piece
-from mavdiag.decision.account import Stretch
-from mavdiag.decision.alarm import Change, Stage
+from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JUDGED_SHARE, MIN_JUDGED_S, JudgedFlight, Verdict
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_S
-
-__all__ = ["Window", "WindowMonitor", "windows_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,77 +53,60 @@ def windows_of(flight: JudgedFlight, span_s: float, judged_share: float = JUDGED
 
     span_s: their length, 1 s or more [s]. judged_share: as for a whole log.
     """
-    if flight.chain is None or not any(len(piece.rows.block) for piece in flight.pieces):
-        return ()
-    span_ns = round(span_s * NS_PER_S)
     pieces = [piece for piece in flight.pieces if len(piece.rows.block)]
-    flown = np.unique(np.concatenate([piece.rows.block.t_ns // span_ns for piece in pieces]))
-    first, count = int(flown[0]), int(flown[-1] - flown[0]) + 1
-    spans = _spans(flight.unjudged, pieces, span_ns, first, count)
-    judged_s, ratio = _figures(flight.chain, pieces, span_ns, first, count)
-    last_ns = max(int(piece.rows.block.t_ns[-1]) for piece in pieces)
-    held = {stage: _held(flight.verdict.changes, stage, span_ns, last_ns) for stage in (Stage.FAULT, Stage.SUSPECTED)}
+    if flight.chain is None or not pieces:
+        return ()
+    span_ns, blocks = round(span_s * NS_PER_S), [piece.rows.block for piece in pieces]
+    t_ns = np.concatenate([block.t_ns for block in blocks])
+    settled = np.concatenate([block.t_ns >= block.settled_ns for block in blocks])
+    judged = settled.copy()
+    for begin_ns, end_ns in flight.unjudged:
+        judged[t_ns.searchsorted(begin_ns) : t_ns.searchsorted(end_ns, side="right")] = False
+    changes = flight.verdict.changes
+    ends_ns = [*(change.t_ns for change in changes[1:]), int(t_ns[-1])]
+    looks = [_looks(pieces, number, slot.threshold) for number, slot in enumerate(flight.chain.slots)]
     found = []
-    for k in flown.tolist():
-        flown_s, covered_s = spans[:, k - first].tolist()
-        verdict = Verdict.FAULT if k in held[Stage.FAULT] else Verdict.SUSPECTED if k in held[Stage.SUSPECTED] else None
-        if verdict is None:
-            least_s = max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
-            verdict = Verdict.HEALTHY if covered_s >= least_s else Verdict.NOT_JUDGEABLE
-        highest = _highest(flight.chain, judged_s[:, k - first], ratio[:, k - first])
-        found.append(Window(k * span_s, (k + 1) * span_s, verdict, flown_s, covered_s, *highest))
+    for k in np.unique(t_ns // span_ns).tolist():
+        edges = (k * span_ns, (k + 1) * span_ns)
+        rows = slice(*t_ns.searchsorted(edges))
+        flown_s, covered_s = (blocks[0].dt_s * int(kind[rows].sum()) for kind in (settled, judged))
+        held = {
+            change.stage
+            for change, end_ns in zip(changes, ends_ns, strict=False)
+            if change.t_ns < edges[1] and max(end_ns, change.t_ns) >= edges[0]
+        }
+        least_s = max(min(MIN_JUDGED_S, span_s / 2), judged_share * flown_s)
+        verdict = Verdict.HEALTHY if covered_s >= least_s else Verdict.NOT_JUDGEABLE
+        if held & {Stage.FAULT, Stage.SUSPECTED}:
+            verdict = Verdict.FAULT if Stage.FAULT in held else Verdict.SUSPECTED
+        shown = [_shown(slot_looks, edges) for slot_looks in looks]
+        found.append(Window(k * span_s, (k + 1) * span_s, verdict, flown_s, covered_s, *_highest(flight.chain, shown)))
     return tuple(found)
 
 
-def _spans(unjudged: Sequence[Stretch], pieces: Sequence[Piece], span_ns: int, first: int, count: int) -> FloatArray:
-    """(2, count) flown and judged time of each window [s]."""
-    blocks = [piece.rows.block for piece in pieces]
-    t_ns = np.concatenate([block.t_ns[block.t_ns >= block.settled_ns] for block in blocks])
-    judged = np.ones(len(t_ns), dtype=np.bool_)
-    for begin_ns, end_ns in unjudged:
-        judged[t_ns.searchsorted(begin_ns) : t_ns.searchsorted(end_ns, side="right")] = False
-    number = t_ns // span_ns - first
-    counts = [np.bincount(number[rows], minlength=count) for rows in (slice(None), judged)]
-    return np.asarray(blocks[0].dt_s * np.stack(counts), dtype=np.float64)
+def _looks(pieces: Sequence[Piece], number: int, threshold: float) -> tuple[IntArray, FloatArray, float]:
+    """When a slot judged, its ratio to the threshold, and the time that one look stands for [s]."""
+    found = [piece.found[number] for piece in pieces]
+    t_ns = np.concatenate([part.t_ns[part.valid] for part in found])
+    return t_ns, np.concatenate([part.value[part.valid] for part in found]) / threshold, found[0].period_s
 
 
-def _figures(
-    chain: Chain, pieces: Sequence[Piece], span_ns: int, first: int, count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Judged time [s] and highest ratio (-inf if none) of each slot in each window, (slots, count) both."""
-    judged_s = np.zeros((len(chain.slots), count))
-    ratio = np.full((len(chain.slots), count), -np.inf)
-    for piece in pieces:
-        for number, (slot, found) in enumerate(zip(chain.slots, piece.found, strict=True)):
-            at = (found.t_ns[found.valid] // span_ns - first).clip(0, count - 1)
-            judged_s[number] += np.bincount(at, minlength=count) * found.period_s
-            np.maximum.at(ratio[number], at, found.value[found.valid] / slot.threshold)
-    return judged_s, ratio
-
-
-def _held(changes: Sequence[Change], stage: Stage, span_ns: int, last_ns: int) -> frozenset[int]:
-    """Numbers of the windows in which a stage was held at any time."""
-    ends = [*(change.t_ns for change in changes[1:]), last_ns]
-    found: set[int] = set()
-    for change, end_ns in zip(changes, ends, strict=False):
-        if change.stage is stage:
-            found.update(range(change.t_ns // span_ns, max(end_ns, change.t_ns) // span_ns + 1))
-    return frozenset(found)
+def _shown(looks: tuple[IntArray, FloatArray, float], edges: tuple[int, int]) -> tuple[float, float | None]:
+    """Judged time [s] and highest ratio between two times."""
+    t_ns, ratio, period_s = looks
+    part = ratio[slice(*t_ns.searchsorted(edges))]
+    return len(part) * period_s, float(part.max()) if len(part) else None
 
 
 def _highest(
-    chain: Chain, judged_s: FloatArray, ratio: FloatArray
+    chain: Chain, shown: Sequence[tuple[float, float | None]]
 ) -> tuple[float | None, str | None, tuple[WindowMonitor, ...]]:
-    """The highest ratio of a deciding monitor, whose it is, and all monitors. judged_s, ratio: (slots,)."""
-    deciding = [
-        (float(r), slot.monitor.name)
-        for slot, r in zip(chain.slots, ratio, strict=True)
-        if slot.decides and np.isfinite(r)
-    ]
-    highest, whose = max(deciding, default=(None, None))
+    """The highest ratio of a deciding monitor, whose it is, and all monitors, each by its longest and highest axis."""
+    pairs = list(zip(chain.slots, shown, strict=True))
+    deciding = [(r, slot.monitor.name) for slot, (_, r) in pairs if slot.decides and r is not None and np.isfinite(r)]
     monitors = []
     for name in dict.fromkeys(slot.monitor.name for slot in chain.slots):
-        own = [i for i, slot in enumerate(chain.slots) if slot.monitor.name == name]
-        peak = float(ratio[own].max())
-        monitors.append(WindowMonitor(name, float(judged_s[own].max()), peak if np.isfinite(peak) else None))
-    return highest, whose, tuple(monitors)
+        own = [figures for slot, figures in pairs if slot.monitor.name == name]
+        peak = max((r for _, r in own if r is not None), default=None)
+        monitors.append(WindowMonitor(name, max(judged_s for judged_s, _ in own), peak))
+    return *max(deciding, default=(None, None)), tuple(monitors)

@@ -1,1 +1,1 @@
-"""The commands of `mavdiag`, one file each; `mavdiag.cli` puts them together."""
+"""The commands of `mavdiag`, one file each: parse, call, print. `mavdiag.cli` puts them together."""

@@ -21,5 +21,5 @@ def ack(
     A detector that runs takes it up within a second, says so, and writes it to its journal; another one at its next
     start. A fault in flight cannot be acknowledged.
     """
-    one = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
-    typer.echo(f"{one}: handed to the detector; its journal tells what came of it")
+    inspection = ask(journal, vehicle, f"mavdiag ack by {by or getpass.getuser()}")
+    typer.echo(f"{inspection}: handed to the detector; its journal tells what came of it")

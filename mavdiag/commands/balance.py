@@ -7,8 +7,6 @@ import typer
 from mavdiag.airframe.balance import Grade, assess_unbalance, grade_named, unbalance_g_mm
 from mavdiag.as_json import json_line
 
-__all__ = ["balance"]
-
 
 def balance(
     mass_g: Annotated[float, typer.Option(metavar="G", help="Unbalanced mass, e.g. what a nick removed.")],

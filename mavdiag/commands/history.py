@@ -1,13 +1,11 @@
 """`mavdiag history`: flights of an airframe kept in a database, their trends, and warnings before a threshold."""
 
-import csv
 import importlib
-import io
 import json
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -16,29 +14,25 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from mavdiag.archive.paths import logs_named
+from mavdiag.archive.figures import FlightRecord
+from mavdiag.archive.job import Answer, Options, Question
+from mavdiag.archive.tables import write_csv
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import application, say
-from mavdiag.commands.options import AsJson, Vehicle, read_part
-from mavdiag.commands.progress import each
-from mavdiag.errors import InputError, UsageError, missing_extra
-from mavdiag.history.as_json import FLIGHT_COLUMNS, TREND_COLUMNS, flight_json, flight_rows, overview_json, trend_rows
-from mavdiag.history.draw import Line, day, lines_of
-from mavdiag.history.overview import Overview, overview_of
-from mavdiag.history.records import FlightRecord, Mark, MarkKind
-from mavdiag.history.summary import content_of, record_of
-from mavdiag.judging import judge_in_full
+from mavdiag.commands import options as opt
+from mavdiag.commands.many import How, judging
+from mavdiag.errors import UsageError, missing_extra
+from mavdiag.history import show as shown
+from mavdiag.history.stretches import Mark, MarkKind
+from mavdiag.history.warn import Overview, overview_of
 from mavdiag.printable import printable
-from mavdiag.storage import write_atomically
-from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S
 
 if TYPE_CHECKING:
     from mavdiag.history.store import History
 
-__all__ = ["add", "app", "list_flights", "mark", "overview", "show"]
-
 FILE = "mavdiag-history.sqlite"
+WHEN = "ISO 8601 (UTC if it names no zone)"
 
 Database: TypeAlias = Annotated[
     str, typer.Option(metavar="FILE|URL", help="SQLite file, or postgresql://user@host/name for a fleet.")
@@ -54,7 +48,7 @@ def overview(
     context: typer.Context,
     airframe: AirframeName = None,
     database: Database = FILE,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
     csv_file: CsvFile = None,
 ) -> None:
     """Keep the judged flights of airframes, draw their trends, warn before a threshold is reached.
@@ -71,63 +65,58 @@ def overview(
 @app.command()
 def add(
     logs: Annotated[list[Path], typer.Argument(help="Logs to judge and to keep, folders of them, or patterns.")],
-    baseline: Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")],
+    baseline: opt.BaselineFile,
     airframe: Annotated[
         str | None, typer.Option(metavar="NAME", help="Whose flights they are; else the baseline's airframe.")
     ] = None,
     database: Database = FILE,
     again: Annotated[bool, typer.Option("--again", help="Judge and replace flights that are there already.")] = False,
-    vehicle: Vehicle = None,
+    vehicle: opt.Vehicle = None,
     at: Annotated[
         str | None,
         typer.Option(metavar="TIME", help="When logs without a clock were flown, ISO 8601.  [default: when added]"),
     ] = None,
+    jobs: opt.Jobs = None,
+    scheduler: opt.Scheduler = None,
+    cache: opt.CacheFolder = None,
+    no_cache: opt.NoCache = False,
 ) -> None:
     """Judge logs and keep what they showed. A flight is kept once. Exit code: 0, or 2 if a log could not be read.
 
     Logs that do not say when they were flown follow each other in the order in which they are named.
     """
-    flown_ns = None if at is None else _time(at)
     reference = Baseline.load(baseline)
+    options = Options(vehicle, figures=True, flown_ns=0 if at is None else _time(at))
+    question = Question.of(reference, options)
     name = reference.airframe.name if airframe is None else airframe
     if not name.strip():
         raise UsageError("the airframe needs a name; give --airframe NAME")
-    named, failed = logs_named(logs), 0
-    with _open(database, create=True) as history:
-        for one in each(named.logs, "judging"):
-            path = one.path
-            try:
-                if one.trouble:
-                    raise InputError(one.trouble)
-                log = read_part(path, vehicle, None, None)
-                if flown_ns is not None and not log.started_ns:
-                    log = replace(log, started_ns=flown_ns)
-                say(f"{path}: {_added(history, log, reference, name, again)}")
-            except InputError as error:
-                failed += 1
-                say(f"{path}: error, {str(error).removeprefix(f'{path}: ')}")
-    if named.skipped_sentence:
-        say(named.skipped_sentence, err=True)
+    failed, how = 0, How(jobs, scheduler, cache, no_cache or again)
+    with _open(database, create=True) as history, judging(opt.find_logs(logs), question, how) as (answers, tell):
+        for answer in answers:
+            failed += answer.record.flight is None
+            tell(f"{answer.path}: {_added(history, answer, name, again)}")
     raise typer.Exit(2 if failed else 0)
 
 
 @app.command("list")
 def list_flights(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
+    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
 ) -> None:
     """List the flights that are kept, with the statistic that came nearest to its threshold."""
     with _open(database) as history:
         kept = [history.flights(name) for name in _names(history, airframe)]
-    numbered = [(number, one) for flights in kept for number, one in enumerate(flights, 1)]
+    numbered = [(number, record) for flights in kept for number, record in enumerate(flights, 1)]
     if csv_file is not None:
-        _write_csv(csv_file, FLIGHT_COLUMNS, (row for number, one in numbered for row in flight_rows(number, one)))
-    for number, one in numbered:
-        say(json.dumps(flight_json(number, one)) if as_json else _flight_line(number, one))
+        rows = [row for number, record in numbered for row in shown.flight_rows(number, record)]
+        write_csv(csv_file, rows, shown.FLIGHT_COLUMNS)
+    for number, record in numbered:
+        say(json.dumps(shown.flight_json(number, record)) if as_json else _flight_line(number, record))
 
 
 @app.command()
 def show(
-    airframe: AirframeName = None, database: Database = FILE, as_json: AsJson = False, csv_file: CsvFile = None
+    airframe: AirframeName = None, database: Database = FILE, as_json: opt.AsJson = False, csv_file: CsvFile = None
 ) -> None:
     """Draw the trends since the propellers were new.
 
@@ -137,13 +126,13 @@ def show(
         names = _names(history, airframe)
         found = [overview_of(name, history.flights(name), history.marks(name)) for name in names]
     if csv_file is not None:
-        _write_csv(csv_file, TREND_COLUMNS, (row for one in found for row in trend_rows(one)))
-    for one in found:
+        write_csv(csv_file, [row for overview in found for row in shown.trend_rows(overview)], shown.TREND_COLUMNS)
+    for overview in found:
         if as_json:
-            say(json.dumps(overview_json(one)))
+            say(json.dumps(shown.overview_json(overview)))
         else:
-            _print_lines(one)
-    raise typer.Exit(1 if any(one.warned or one.faulty for one in found) else 0)
+            _print_lines(overview)
+    raise typer.Exit(1 if any(overview.warned or overview.faulty for overview in found) else 0)
 
 
 @app.command()
@@ -151,9 +140,7 @@ def mark(
     airframe: Annotated[str, typer.Option(metavar="NAME", help="Whose it is.")],
     new_propellers: Annotated[bool, typer.Option("--new-propellers", help="The propellers are new.")] = False,
     repair: Annotated[bool, typer.Option("--repair", help="Something else was repaired.")] = False,
-    at: Annotated[
-        str | None, typer.Option(metavar="TIME", help="When, ISO 8601 (UTC if it names no zone); else now.")
-    ] = None,
+    at: Annotated[str | None, typer.Option(metavar="TIME", help=f"When, {WHEN}; else now.")] = None,
     note: Annotated[str, typer.Option(metavar="TEXT", help="What else there is to say.")] = "",
     database: Database = FILE,
 ) -> None:
@@ -164,37 +151,34 @@ def mark(
     t_ns = time.time_ns() if at is None else _time(at)
     with _open(database, write=True) as history:
         history.mark(Mark(airframe, t_ns, kind, note))
-    say(f"{airframe}: {kind.value}, {day(t_ns)}")
+    say(f"{airframe}: {kind.value}, {shown.day(t_ns)}")
 
 
-def _added(history: "History", log: Log, baseline: Baseline, airframe: str, again: bool) -> str:
-    """Judge and keep one log; what came of it."""
-    there = history.airframe_of(content_of(log))
+def _added(history: "History", answer: Answer, airframe: str, again: bool) -> str:
+    """Keep an answer; what came of it."""
+    verdict, flight = answer.verdict, answer.record.flight
+    if flight is None:
+        return f"error, {verdict.reason}"
+    there = history.airframe_of(flight.content)
     if there is not None and not again:
         return f"is there already, of {there}"
-    record = _judged(log, baseline, airframe)
-    if not history.add(record, again=again):
+    flight = replace(flight, airframe=airframe, log=verdict.log, added_ns=time.time_ns())
+    if not history.add(flight, again=again):
         return "is there already"
-    return f"{'judged again' if there else 'added'}, {record.verdict.value.replace('_', ' ')}, {record.reason}"
-
-
-def _judged(log: Log, baseline: Baseline, airframe: str) -> FlightRecord:
-    judged = judge_in_full(log, baseline)
-    return record_of(log, judged, baseline, airframe=airframe, added_ns=time.time_ns())
+    return f"{'judged again' if there else 'added'}, {verdict.verdict.value.replace('_', ' ')}, {verdict.reason}"
 
 
 def _open(database: str, *, create: bool = False, write: bool = False) -> "AbstractContextManager[History]":
-    """The history. SQLAlchemy is loaded here and nowhere else. Raises UsageError if it is not installed."""
+    """SQLAlchemy is loaded here and nowhere else. Raises UsageError if it is not installed."""
     try:
         store = importlib.import_module("mavdiag.history.store")
     except ImportError as error:
-        raise missing_extra("a history", "SQLAlchemy or Alembic", "history") from error
+        raise missing_extra("a history", "SQLAlchemy", "history") from error
     opened: AbstractContextManager[History] = store.open_history(database, create=create, write=write)
     return opened
 
 
 def _names(history: "History", airframe: str | None) -> Sequence[str]:
-    """The airframes asked for. Raises UsageError for one that is not there."""
     names = history.airframes()
     if airframe is None:
         return names
@@ -204,7 +188,6 @@ def _names(history: "History", airframe: str | None) -> Sequence[str]:
 
 
 def _time(text: str) -> int:
-    """A time as unix epoch [ns]. Raises UsageError, showing the notation."""
     try:
         at = datetime.fromisoformat(text)
     except ValueError as error:
@@ -214,35 +197,18 @@ def _time(text: str) -> int:
 
 
 def _flight_line(number: int, record: FlightRecord) -> str:
-    near = max(
-        ((one.peak / one.threshold, one) for one in record.slots if one.peak is not None),
-        key=lambda pair: pair[0],
-        default=None,
-    )
-    axis = f" {near[1].axis}" if near and near[1].axis else ""
-    nearest = f", {near[1].monitor}{axis} {near[0]:.2f} of its threshold" if near else ""
-    verdict = record.verdict.value.replace("_", " ")
-    told = f"{record.airframe} {number}: {day(record.t_ns)}, {verdict}, judged {record.judged_s:.1f} s{nearest}"
+    told = f"{record.airframe} {number}: {shown.day(record.t_ns)}, {record.verdict.value.replace('_', ' ')}"
+    told += f", judged {record.judged_s:.1f} s"
+    ratios = [(slot.peak / slot.threshold, slot) for slot in record.slots if slot.peak is not None]
+    if ratios:
+        ratio, slot = max(ratios, key=lambda pair: pair[0])
+        told += f", {slot.monitor}{f' {slot.axis}' if slot.axis else ''} {ratio:.2f} of its threshold"
     return f"{told}, {record.log}"
 
 
-def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write rows with a head. What is not known is an empty field. Raises UsageError if it cannot be written."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    write_atomically(path, text.getvalue().encode(errors="surrogateescape"))
-
-
-def _print_lines(one: Overview) -> None:
+def _print_lines(overview: Overview) -> None:
     """Drawn on a terminal, in its width; plain lines elsewhere."""
     drawn = sys.stdout.isatty()
-    width = shutil.get_terminal_size().columns if drawn else None
-    for line in lines_of(one, width):
-        _print_line(line, drawn)
-
-
-def _print_line(line: Line, drawn: bool) -> None:
-    text = printable(line.text)
-    typer.echo(typer.style(text, fg=typer.colors.RED, bold=True) if line.loud and drawn else text)
+    for line in shown.lines_of(overview, shutil.get_terminal_size().columns if drawn else None):
+        text = printable(line.text)
+        typer.echo(typer.style(text, fg=typer.colors.RED, bold=True) if line.loud and drawn else text)

@@ -10,34 +10,19 @@ import typer
 
 from mavdiag.airframe.layout import LAYOUTS
 from mavdiag.airframe.load import BUILTIN
-from mavdiag.archive.paths import logs_named
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
-from mavdiag.commands.options import (
-    Accept,
-    AsJson,
-    AxisChoice,
-    Columns,
-    FromS,
-    MethodChoice,
-    ToS,
-    Vehicle,
-    parse_order,
-    read_part,
-)
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import each, followed, sizes_of
 from mavdiag.face import now, with_airframe
 from mavdiag.identify import Method
 from mavdiag.learning import ALL_MONITORS, LearnOptions, learn
 from mavdiag.learning.damage import accepted
-from mavdiag.logs.csv_columns import is_csv, load_column_map
+from mavdiag.logs.csv_columns import load_column_map
+from mavdiag.logs.part import read_part
 from mavdiag.monitors.run_length import MarginRule, RunLength
 from mavdiag.storage import check_output
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, ThresholdRule
-
-__all__ = ["identify", "make_baseline"]
-
-THESIS = (RunLength.name,)  # the monitor of T 5.5, alone
 
 
 def identify(
@@ -45,11 +30,11 @@ def identify(
         list[Path],
         typer.Argument(help="Logs of healthy flights: .tlog, .bin, .ulg, Crazyflie, DronePropA; folders; patterns."),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")],
-    method: Annotated[MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = MethodChoice.SRIV,
-    order: Annotated[str, typer.Option(metavar="NA,NB,NK", help="Model order.")] = "2,2,1",
-    axis: Annotated[AxisChoice, typer.Option(help="Axes to model and to watch.")] = AxisChoice.BOTH,
-    window: Annotated[float, typer.Option(metavar="S", help="Savitzky-Golay window.")] = 0.1,
+    output: opt.BaselineOutput,
+    method: Annotated[opt.MethodChoice, typer.Option(help="sriv is unbiased under noise.")] = opt.MethodChoice.SRIV,
+    order: opt.Orders = "2,2,1",
+    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to model and to watch.")] = opt.AxisChoice.BOTH,
+    window: opt.WindowS = 0.1,
     margin: Annotated[MarginRule, typer.Option(help="Margin on |r|.")] = MarginRule.PERCENTILE_90,
     monitors: Annotated[
         str, typer.Option(metavar="NAMES", help=f"Comma-separated: {', '.join(ALL_MONITORS)}; or all, or thesis.")
@@ -81,12 +66,12 @@ def identify(
     robust: Annotated[
         bool, typer.Option("--robust", help="Leave out what is no healthy flight (falls, copies) instead of refusing.")
     ] = False,
-    accept: Accept = False,
-    vehicle: Vehicle = None,
-    from_s: FromS = None,
-    to_s: ToS = None,
-    columns: Columns = None,
-    as_json: AsJson = False,
+    accept: opt.Accept = False,
+    vehicle: opt.Vehicle = None,
+    from_s: opt.FromS = None,
+    to_s: opt.ToS = None,
+    columns: opt.Columns = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Fit a baseline to healthy flights, and say what it would notice and what its alarms will cost."""
     check_output(output)
@@ -94,11 +79,11 @@ def identify(
     options = LearnOptions(
         axes=axis.axes,
         method=Method(method.value),
-        order=parse_order(order),
+        order=opt.parse_order(order),
         window_s=window,
         margin_rule=margin,
-        monitors=THESIS if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
-        rule=ThresholdRule.MAXIMUM if thesis else rule,
+        monitors=(RunLength.name,) if thesis else ALL_MONITORS if monitors == "all" else tuple(monitors.split(",")),
+        rule=ThresholdRule.MAXIMUM if thesis else rule,  # thesis: the monitor of T 5.5, alone
         alarms_per_hour=alarms_per_hour,
         sessions=sessions,
         robust=robust,
@@ -110,12 +95,11 @@ def identify(
     if not accept:
         accepted(baseline, "--accept")
     baseline.save(output)
-    if baseline.layout_doubt and as_json:
+    if not as_json:
+        return say(f"{baseline}\nwritten to {output}")
+    if baseline.layout_doubt:
         say(baseline.layout_doubt, err=True)
-    if as_json:
-        typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
-    else:
-        say(f"{baseline}\nwritten to {output}")
+    return typer.echo(json.dumps(baseline.model_dump(mode="json", by_alias=True)))
 
 
 def make_baseline(
@@ -132,7 +116,7 @@ def make_baseline(
     logs: files, folders with all logs below them, patterns. columns: column map, where they are CSV recordings.
     """
     mapped = None if columns is None else load_column_map(columns)
-    found = logs_named(logs) if mapped is None else logs_named(logs, is_csv)
+    found = opt.find_logs(logs, mapped)
     if found.skipped:
         say(found.skipped_sentence, err=True)
     paths = found.paths()

@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -15,9 +15,9 @@ import typer
 from typer.core import TyperGroup
 
 from mavdiag import commandline
-from mavdiag.as_json import json_line, plain
+from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
-from mavdiag.commands.options import AsJson, AxisChoice, MethodChoice, Vehicle, parse_order
+from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
 from mavdiag.errors import BaselineError, IdentificationError, InputError, UsageError
 from mavdiag.face import FlightRates, rates, read_log
@@ -32,9 +32,7 @@ from mavdiag.identify.validate import ResidualReport, examine_residual, one_step
 from mavdiag.logs.log import LOG_BYTES
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output, open_regular
-from mavdiag.telemetry import Axis, Log
-
-__all__ = ["Over", "app", "compare_models", "models_of", "show", "sweep", "track"]
+from mavdiag.telemetry import Axis, FloatArray, Log
 
 SETTLE_S = 1.0  # of each stretch that the fit figures leave out: it may begin in motion
 WINDOWS_S = (0.02, 0.05, 0.1, 0.2, 0.4)
@@ -45,8 +43,6 @@ PASSED = 0.5  # cycles a window: above it the slope and the smoothing filter no 
 
 
 class _ShowByDefault(TyperGroup):
-    """`mavdiag model FILE` means `mavdiag model show FILE`."""
-
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "--help"):
             args = ["show", *args]
@@ -59,9 +55,7 @@ app = commandline.application(
 
 LogFile: TypeAlias = Annotated[Path, typer.Argument(metavar="LOG", help="Log of a flight.")]
 OneAxis: TypeAlias = Annotated[Axis, typer.Option(help="Body axis.")]
-Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", help="Model order.")]
-Methods: TypeAlias = Annotated[MethodChoice, typer.Option("--method", help="How the model is fitted.")]
-WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help="Savitzky-Golay window.")]
+Methods: TypeAlias = Annotated[opt.MethodChoice, typer.Option("--method", help="How the model is fitted.")]
 
 
 def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
@@ -76,37 +70,36 @@ def models_of(baseline: Baseline) -> dict[Axis, ModelRecord]:
 @app.command()
 def show(
     file: Annotated[Path, typer.Argument(metavar="BASELINE|LOG", help="Baseline, or log to fit a model to.")],
-    axis: Annotated[AxisChoice, typer.Option(help="Axes to show.")] = AxisChoice.BOTH,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
+    axis: Annotated[opt.AxisChoice, typer.Option(help="Axes to show.")] = opt.AxisChoice.BOTH,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE.svg", help="Draw Bode, step response, poles, residual correlation.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Print poles, damping, bandwidth, margins and DC gain with standard errors. Options of the fit are for a log."""
     if plot is not None:
         check_output(plot)
     if _is_baseline(file):
-        models = {one: record.model() for one, record in models_of(Baseline.load(file)).items() if one in axis.axes}
+        models = {name: record.model() for name, record in models_of(Baseline.load(file)).items() if name in axis.axes}
         if not models:
             raise UsageError(f"{file}: has no model of the {axis} axis; choose another --axis")
         flights: dict[Axis, FlightRates] = {}
     else:
         log = read_log(file, vehicle=vehicle)
-        flights = {one: rates(log, one, window) for one in axis.axes}
-        models = {one: _fitted(flight, order, method) for one, flight in flights.items()}
-    for one, model in models.items():
+        flights = {name: rates(log, name, window) for name in axis.axes}
+        models = {name: _fitted(flight, order, method) for name, flight in flights.items()}
+    for name, model in models.items():
         figures = model_figures(model)
-        typer.echo(json_line(_as_json(one, model, figures)) if as_json else "\n".join(_lines(one, model, figures)))
+        told = {"axis": name, **asdict(ModelRecord.of(model)), **asdict(figures)}
+        typer.echo(json_line(told) if as_json else "\n".join(_lines(name, model, figures)))
         if plot is not None:
-            path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{one}")
-            flight = flights.get(one)
-            residual = None if flight is None else _residual(model, flight)
-            measured = None if flight is None else _response(flight, window)
-            draw_model(path, model, f"{file.name}, {one}", residual=residual, measured=measured)
+            path = plot if len(models) == 1 else plot.with_stem(f"{plot.stem}-{name}")
+            shown = (_residual(model, flights[name]), _response(flights[name], window)) if flights else (None, None)
+            draw_model(path, model, f"{file.name}, {name}", residual=shown[0], measured=shown[1])
 
 
 class Over(StrEnum):
@@ -124,44 +117,58 @@ def sweep(
     validation: Annotated[
         Path | None, typer.Option("--validate", metavar="LOG", help="Another flight, that decides.")
     ] = None,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Fit one model for each order or filter window; the best fit with the best known parameters is marked."""
     train = read_log(log, vehicle=vehicle)
     other = None if validation is None else read_log(validation, vehicle=vehicle)
+    dt_s, chosen = rates(train, axis).dt_s, opt.parse_order(order)
+
+    def pair(source: Log, window_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
+        flight = rates(source, axis, window_s)
+        return flight.u, flight.y
+
     with working("fitting a model for each; this takes a minute or more ..."):
         if over is Over.ORDER:
-            flight = rates(train, axis, window)
-            held_out = None if other is None else _pair(rates(other, axis, window))
-            rows = order_sweep(_pair(flight), held_out, dt=flight.dt_s, method=method.value)
+            held_out = None if other is None else pair(other, window)
+            rows = order_sweep(pair(train, window), held_out, dt=dt_s, method=method.value)
         else:
-            rows = _windows(train, other, axis, order, method)
+            samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
+            rows = window_sweep(
+                lambda n: pair(train, n * dt_s),
+                samples,
+                dt=dt_s,
+                order=chosen,
+                method=method.value,
+                prepare_validation=None if other is None else lambda n: pair(other, n * dt_s),
+            )
     best = best_row(rows)
-    ranked = sorted(rows, key=lambda row: (row is best, row.score), reverse=True)
-    known = [_sweep_line(row, best=row is best) for row in ranked if row.model is not None]
-    _print([_sweep_line(row, best=row is best) for row in rows] if as_json else known[:SHOWN_ROWS], as_json=as_json)
-    if not as_json:
-        typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
+    if as_json:
+        return _print([_sweep_line(row, best=row is best) for row in rows], as_json=True)
+    known = sorted((row for row in rows if row.model), key=lambda row: (row is best, row.score), reverse=True)
+    _print([_sweep_line(row, best=row is best) for row in known[:SHOWN_ROWS]], as_json=False)
+    typer.echo(f"{len(rows) - len(known)} of {len(rows)} could not be identified; --json prints all, with reasons")
+    return None
 
 
 @app.command(name="compare")
 def compare_models(
     log: LogFile,
     axis: OneAxis = Axis.ROLL,
-    order: Orders = "2,2,1",
-    method: Methods = MethodChoice.SRIV,
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    method: Methods = opt.MethodChoice.SRIV,
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Compare the fit, and the thesis's published model, with the frequency response that the data show."""
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     models = {f"fit {method} {order}": _fitted(flight, order, method)}
-    published = {one.axis: one for one in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
+    published = {model.axis: model for model in (THESIS_ROLL, THESIS_PITCH)}.get(axis)
     if published is not None and math.isclose(flight.dt_s, ASSUMED_DT_S, rel_tol=0.02):
         models[published.source] = published.scaled
     measured = _response(flight, window)
@@ -182,10 +189,10 @@ def track(
     axis: OneAxis = Axis.ROLL,
     every: Annotated[float, typer.Option(metavar="S", help="Flight time between two lines.")] = 5.0,
     memory: Annotated[float, typer.Option(metavar="S", help="Memory of the estimate.")] = 10.0,
-    order: Orders = "2,2,1",
-    window: WindowS = 0.1,
-    vehicle: Vehicle = None,
-    as_json: AsJson = False,
+    order: opt.Orders = "2,2,1",
+    window: opt.WindowS = 0.1,
+    vehicle: opt.Vehicle = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Follow the model through a flight by recursive least squares with forgetting: does the airframe change?
 
@@ -194,12 +201,18 @@ def track(
     flight = rates(read_log(log, vehicle=vehicle), axis, window)
     if not (every >= flight.dt_s and memory > flight.dt_s):
         raise UsageError(f"--every and --memory must be longer than the sample time of {flight.dt_s:g} s")
-    lines = []
-    for t_s, model in _tracked(flight, every, memory, parse_order(order)):
-        found = model_figures(model)
-        slowest = found.poles[0]
-        figures = {"dc_gain": found.dc_gain, "pole_hz": slowest.natural_hz, "damping": slowest.damping}
-        lines.append({"flight_s": round(t_s, 3), **figures, "stable": model.stable})
+    spec = recursive.RecursiveSpec(opt.parse_order(order), forgetting=1.0 - flight.dt_s / memory)
+    state, count, flown, lines = recursive.start(spec), max(1, round(every / flight.dt_s)), 0, []
+    for u, y in zip(flight.u, flight.y, strict=True):
+        state = recursive.new_segment(state)
+        for first in range(0, len(u), count):
+            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
+            flown += len(u[first : first + count])
+            model = recursive.snapshot(spec, state, flight.dt_s)
+            found = model_figures(model)
+            figures = {"pole_hz": found.poles[0].natural_hz, "damping": found.poles[0].damping}  # of the slowest
+            line = {"flight_s": round(flown * flight.dt_s, 3), "dc_gain": found.dc_gain}
+            lines.append({**line, **figures, "stable": model.stable})
     _print(lines, as_json=as_json)
 
 
@@ -212,12 +225,10 @@ def _is_baseline(file: Path) -> bool:
         return False  # the reader of logs says what is wrong with it
 
 
-def _fitted(flight: FlightRates, order: str, method: MethodChoice) -> ArxModel:
-    return fit(flight.u, flight.y, parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S)
-
-
-def _pair(flight: FlightRates) -> tuple[list[Any], list[Any]]:
-    return flight.u, flight.y
+def _fitted(flight: FlightRates, order: str, method: opt.MethodChoice) -> ArxModel:
+    return fit(
+        flight.u, flight.y, opt.parse_order(order), dt=flight.dt_s, method=Method(method.value), settle_s=SETTLE_S
+    )
 
 
 def _residual(model: ArxModel, flight: FlightRates) -> ResidualReport:
@@ -240,45 +251,12 @@ def _response(flight: FlightRates, window_s: float) -> FrequencyResponse | None:
     return FrequencyResponse(*cut, found.averages)
 
 
-def _windows(train: Log, other: Log | None, axis: Axis, order: str, method: MethodChoice) -> tuple[SweepRow, ...]:
-    dt_s = rates(train, axis).dt_s
-    samples = sorted({max(round(seconds / dt_s) | 1, MIN_WINDOW) for seconds in WINDOWS_S})
-    return window_sweep(
-        lambda n: _pair(rates(train, axis, n * dt_s)),
-        samples,
-        dt=dt_s,
-        order=parse_order(order),
-        method=method.value,
-        prepare_validation=None if other is None else lambda n: _pair(rates(other, axis, n * dt_s)),
-    )
-
-
-def _tracked(
-    flight: FlightRates, every_s: float, memory_s: float, order: tuple[int, int, int]
-) -> Iterable[tuple[float, ArxModel]]:
-    """Flight time [s] and the model at that time."""
-    spec = recursive.RecursiveSpec(order, forgetting=1.0 - flight.dt_s / memory_s)
-    state, count, flown = recursive.start(spec), max(1, round(every_s / flight.dt_s)), 0
-    for u, y in zip(flight.u, flight.y, strict=True):
-        state = recursive.new_segment(state)
-        for first in range(0, len(u), count):
-            state = recursive.step(spec, state, u[first : first + count], y[first : first + count])
-            flown += len(u[first : first + count])
-            yield flown * flight.dt_s, recursive.snapshot(spec, state, flight.dt_s)
-
-
-def _as_json(axis: Axis, model: ArxModel, figures: ModelFigures) -> dict[str, Any]:
-    return {"axis": axis, **asdict(ModelRecord.of(model)), **asdict(figures)}
-
-
 def _lines(axis: Axis, model: ArxModel, figures: ModelFigures) -> list[str]:
     order = ",".join(map(str, model.order))
     lines = [f"{axis}: {model.method} {order}, {1 / model.dt:.1f} Hz, R_T2 {model.r2t:.4f}, {model.samples} samples"]
-    for one in figures.poles:
-        pair = "" if not one.imaginary.value else f" ± j ({_text(one.imaginary)})"
-        lines.append(
-            f"  pole            {_text(one.real)}{pair}: {_text(one.natural_hz)} Hz, damping {_text(one.damping)}"
-        )
+    for pole in figures.poles:
+        place = _text(pole.real) + (f" ± j ({_text(pole.imaginary)})" if pole.imaginary.value else "")
+        lines.append(f"  pole            {place}: {_text(pole.natural_hz)} Hz, damping {_text(pole.damping)}")
     named = (
         ("DC gain", figures.dc_gain, ""),
         ("bandwidth", figures.bandwidth_hz, " Hz (-3 dB)"),
@@ -310,7 +288,6 @@ def _sweep_line(row: SweepRow, *, best: bool) -> dict[str, Any]:
 
 
 def _print(lines: Sequence[dict[str, Any]], *, as_json: bool) -> None:
-    """Lines of equal keys, as JSON objects or as a table."""
     from rich.console import Console
     from rich.table import Table
 

@@ -1,57 +1,58 @@
 """Options that several commands share, and how they become values."""
 
 import re
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import typer
 
+from mavdiag.archive.paths import Found, logs_named
 from mavdiag.errors import UsageError
 from mavdiag.identify import Order
-from mavdiag.logs.part import between, read_part
+from mavdiag.logs.csv_columns import is_csv
+from mavdiag.logs.part import between as between
+from mavdiag.logs.part import read_part as read_part
 from mavdiag.telemetry import Axis
-
-__all__ = [
-    "Accept",
-    "AsJson",
-    "AxisChoice",
-    "Columns",
-    "FromS",
-    "Layout",
-    "MethodChoice",
-    "ToS",
-    "Vehicle",
-    "between",
-    "is_endpoint",
-    "parse_order",
-    "read_part",
-]
-
-_SCHEME = re.compile(r"[a-z]{2,}:")
 
 Accept: TypeAlias = Annotated[
     bool,
     typer.Option("--accept", help="Write a baseline of grade D, too: its flights speak against it, or it is blind."),
 ]
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON, one object a line.")]
-Layout: TypeAlias = Annotated[
-    str | None, typer.Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
+BaselineFile: TypeAlias = Annotated[Path, typer.Option(help="Baseline made by `mavdiag identify`.")]
+BaselineOutput: TypeAlias = Annotated[Path, typer.Option("-o", "--output", help="Baseline file to write.")]
+CacheFolder: TypeAlias = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Keep answers there.  [default: ~/.cache/mavdiag]")
 ]
-Vehicle: TypeAlias = Annotated[
-    int | None, typer.Option(metavar="SYSID", help="System id, where a .tlog or a link carries several.")
-]
-FromS: TypeAlias = Annotated[
-    float | None, typer.Option("--from", metavar="S", help="Start at this time of the vehicle's clock.")
-]
-ToS: TypeAlias = Annotated[
-    float | None, typer.Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")
-]
-
 Columns: TypeAlias = Annotated[
     Path | None,
     typer.Option(metavar="MAP.toml", help="The logs are CSV recordings; the file says which column is what."),
 ]
+FromS: TypeAlias = Annotated[
+    float | None, typer.Option("--from", metavar="S", help="Start at this time of the vehicle's clock.")
+]
+Jobs: TypeAlias = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Worker processes.  [default: as many as processors]")
+]
+Layout: TypeAlias = Annotated[
+    str | None, typer.Option("--layout", "--frame", metavar="NAME", help="Rotor layout.  [default: what is found]")
+]
+NoCache: TypeAlias = Annotated[bool, typer.Option("--no-cache", help="Judge all anew, and keep nothing.")]
+Orders: TypeAlias = Annotated[str, typer.Option("--order", metavar="NA,NB,NK", help="Model order.")]
+Scheduler: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Judge on the workers of this Dask scheduler instead.")
+]
+ToS: TypeAlias = Annotated[
+    float | None, typer.Option("--to", metavar="S", help="Stop at this time of the vehicle's clock.")
+]
+Vehicle: TypeAlias = Annotated[
+    int | None, typer.Option(metavar="SYSID", help="System id, where a .tlog or a link carries several.")
+]
+WindowS: TypeAlias = Annotated[float, typer.Option("--window", metavar="S", help="Savitzky-Golay window.")]
+
+_SCHEME = re.compile(r"[a-z]{2,}:")
 
 
 class AxisChoice(StrEnum):
@@ -93,3 +94,8 @@ def is_endpoint(source: str) -> bool:
     (True, True, False)
     """
     return (source.startswith("/dev/") or _SCHEME.match(source) is not None) and not Path(source).is_file()
+
+
+def find_logs(arguments: Sequence[Path], columns: object = None) -> Found:
+    """The logs that arguments name; CSV recordings where there is a column map."""
+    return logs_named(arguments) if columns is None else logs_named(arguments, is_csv)

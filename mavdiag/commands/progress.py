@@ -6,17 +6,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mavdiag.commandline import say
 
-__all__ = ["Shown", "each", "followed", "shown", "sizes_of", "told", "working"]
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 T = TypeVar("T")
 FIRST_LINE_S, LINE_S = 10.0, 30.0  # a log file of a nightly run is not filled with lines (our choice)
 SLOW_S = 2.0  # without a word is long for who waits (our choice)
 BAR = 24  # characters
-REDRAW_S = 0.1
 
 
 def told(done: int, total: int, share: float, elapsed_s: float) -> str:
@@ -44,63 +44,49 @@ class Shown:
 
     def __init__(self, text: str, sizes: Sequence[float], quiet: bool) -> None:
         self._text, self._total, self._work = text, len(sizes), sum(sizes) or 1.0
-        self._done, self._finished = 0, 0.0
-        self._started = self._drawn = self._shown = time.monotonic()
-        self._terminal = sys.stderr.isatty()
-        self._next_s = float("inf") if quiet or self._terminal else FIRST_LINE_S
-        self._terminal &= len(sizes) > 1  # nothing to count
-        self._mixed = self._terminal and sys.stdout.isatty()
-        if self._terminal:
-            self._draw(self._started)
+        self._done, self._finished, self._started = 0, 0.0, time.monotonic()
+        self._next_s = float("inf") if quiet or sys.stderr.isatty() else FIRST_LINE_S
+        self._bar = _bar(text, self._work) if sys.stderr.isatty() and len(sizes) > 1 else None
+        self._mixed = self._bar is not None and sys.stdout.isatty()
+        if self._bar is not None:
+            self._bar.start()
 
     def add(self, size: float) -> None:
         """One more item is done; size: its own, of `sizes`."""
         self._done += 1
         self._finished += size
-        now = time.monotonic()
-        if self._terminal and (now - self._drawn >= REDRAW_S or self._done == 1):
-            self._drawn = now
-            self._draw(now)
-        elif now - self._started >= self._next_s and self._done < self._total:
-            self._next_s = now - self._started + LINE_S
-            say(f"{self._text}: {self._words(now)}", err=True)
+        elapsed_s = time.monotonic() - self._started
+        words = told(self._done, self._total, self._finished / self._work, elapsed_s)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=self._finished, words=words)
+        elif elapsed_s >= self._next_s and self._done < self._total:
+            self._next_s = elapsed_s + LINE_S
+            say(f"{self._text}: {words}", err=True)
 
-    @contextmanager
-    def cleared(self) -> Iterator[None]:
-        """Take the bar away while lines are printed on the same terminal."""
-        if self._mixed:
-            self._erase()
-        yield
-        now = time.monotonic()
-        if self._mixed and now - self._shown >= REDRAW_S:
-            self._shown = now
-            self._draw(now)
+    def say(self, text: str, *, err: bool = False) -> None:
+        """Print lines, without the bar if they are for the same terminal."""
+        if self._bar is None or not (self._mixed or err):
+            return say(text, err=err)
+        self._bar.stop()
+        say(text, err=err)
+        return self._bar.start()
 
     def end(self) -> None:
         """Take the bar away for good."""
-        if self._terminal:
-            self._erase()
+        if self._bar is not None:
+            self._bar.stop()
 
-    def _words(self, now: float) -> str:
-        return told(self._done, self._total, self._finished / self._work, now - self._started)
 
-    def _draw(self, now: float) -> None:
-        """One line, never longer than the terminal: whatever is printed afterwards begins where it stood."""
-        from rich.console import Console
-        from rich.text import Text
+def _bar(text: str, work: float) -> "Progress":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.table import Column
 
-        console = Console(stderr=True)
-        mark = "━" if console.encoding.startswith("utf") else "#"
-        full = min(BAR, int(BAR * self._finished / self._work))
-        bar = Text.assemble((mark * full, "bar.complete"), (mark * (BAR - full), "bar.back"))
-        line = Text.assemble(f"{self._text} ", bar, f" {self._words(now)}")
-        line.truncate(max(1, console.width - 1))
-        self._erase()
-        console.print(line, end="", soft_wrap=True)
-
-    def _erase(self) -> None:
-        sys.stderr.write("\r\x1b[2K")
-        sys.stderr.flush()
+    words = TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True))
+    columns = (TextColumn("{task.description}"), BarColumn(BAR), words)
+    bar = Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False, redirect_stderr=False)
+    bar.add_task(text, total=work, words="")
+    return bar
 
 
 @contextmanager
@@ -130,7 +116,7 @@ def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) ->
     if len(items) < 2:
         yield from items
         return
-    work = tuple(1.0 for _ in items) if sizes is None else sizes
+    work = sizes or [1.0] * len(items)
     with shown(text, work) as progress:
         for item, size in zip(items, work, strict=True):
             yield item
@@ -140,29 +126,29 @@ def each(items: Sequence[T], text: str, sizes: Sequence[float] | None = None) ->
 @contextmanager
 def working(text: str) -> Iterator[None]:
     """A spinner while the block runs; where no terminal is, a line if it takes more than SLOW_S."""
-    if not sys.stderr.isatty():
-        line = Timer(SLOW_S, say, (text,), {"err": True})
-        line.daemon = True
-        line.start()
-        try:
-            yield
-        finally:
-            line.cancel()
-            line.join()
-        return
-    from rich.console import Console
+    if sys.stderr.isatty():
+        from rich.console import Console
 
-    with Console(stderr=True).status(text):
+        with Console(stderr=True).status(text):
+            yield
+        return
+    line = Timer(SLOW_S, say, (text,), {"err": True})
+    line.daemon = True
+    line.start()
+    try:
         yield
+    finally:
+        line.cancel()
+        line.join()
 
 
 @contextmanager
 def followed(items: Iterable[T], text: str) -> Iterator[Iterator[T]]:
     """The items, to be taken one by one; a spinner from the last one on, until the block ends."""
-    with ExitStack() as shown:
+    with ExitStack() as stack:
 
         def taken() -> Iterator[T]:
             yield from items
-            shown.enter_context(working(text))
+            stack.enter_context(working(text))
 
         yield taken()

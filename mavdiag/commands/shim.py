@@ -11,8 +11,6 @@ from mavdiag.link.ports import Endpoint, open_endpoint, wait
 from mavdiag.link.ports.stream import frame_length
 from mavdiag.link.shim import Impairment, Shim, ShimCount
 
-__all__ = ["Passage", "frames_of", "shim"]
-
 LOOK_S = 0.001  # how often it looks whether a message is due
 
 

@@ -22,8 +22,6 @@ import numpy as np
 from mavdiag.history.trend import Sessions, scale_of_steps
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["LIMIT", "Change", "changes_of"]
-
 LIMIT = 5.0  # of |t| (tuned on emulated and drawn healthy histories)
 WINDOW = 30.0  # flights on either side (our choice)
 LEAST_SESSIONS = 3  # on either side
@@ -56,10 +54,9 @@ def changes_of(sessions: Sessions) -> tuple[Change, ...]:
     y, cuts, found = _held(sessions.share, scale / np.sqrt(sessions.weight)), [0, m], list[Change]()
     while True:
         tests = [_test(sessions, y, scale, k, cuts) for k in range(LEAST_SESSIONS, m - LEAST_SESSIONS + 1)]
-        known = [one for one in tests if one is not None]
-        best = max(known, key=lambda one: abs(one[1].t), default=None)
+        best = max((test for test in tests if test is not None), key=lambda test: abs(test[1].t), default=None)
         if best is None or abs(best[1].t) < LIMIT:
-            return tuple(sorted(found, key=lambda one: one.number))
+            return tuple(sorted(found, key=lambda change: change.number))
         found.append(best[1])
         cuts = sorted((*cuts, best[0]))
 
@@ -83,7 +80,6 @@ def _test(sessions: Sessions, y: FloatArray, scale: float, k: int, cuts: list[in
 
 
 def _held(y: FloatArray, scale: FloatArray) -> FloatArray:
-    """y with odd sessions brought to within three scales of the running median of five."""
     padded = np.pad(y, 2, mode="edge")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     held: FloatArray = np.clip(y, middle - ODD * scale, middle + ODD * scale)

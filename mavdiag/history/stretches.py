@@ -5,21 +5,37 @@ A trend does not go on over new propellers, a repair or another baseline: there 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.baseline import SESSION_GAP_NS
-from mavdiag.history.records import FlightRecord, Mark
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, FloatArray, IntArray
 
-__all__ = ["WATCHED", "Series", "Stretch", "series_of", "stretches_of"]
-
 STEPS = ("trim_step",)  # shows what happens within a flight; wear does not raise it
-WATCHED = tuple(name for name, one in BY_NAME.items() if one.kind is FaultKind.PROPELLER and name not in STEPS)
+WATCHED = tuple(name for name, monitor in BY_NAME.items() if monitor.kind is FaultKind.PROPELLER and name not in STEPS)
 """The monitors whose trend is watched: those of propellers."""
+
+
+class MarkKind(StrEnum):
+    """What was done to an airframe between flights. No trend goes on over it."""
+
+    NEW_PROPELLERS = "new propellers"
+    REPAIR = "repair"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A maintenance mark. t_ns: when it was done, unix epoch [ns]. note: what else there is to say."""
+
+    airframe: str
+    t_ns: int
+    kind: MarkKind
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +59,7 @@ class Series:
     threshold: the highest that judged any of them: that of a flight on another day than the healthy ones.
     number: (n,) of the flight in its stretch, from 1.
     session: (n,) which session it is of; flights within an hour are of one.
-    peak, median: (n,) of the statistic; NaN where it was not judged.
+    peak: (n,) of the statistic; NaN where it was not judged.
     """
 
     monitor: str
@@ -53,7 +69,6 @@ class Series:
     number: IntArray
     session: IntArray
     peak: FloatArray
-    median: FloatArray
 
     @property
     def name(self) -> str:
@@ -93,31 +108,16 @@ def _reasons(marks: Sequence[Mark]) -> str:
 def series_of(stretch: Stretch) -> tuple[Series, ...]:
     """The series of the watched monitors that judged at least one flight, in the order of the baseline."""
     flights, n = stretch.flights, len(stretch.flights)
-    times = np.array([one.t_ns if one.started_ns else 0 for one in flights], dtype=np.int64)
+    times = np.array([flight.started_ns for flight in flights], dtype=np.int64)
     known = (times[1:] > 0) & (times[:-1] > 0)
     apart = ~known | (np.diff(times) > SESSION_GAP_NS)
     session = np.concatenate(([0], np.cumsum(apart))).astype(np.int64)[:n]
-    keys = dict.fromkeys((s.monitor, s.axis) for one in flights for s in one.slots if s.monitor in WATCHED)
+    figures = [{(slot.monitor, slot.axis): slot for slot in flight.slots} for flight in flights]
     found = []
-    for monitor, axis in keys:
-        slots = [next((s for s in one.slots if (s.monitor, s.axis) == (monitor, axis)), None) for one in flights]
-        there = [slot for slot in slots if slot is not None]
-        if all(slot.peak is None for slot in there):
-            continue
-        found.append(
-            Series(
-                monitor=monitor,
-                axis=axis,
-                unit=there[-1].unit,
-                threshold=max(slot.threshold for slot in there),
-                number=np.arange(1, n + 1),
-                session=session,
-                peak=_column([None if slot is None else slot.peak for slot in slots]),
-                median=_column([None if slot is None else slot.median for slot in slots]),
-            )
-        )
+    for key in dict.fromkeys(key for slots in figures for key in slots if key[0] in WATCHED):
+        there = [slots[key] for slots in figures if key in slots]
+        peak = np.array([slots[key].peak if key in slots else None for slots in figures], dtype=np.float64)
+        if np.isfinite(peak).any():
+            threshold = max(slot.threshold for slot in there)
+            found.append(Series(*key, there[-1].unit, threshold, np.arange(1, n + 1), session, peak))
     return tuple(found)
-
-
-def _column(values: Sequence[float | None]) -> FloatArray:
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -28,8 +28,6 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray, IntArray
 
-__all__ = ["MEMORY", "Remaining", "Sessions", "Trend", "scale_of_steps", "sessions_of", "trend_of"]
-
 MEMORY = 14.0  # flights after which a session counts 1/e (tuned, see `warn`)
 LEAST_SESSIONS = 5  # fewer show no trend (our choice)
 LEAST_SCALE = 0.01  # of the threshold: smallest scatter that is believed (our choice)
@@ -88,16 +86,6 @@ class Trend:
     scale: float
     sessions: int
 
-    @property
-    def significance(self) -> float:
-        """The growth in its own standard errors."""
-        return self.slope / math.sqrt(self.slope_variance)
-
-    def forecast(self, flights: float) -> tuple[float, float]:
-        """Level so many flights from now, and its standard error."""
-        variance = self.level_variance + 2 * flights * self.covariance + flights**2 * self.slope_variance
-        return self.level + self.slope * flights, math.sqrt(max(variance, 0.0))
-
     def remaining(self, quantile: float = NORMAL_90) -> Remaining | None:
         """Flights until the level is the threshold; None if it does not grow. quantile: of the normal law.
 
@@ -130,12 +118,10 @@ def sessions_of(number: Sequence[int] | IntArray, session: Sequence[int] | IntAr
     """
     known = np.isfinite(share)
     x, y, group = np.asarray(number, dtype=np.float64)[known], share[known], np.asarray(session)[known]
-    if len(y) == 0:
-        return Sessions(np.empty(0), np.empty(0), np.empty(0))
     cuts = np.flatnonzero(np.diff(group)) + 1
-    flights = np.diff(np.concatenate(([0], cuts, [len(y)]))).astype(np.float64)
-    means = np.add.reduceat(x, np.concatenate(([0], cuts))) / flights
-    return Sessions(means, np.array([_median(part) for part in np.split(y, cuts)]), flights)
+    parts = [part for part in zip(np.split(x, cuts), np.split(y, cuts), strict=True) if len(part[0])]
+    found = np.array([(xs.mean(), np.median(ys), len(xs)) for xs, ys in parts]).reshape(-1, 3)
+    return Sessions(*found.T)
 
 
 def trend_of(sessions: Sessions, now: float) -> Trend | None:
@@ -143,50 +129,25 @@ def trend_of(sessions: Sessions, now: float) -> Trend | None:
     if len(sessions) < LEAST_SESSIONS:
         return None
     x, y, base = sessions.number - now, sessions.share, sessions.weight
-    recent = base * np.exp(x / MEMORY)
+    X, recent = np.column_stack((np.ones(len(x)), x)), base * np.exp(x / MEMORY)
     steps = scale_of_steps(sessions)
     h = np.ones(len(y))
     for _ in range(ROUNDS):
         w = h * recent
-        level, slope, inverse = _line(x, y, w)
-        r = (y - level - slope * x) * np.sqrt(base)
+        inverse = np.linalg.inv((X.T * w) @ X)
+        line = inverse @ (X.T @ (w * y))
+        r = (y - X @ line) * np.sqrt(base)
         scale = max(MAD * _weighted_median(np.abs(r), recent), steps, LEAST_SCALE)
         h = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(r), 1e-12))
-    a, b, c = _spread(x, w, base, inverse)
-    variance = scale**2
-    return Trend(level, slope, variance * a, variance * b, variance * c, scale, len(y))
-
-
-def _line(x: FloatArray, y: FloatArray, w: FloatArray) -> tuple[float, float, tuple[float, float, float]]:
-    """Intercept, slope, and the inverse of X'WX."""
-    s0, s1, s2 = float(w.sum()), float(w @ x), float(w @ (x * x))
-    t0, t1 = float(w @ y), float(w @ (x * y))
-    det = s0 * s2 - s1 * s1
-    inverse = s2 / det, -s1 / det, s0 / det
-    return inverse[0] * t0 + inverse[1] * t1, inverse[1] * t0 + inverse[2] * t1, inverse
-
-
-def _spread(
-    x: FloatArray, w: FloatArray, base: FloatArray, inverse: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """(X'WX)^-1 X'W V W X (X'WX)^-1 for V = diag(1/base), as its three entries."""
-    u = w * w / base
-    M = np.array([[u.sum(), u @ x], [u @ x, u @ (x * x)]])
-    A = np.array([[inverse[0], inverse[1]], [inverse[1], inverse[2]]])
-    C = A @ M @ A
-    return float(C[0, 0]), float(C[0, 1]), float(C[1, 1])
+    root = X * (w / np.sqrt(base))[:, None]
+    (a, b), (_, c) = (scale**2 * inverse @ (root.T @ root) @ inverse).tolist()
+    return Trend(float(line[0]), float(line[1]), a, b, c, scale, len(y))
 
 
 def scale_of_steps(sessions: Sessions) -> float:
     """Standard deviation of a session of one flight, from the steps between neighbours."""
     spread = np.sqrt(1 / sessions.weight[1:] + 1 / sessions.weight[:-1])
-    return MAD * _median(np.abs(np.diff(sessions.share)) / spread)
-
-
-def _median(values: FloatArray) -> float:
-    """As `numpy.median`, quicker for the few values of a session."""
-    ordered, half = np.sort(values), len(values) // 2
-    return float(ordered[half]) if len(values) % 2 else float(ordered[half - 1] + ordered[half]) / 2
+    return MAD * float(np.median(np.abs(np.diff(sessions.share)) / spread))
 
 
 def _weighted_median(values: FloatArray, weight: FloatArray) -> float:

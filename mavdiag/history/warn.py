@@ -1,4 +1,4 @@
-"""When to warn that a trend reaches its threshold. Pure; the policy is values, and its price is stated.
+"""All that is found of an airframe, and when to warn that a trend reaches its threshold. Pure.
 
 With a the present level, b its growth a flight, r the level of the stretch's first flights (all shares of the
 threshold, `trend`), a statistic is warned of if it is so at each of the last three flights that it judged:
@@ -9,7 +9,7 @@ threshold, `trend`), a statistic is warned of if it is so at each of the last th
     q - r >= HALF (1 - r)                 and so is the median q of the last ten flights, in part.
 
 Without the second a jump, which looks steep at first, would be warned of at once; without the third a healthy statistic
-that is always near its threshold. A warning stands until the level falls back below 0.6 of the way.
+that is always near its threshold. A warning stands until the level falls back below KEPT of the way.
 
 **Its price** (benchmarks/history_wear.py, docs/results.md): the figures were fitted to drawn histories whose wear
 reaches the threshold after 150 flights, and judged by others. Of healthy airframes with scatter as recorded fewer than
@@ -18,41 +18,27 @@ warning, and wear that slows down is warned of early. The first 20 flights of a 
 warned of. A warning does not say which rotor it is, or why.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
+from mavdiag.archive.figures import FlightRecord
 from mavdiag.history.changes import Change, changes_of
-from mavdiag.history.stretches import Series
+from mavdiag.history.stretches import Mark, Series, Stretch, series_of, stretches_of
 from mavdiag.history.trend import Remaining, Trend, sessions_of, trend_of
+from mavdiag.judging import Verdict
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["POLICY", "WARNS", "Outlook", "Policy", "Review", "review", "warned_at"]
-
-
-@dataclass(frozen=True, slots=True)
-class Policy:
-    """The figures of the rule.
-
-    horizon: flights ahead. progress: share of the way that must be gone. grown: scatters of a session.
-    first: flights at the beginning of a stretch whose median is its first level.
-    confirmed: flights that must agree.
-    half, recent: share of the way that the median of so many flights must have gone.
-    kept: share of the way below which the level must fall back for a warning to be over.
-    """
-
-    horizon: float = 40.0
-    progress: float = 0.8
-    grown: float = 1.5
-    first: int = 20
-    confirmed: int = 3
-    half: float = 0.5
-    recent: int = 10
-    kept: float = 0.6
-
-
-POLICY = Policy()
+HORIZON = 40.0  # flights ahead
+PROGRESS = 0.8  # share of the way that must be gone
+GROWN = 1.5  # scatters of a session
+FIRST = 20  # flights at the beginning of a stretch whose median is its first level
+CONFIRMED = 3  # flights that must agree
+HALF, RECENT = 0.5, 10  # share of the way that the median of so many flights must have gone
+KEPT = 0.6  # share of the way below which the level must fall back for a warning to be over
+FEW = 10  # flights at either end of a stretch whose medians are compared (our choice)
 SURE = 3.0  # standard errors of the level from which it is called grown (our choice)
 
 
@@ -66,6 +52,10 @@ class Outlook(StrEnum):
     REACHED = "has reached the threshold"
 
 
+WARNS = (Outlook.WARNING, Outlook.REACHED)
+"""The outlooks that ask for action."""
+
+
 @dataclass(frozen=True, slots=True)
 class Review:
     """What is found of one statistic in one stretch.
@@ -77,6 +67,7 @@ class Review:
     changes: where it jumped.
     """
 
+    series: Series
     outlook: Outlook
     trend: Trend | None
     remaining: Remaining | None
@@ -84,68 +75,107 @@ class Review:
     changes: tuple[Change, ...]
 
 
-def review(series: Series, policy: Policy = POLICY) -> Review:
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """One airframe.
+
+    flights: all of them, in order of time.
+    stretches: what of them may be compared; trends are those of the last one.
+    found: its series, nearest to the threshold first.
+    rotor_growth: by how much each rotor's trim rose from the first ten to the last ten flights of the stretch [fraction
+        of hover]; empty if not known.
+    """
+
+    airframe: str
+    flights: tuple[FlightRecord, ...]
+    stretches: tuple[Stretch, ...]
+    found: tuple[Review, ...]
+    rotor_growth: tuple[float, ...]
+
+    @property
+    def warned(self) -> tuple[Review, ...]:
+        """The series that reach their threshold soon, or have."""
+        return tuple(review for review in self.found if review.outlook in WARNS)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the last flight is a fault, and nothing was mended or changed since."""
+        last = self.stretches[-1].flights if self.stretches else ()
+        return bool(last) and last[-1].verdict is Verdict.FAULT
+
+
+def overview_of(airframe: str, flights: Sequence[FlightRecord], marks: Sequence[Mark]) -> Overview:
+    """What is found of an airframe. flights, marks: all of it, in order of time."""
+    stretches = stretches_of(flights, marks)
+    present = stretches[-1] if stretches else None
+    found = [review(series) for series in series_of(present)] if present else []
+    found.sort(key=lambda found: -1.0 if found.trend is None else found.trend.level, reverse=True)
+    return Overview(airframe, tuple(flights), stretches, tuple(found), _rotor_growth(present))
+
+
+def review(series: Series) -> Review:
     """Trend, outlook and change points of a series as it stands."""
     share = series.share
     judged = np.flatnonzero(np.isfinite(share))
     changes = changes_of(sessions_of(series.number, series.session, share))
-    trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= policy.confirmed else None
-    first = _first_level(share, policy)
-    if trend is None or first is None or len(series.number) < policy.first:
-        return Review(Outlook.TOO_FEW, None, None, None, changes)
-    since, grown = warned_at(series, policy), trend.level - first
-    error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(policy.first / 2)))
+    trend = _trend_at(series, share, int(judged[-1])) if len(judged) >= CONFIRMED else None
+    first = _first_level(share)
+    if trend is None or first is None or len(series.number) < FIRST:
+        return Review(series, Outlook.TOO_FEW, None, None, None, changes)
+    since, grown = warned_at(series), trend.level - first
+    error = float(np.hypot(np.sqrt(trend.level_variance), trend.scale / np.sqrt(FIRST / 2)))
     outlook = Outlook.GROWN if grown > SURE * error else Outlook.STEADY
     if trend.level >= 1.0:
         outlook = Outlook.REACHED
-    elif since is not None and grown >= policy.kept * (1.0 - first):
+    elif since is not None and grown >= KEPT * (1.0 - first):
         outlook = Outlook.WARNING
-    return Review(outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
+    return Review(series, outlook, trend, trend.remaining(), since if outlook in WARNS else None, changes)
 
 
-def warned_at(series: Series, policy: Policy = POLICY, *, before: int | None = None) -> int | None:
+def warned_at(series: Series, *, before: int | None = None) -> int | None:
     """Number of the first flight after which the series was warned of; None if it never was.
 
     before: look at no flight from this number on.
     """
     share, row = series.share, 0
-    first = _first_level(share, policy)
+    first = _first_level(share)
     if first is None:
         return None
     judged = np.flatnonzero(np.isfinite(share))
     for place, at in enumerate(judged.tolist()):
         if before is not None and series.number[at] >= before:
             return None
-        middle = float(np.median(share[judged[max(place + 1 - policy.recent, 0) : place + 1]]))
-        far = at + 1 < policy.first or middle - first < policy.half * (1.0 - first)
-        row = 0 if far or not _near(_trend_at(series, share, at), first, policy) else row + 1
-        if row >= policy.confirmed:
+        middle = float(np.median(share[judged[max(place + 1 - RECENT, 0) : place + 1]]))
+        far = at + 1 < FIRST or middle - first < HALF * (1.0 - first)
+        row = 0 if far or not _is_near(_trend_at(series, share, at), first) else row + 1
+        if row >= CONFIRMED:
             return int(series.number[at])
     return None
 
 
-WARNS = (Outlook.WARNING, Outlook.REACHED)
-"""The outlooks that ask for action."""
-
-
-def _first_level(share: FloatArray, policy: Policy) -> float | None:
-    known = share[: policy.first]
+def _first_level(share: FloatArray) -> float | None:
+    known = share[:FIRST]
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else None
 
 
-def _near(trend: Trend | None, first: float, policy: Policy) -> bool:
-    """Whether the rule holds."""
+def _is_near(trend: Trend | None, first: float) -> bool:
     if trend is None:
         return False
     grown = trend.level - first
-    return (
-        trend.level + trend.slope * policy.horizon >= 1.0
-        and grown >= policy.progress * (1.0 - first)
-        and grown >= policy.grown * trend.scale
-    )
+    steep = trend.level + trend.slope * HORIZON >= 1.0
+    return steep and grown >= max(PROGRESS * (1.0 - first), GROWN * trend.scale)
 
 
 def _trend_at(series: Series, share: FloatArray, at: int) -> Trend | None:
     cut = slice(0, at + 1)
     return trend_of(sessions_of(series.number[cut], series.session[cut], share[cut]), float(series.number[at]))
+
+
+def _rotor_growth(stretch: Stretch | None) -> tuple[float, ...]:
+    known = [flight.rotor_trim for flight in stretch.flights if flight.rotor_trim] if stretch else []
+    if len(known) < 2 or len({len(trim) for trim in known}) != 1:
+        return ()
+    trims, count = np.array(known), min(FEW, len(known) // 2)
+    growth: list[float] = (np.median(trims[-count:], axis=0) - np.median(trims[:count], axis=0)).tolist()
+    return tuple(growth)

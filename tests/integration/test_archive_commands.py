@@ -14,9 +14,6 @@ from typing import Any
 import pytest
 from made_archive import archive_baseline, made
 
-from mavdiag import cli
-
-Ran = tuple[int, str, str]
 NAMES = ("a.tlog", "b/1.tlog", "b/2.tlog", "c.tlog")
 PATIENCE_S = 60.0
 
@@ -39,13 +36,10 @@ def archive(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def scan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], baseline: Path) -> Any:
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr("sys.argv", ["mavdiag", "scan", *map(str, arguments), "--baseline", str(baseline)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(str(caught.value.code)), out, err
+def scan(mavdiag: Any, baseline: Path) -> Any:
+    def run(*arguments: object) -> tuple[int, str, str]:
+        ran: tuple[int, str, str] = mavdiag("scan", *arguments, "--baseline", baseline)
+        return ran
 
     return run
 
@@ -120,18 +114,12 @@ def test_a_cache_that_nobody_asked_for_may_fail(scan: Any, archive: Path, monkey
     assert ": healthy, " in out
 
 
-def test_learning_takes_folders_and_counts_what_is_no_log(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    folder, output = tmp_path / "healthy", tmp_path / "b.json"
+def test_learning_takes_folders_and_counts_what_is_no_log(mavdiag: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "healthy"
     made(folder, "1.tlog", "more/2.tlog", first_seed=200)
     (folder / "notes.txt").touch()
-    arguments = ("identify", folder, "-o", output, "--monitors", "innovation")
-    monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
-    with pytest.raises(SystemExit) as caught:
-        cli.main()
-    out, err = capsys.readouterr()
-    assert (caught.value.code, err) == (0, "1 file skipped that are no flight logs\n")
+    code, out, err = mavdiag("identify", folder, "-o", tmp_path / "b.json", "--monitors", "innovation")
+    assert (code, err) == (0, "1 file skipped that are no flight logs\n")
     assert "support    2 flights" in out
 
 

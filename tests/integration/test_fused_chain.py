@@ -1,8 +1,6 @@
 """All monitors together on emulated flights: what is found, named, and how little the cutting of the stream matters."""
 
-import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +15,6 @@ from mavdiag.judging import Verdict, judge
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.monitors import BY_NAME
 from mavdiag.telemetry import Log, Telemetry
-from mavdiag.upgrade import upgrade
 from sitl_plant.autopilot.telemetry import flight_telemetry
 from sitl_plant.plant import PlantConfig
 
@@ -87,13 +84,3 @@ def test_l5_events_and_changes_do_not_depend_on_the_chunks(seed: int) -> None:
     assert_alike(pieces, whole)
     assert_alike(parts, changes)
     assert any(one.severity is not None for one in changes)
-
-
-def test_an_upgraded_baseline_judges() -> None:
-    old = Path(__file__).parents[1] / "unit" / "baseline_1.json"
-    found = upgrade(json.loads(old.read_text()))
-    assert judge(Log("healthy", "", "qdrone2", flown(PlantConfig(seed=900), 25.0)), found).verdict is Verdict.HEALTHY
-    crack = judge(Log("crack", "", "qdrone2", damaged(3)), found)
-    assert crack.verdict is Verdict.FAULT
-    assert "rotor 3" in crack.reason
-    assert all(one.event.fault_type is None for one in crack.events)  # B17: it names no classifier

@@ -6,12 +6,9 @@ from typing import Any
 
 import pytest
 
-from mavdiag import cli
 from mavdiag.demo.subprocesses import run_child
 from mavdiag.monitors import BY_NAME
 
-Ran = tuple[int, str, str]
-OLD = Path(__file__).parents[1] / "unit" / "baseline_1.json"
 EVENT_KEYS = {
     "t_s", "end_s", "monitor", "axis", "statistic", "threshold", "fsd_s", "fml_s", "rotor", "fault_type", "severity",
     "confidence", "fault_kind",
@@ -49,18 +46,6 @@ def crack(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def short(folder: Path) -> Path:
     return recorded(folder, "short.tlog", "--duration", "3", "--seed", "8")
-
-
-@pytest.fixture
-def mavdiag(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr("sys.argv", ["mavdiag", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(str(caught.value.code)), out, err
-
-    return run
 
 
 @pytest.fixture
@@ -169,19 +154,9 @@ def test_extend(mavdiag: Any, baseline: Path, healthy: list[Path], crack: Path, 
     assert mavdiag("scan", crack, "--baseline", new)[0] == 1
 
 
-def test_upgrade(mavdiag: Any, crack: Path, tmp_path: Path) -> None:
-    new = tmp_path / "new.json"
-    code, _, err = mavdiag("scan", crack, "--baseline", OLD)
-    assert (code, "mavdiag baseline upgrade" in err) == (2, True)
-    code, out, _ = mavdiag("baseline", "upgrade", OLD, "-o", new)
-    assert (code, out) == (0, f"{new}: drone 1, 5 monitors\n")
-    assert mavdiag("baseline", "check", new)[0] == 0
-    code, out, _ = mavdiag("scan", crack, "--baseline", new)
-    assert code == 1
-    assert "rotor 3" in out
-    for text in ("", "[]", "{}", new.read_text()):
-        (tmp_path / "odd.json").write_text(text)
-        code, out, err = mavdiag("baseline", "upgrade", tmp_path / "odd.json", "-o", tmp_path / "x.json")
-        assert (code, out, err.count("\n")) == (2, "", 1)
-        assert f"{tmp_path / 'odd.json'}: " in err
-    assert not (tmp_path / "x.json").exists()
+def test_a_baseline_of_another_schema_is_refused_in_one_line(mavdiag: Any, crack: Path, tmp_path: Path) -> None:
+    old = tmp_path / "old.json"
+    old.write_text('{"schema": "mavdiag.baseline/2"}')
+    code, out, err = mavdiag("scan", crack, "--baseline", old)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "'mavdiag.baseline/2' instead of 'mavdiag.baseline/3'; make the baseline anew with `mavdiag identify`" in err

@@ -9,11 +9,11 @@ from shared_data import shared
 
 from mavdiag.airframe.fingerprint import Outcome, compare, fingerprint_of
 from mavdiag.airframe.load import airframe_named
-from mavdiag.commands.options import between
 from mavdiag.errors import InputError
 from mavdiag.learning import airborne, front_for
 from mavdiag.learning.teaching import one_vehicle, taught
 from mavdiag.logs import read_log
+from mavdiag.logs.part import between
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Log
 

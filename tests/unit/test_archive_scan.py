@@ -1,4 +1,4 @@
-"""The answers of a scan: each log once, each content judged once, whatever the workers do."""
+"""The answers of a scan: each log once, in order, each content judged once, whatever the workers do."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -15,11 +15,10 @@ from made_archive import asked, content, made
 
 from mavdiag.archive import scan as module
 from mavdiag.archive.cache import open_cache
-from mavdiag.archive.job import Answer, Question, Record, refused
+from mavdiag.archive.job import Question, Record, digest_of, judge_file, mark_of
 from mavdiag.archive.paths import Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
-from mavdiag.archive.scan import in_order, scan
-from mavdiag.archive.work import answer_of, mark_of
+from mavdiag.archive.scan import scan
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.judging import LogVerdict, Verdict
 
@@ -35,29 +34,28 @@ class KilledError(Exception):
 class Workers(Executor):
     """Workers that do nothing until they are asked for a result, then any of their tasks; and that can die.
 
-    order: draws the next task to finish. deadly: paths that end the worker. judged: paths that were judged.
+    order: draws the next task to finish. deadly: paths that end the worker. judged: contents that were judged.
     """
 
     def __init__(self, order: np.random.Generator, deadly: frozenset[str], judged: list[str]) -> None:
         self._order, self._deadly, self._judged = order, deadly, judged
-        self._waiting: list[tuple[Future[Any], str, Question | None]] = []
+        self._waiting: list[tuple[Future[Any], str]] = []
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        self._waiting.append((future, *args))
+        self._waiting.append((future, args[0]))
         return future
 
     def finish_one(self) -> None:
-        future, path, question = self._waiting.pop(int(self._order.integers(len(self._waiting))))
-        if question is not None and Path(path).name in self._deadly:
-            for other in (future, *(one for one, *_ in self._waiting)):
+        future, path = self._waiting.pop(int(self._order.integers(len(self._waiting))))
+        if Path(path).name in self._deadly:
+            for other in (future, *(waiting for waiting, _ in self._waiting)):
                 other.set_exception(BrokenExecutor("a process died"))
             self._waiting.clear()
             return
         text = Path(path).read_text()
-        if question is not None:
-            self._judged.append(text)
-        future.set_result(text if question is None else Record(text, LogVerdict("", Verdict.HEALTHY, text)))
+        self._judged.append(text)
+        future.set_result(Record(text, LogVerdict("", Verdict.HEALTHY, text)))
 
 
 @contextmanager
@@ -72,12 +70,10 @@ def made_workers(
         now[:] = [Workers(order, deadly, judged)]
         yield TaskExecutor(now[0], 4)
 
-    def wait(
-        running: dict[Future[Any], Any], timeout: float, return_when: str
-    ) -> tuple[set[Future[Any]], set[Future[Any]]]:
-        if not any(one.done() for one in running):
+    def wait(running: dict[Future[Any], Any], **_: object) -> tuple[set[Future[Any]], set[Future[Any]]]:
+        if not any(future.done() for future in running):
             now[0].finish_one()
-        return {one for one in running if one.done()}, set()
+        return {future for future in running if future.done()}, set()
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "wait", wait)
@@ -90,7 +86,7 @@ def made_workers(
     st.frozensets(st.integers(0, 13), max_size=3),
     st.sampled_from(["", "abcd", "abcdefgh"]),
 )
-def test_each_log_is_answered_once_and_each_content_judged_once(
+def test_each_log_is_answered_once_in_order_and_each_content_judged_once(
     tmp_path_factory: pytest.TempPathFactory, contents: list[str], seed: int, deadly: frozenset[int], alike: str
 ) -> None:
     """alike: contents that share a mark, as files do that differ in the middle only."""
@@ -102,22 +98,20 @@ def test_each_log_is_answered_once_and_each_content_judged_once(
     names = frozenset(map(str, deadly))
     with pytest.MonkeyPatch.context() as patch, made_workers(patch, seed, names, judged) as opened:
         patch.setattr(module, "mark_of", lambda path: text if (text := path.read_text()) not in alike else "alike")
+        patch.setattr(module, "digest_of", Path.read_text)
         answers = list(scan(logs_named(paths).logs, QUESTION, opened))
-    assert sorted(one.number for one in answers) == list(range(len(contents)))
-    assert [one.number for one in in_order(answers)] == list(range(len(contents)))
+    assert [answer.verdict.log for answer in answers] == [str(path) for path in paths]
     whole = set(contents) - {contents[number] for number in deadly if number < len(contents)}
-    for answer in answers:
-        verdict = answer.verdict
-        assert verdict.log == str(paths[answer.number])
-        if verdict.verdict is Verdict.ERROR:
-            assert contents[answer.number] not in whole
-            assert "the process that judged it died" in verdict.reason
+    for answer, text in zip(answers, contents, strict=True):
+        if answer.verdict.verdict is Verdict.ERROR:
+            assert text not in whole
+            assert "the process that judged it died" in answer.verdict.reason
         else:
-            assert verdict.reason == contents[answer.number]
-    assert whole <= {one.record.digest for one in answers}
+            assert answer.verdict.reason == text
+    assert whole <= {answer.record.digest for answer in answers}
     if not deadly:
         assert sorted(judged) == sorted(set(contents))
-    assert sum(one.fresh for one in answers) == len(set(contents))
+    assert sum(answer.fresh for answer in answers) == len(set(contents))
     shutil.rmtree(folder)
 
 
@@ -127,44 +121,47 @@ def test_answers_are_kept_as_they_come_and_errors_are_not(tmp_path: Path) -> Non
     bad.write_text("no log")
     copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
     cache = open_cache(tmp_path / "cache", asked().scope)
-    run = scan(logs_named([a, bad, copy, b]).logs, asked(), HERE, cache)
+    logs = logs_named([a, bad, copy, b]).logs
+    run = scan(logs, asked(), HERE, cache)
     first = next(run)
     assert (first.path, first.fresh, len(list(cache.folder.iterdir()))) == (a, True, 1)
     run.close()  # as Ctrl-C does
-    answers = list(scan(logs_named([a, bad, copy, b]).logs, asked(), HERE, cache))
-    assert [(one.path, one.fresh) for one in in_order(answers)] == [(a, False), (bad, True), (copy, False), (b, True)]
+    answers = list(scan(logs, asked(), HERE, cache))
+    assert [(answer.path, answer.fresh) for answer in answers] == [(a, False), (bad, True), (copy, False), (b, True)]
     assert len(list(cache.folder.iterdir())) == 2
-    by_path = {one.path: one for one in answers}
-    assert by_path[bad].verdict.verdict is Verdict.ERROR
-    assert by_path[bad].verdict.reason.startswith("not a flight log of a known kind")
-    assert by_path[a].record == first.record == by_path[copy].record != by_path[b].record
-    again = list(scan(logs_named([b]).logs, asked(), HERE, cache))
-    assert [(one.fresh, one.record) for one in again] == [(False, by_path[b].record)]
+    assert answers[1].verdict.verdict is Verdict.ERROR
+    assert answers[1].verdict.reason.startswith("not a flight log of a known kind")
+    assert answers[0].record == first.record == answers[2].record != answers[3].record
+
+    def opened() -> AbstractContextManager[TaskExecutor]:
+        raise AssertionError("workers were opened for what is known")
+
+    again = list(scan(logs_named([b, a]).logs, asked(), opened, cache))
+    assert [(answer.fresh, answer.record) for answer in again] == [(False, answers[3].record), (False, first.record)]
 
 
 def test_without_a_cache_a_copy_is_not_judged_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (a,) = made(tmp_path, "a.tlog")
     copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
-    asked_for: list[str] = []
+    judged: list[str] = []
 
-    def counted(path: str, question: Question | None) -> str | Record:
-        if question is not None:
-            asked_for.append(path)
-        return answer_of(path, question)
+    def counted(path: str, question: Question) -> Record:
+        judged.append(path)
+        return judge_file(path, question)
 
-    monkeypatch.setattr(module, "answer_of", counted)
+    monkeypatch.setattr(module, "judge_file", counted)
     answers = list(scan(logs_named([a, copy, a]).logs, asked(), HERE))
-    assert [one.fresh for one in in_order(answers)] == [True, False, False]
-    assert asked_for == [str(a)]
+    assert [answer.fresh for answer in answers] == [True, False, False]
+    assert judged == [str(a)]
 
 
 def test_what_could_not_be_looked_for_is_an_error_among_the_others(tmp_path: Path) -> None:
     (a,) = made(tmp_path, "a.tlog")
     logs = (Named(tmp_path, "the folder cannot be read (Permission denied)"), Named(a), Named(tmp_path / "absent.tlog"))
-    answers = list(in_order(scan(logs, asked(), HERE)))
-    assert [str(one.verdict.verdict) for one in answers] == ["error", "healthy", "error"]
-    assert answers[0].verdict.reason == "the folder cannot be read (Permission denied)"
-    assert answers[2].verdict.reason == "no such file"
+    verdicts = [answer.verdict for answer in scan(logs, asked(), HERE)]
+    assert [verdict.verdict.value for verdict in verdicts] == ["error", "healthy", "error"]
+    assert verdicts[0].reason == "the folder cannot be read (Permission denied)"
+    assert verdicts[2].reason == "no such file"
 
 
 def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
@@ -173,40 +170,54 @@ def test_a_file_that_changes_while_it_is_judged_answers_for_itself_only(
     (a,) = made(tmp_path, "a.tlog")
     copy = Path(shutil.copy(a, tmp_path / "copy.tlog"))
 
-    def changing(path: str, question: Question | None) -> str | Record:
-        if question is not None and path == str(a):
-            a.write_bytes(content(9))
-        return answer_of(path, question)
+    def digest(path: Path) -> str:
+        return digest_of(copy)  # as it was before the change
 
-    monkeypatch.setattr(module, "answer_of", changing)
+    def changing(path: str, question: Question) -> Record:
+        if path == str(a):
+            a.write_bytes(content(9))
+        return judge_file(path, question)
+
+    monkeypatch.setattr(module, "digest_of", digest)
+    monkeypatch.setattr(module, "judge_file", changing)
+    cache = open_cache(tmp_path / "cache", asked().scope)
 
     @contextmanager
     def two() -> Iterator[TaskExecutor]:
-        with HERE() as one:
-            yield TaskExecutor(one.pool, 2)
+        with HERE() as here:
+            yield TaskExecutor(here.pool, 2)
 
-    cache = open_cache(tmp_path / "cache", asked().scope)
-    answers = list(in_order(scan(logs_named([a, copy]).logs, asked(), two, cache)))
-    assert [one.record.digest for one in answers] == [answer_of(str(a), None), answer_of(str(copy), None)]
-    assert {one.name for one in cache.folder.iterdir()} == {
-        f"{mark_of(copy)}-{one.record.digest}.json" for one in answers
+    answers = list(scan(logs_named([a, copy]).logs, asked(), two, cache))
+    assert [answer.record.digest for answer in answers] == [digest_of(a), digest_of(copy)]
+    assert {path.name for path in cache.folder.iterdir()} == {
+        f"{mark_of(copy)}-{answer.record.digest}.json" for answer in answers
     }
 
 
-def failing(error: Exception) -> Opened:
-    """Workers whose tasks all end by an error."""
+def giving(future: Future[Any]) -> Opened:
+    """Workers whose tasks all end alike."""
 
-    class Failing(Executor):
+    class Giving(Executor):
         def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            future.set_exception(error)
-            return future
+            given_up: Future[Any] = Future()
+            if future.cancelled():
+                given_up.cancel()
+                given_up.set_running_or_notify_cancel()
+            else:
+                given_up.set_exception(future.exception())
+            return given_up
 
     @contextmanager
     def opened() -> Iterator[TaskExecutor]:
-        yield TaskExecutor(Failing(), 2, (KilledError,))
+        yield TaskExecutor(Giving(), 2, (KilledError,))
 
     return opened
+
+
+def failing(error: Exception) -> Opened:
+    future: Future[Any] = Future()
+    future.set_exception(error)
+    return giving(future)
 
 
 @pytest.mark.parametrize(
@@ -222,24 +233,43 @@ def test_an_error_of_a_worker_is_the_answer_of_its_log(tmp_path: Path, error: Ex
     paths = made(tmp_path, "a.tlog", "b.tlog")
     answers = list(scan(logs_named(paths).logs, asked(), failing(error)))
     assert len(answers) == 2
-    assert all(words in one.verdict.reason for one in answers)
+    assert all(words in answer.verdict.reason for answer in answers)
+
+
+def test_workers_that_cannot_go_on_end_the_scan(tmp_path: Path) -> None:
+    logs = logs_named(made(tmp_path, "a.tlog")).logs
+    cancelled: Future[Any] = Future()
+    cancelled.cancel()
+
+    @contextmanager
+    def never() -> Iterator[TaskExecutor]:
+        raise BrokenExecutor("no process")
+        yield
+
+    for opened, kind, words in (
+        (never, UsageError, "use --jobs 1"),
+        (giving(cancelled), LinkError, "the scheduler went away"),
+        (failing(LinkError("a worker has another version")), LinkError, "another version"),
+    ):
+        with pytest.raises(kind, match=words):
+            list(scan(logs, asked(), opened))
 
 
 def test_that_no_worker_is_left_is_told_once_and_the_scan_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked_for: list[Future[Any]] = []
+    submitted: list[Future[Any]] = []
     looks: list[bool] = []
 
     class Deserted(Executor):
         def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            asked_for.append(Future())
-            return asked_for[-1]
+            submitted.append(Future())
+            return submitted[-1]
 
     def manned() -> bool:
         looks.append(len(looks) >= 3)
         if looks[-1]:
-            asked_for[-1].set_result(Record("ab", LogVerdict("", Verdict.HEALTHY, "no alarm")))
+            submitted[-1].set_result(Record("ab", LogVerdict("", Verdict.HEALTHY, "no alarm")))
         return looks[-1]
 
     @contextmanager
@@ -248,39 +278,9 @@ def test_that_no_worker_is_left_is_told_once_and_the_scan_goes_on(
 
     monkeypatch.setattr(module, "QUIET_S", 0.001)
     warned: list[str] = []
-    logs = logs_named(made(tmp_path, "a.tlog")).logs
-    (answer,) = scan(logs, asked(), opened, None, warned.append)
+    (answer,) = scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), opened, None, warned.append)
     assert answer.verdict.verdict is Verdict.HEALTHY
     assert (len(warned), warned[0].startswith("no worker is left; waiting")) == (1, True)
-
-
-def test_workers_that_never_live_are_told(tmp_path: Path) -> None:
-    @contextmanager
-    def opened() -> Iterator[TaskExecutor]:
-        raise BrokenExecutor("no process")
-        yield
-
-    with pytest.raises(UsageError, match="use --jobs 1"):
-        list(scan(logs_named(made(tmp_path, "a.tlog")).logs, asked(), opened))
-
-
-def test_a_scheduler_that_goes_away_ends_the_scan(tmp_path: Path) -> None:
-    class Gone(Executor):
-        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            future.cancel()
-            future.set_running_or_notify_cancel()
-            return future
-
-    @contextmanager
-    def opened() -> Iterator[TaskExecutor]:
-        yield TaskExecutor(Gone(), 2)
-
-    logs = logs_named(made(tmp_path, "a.tlog")).logs
-    with pytest.raises(LinkError, match="the scheduler went away"):
-        list(scan(logs, asked(), opened))
-    with pytest.raises(LinkError, match="another version"):
-        list(scan(logs, asked(), failing(LinkError("a worker has another version"))))
 
 
 def test_answers_that_cannot_be_kept_are_told_once_and_lose_nothing(tmp_path: Path) -> None:
@@ -289,21 +289,6 @@ def test_answers_that_cannot_be_kept_are_told_once_and_lose_nothing(tmp_path: Pa
     cache.folder.rmdir()
     warned: list[str] = []
     answers = list(scan(logs_named(paths).logs, asked(), HERE, cache, warned.append))
-    assert {one.verdict.verdict for one in answers} == {Verdict.HEALTHY}
+    assert {answer.verdict.verdict for answer in answers} == {Verdict.HEALTHY}
     assert len(warned) == 1
     assert warned[0].startswith("answers are not kept any more: ")
-
-
-def test_answers_wait_for_those_before_them() -> None:
-    def answer(number: int) -> Answer:
-        return Answer(number, Path(str(number)), refused("x"), fresh=True)
-
-    came: list[int] = []
-
-    def coming() -> Iterator[Answer]:
-        for number in (1, 0, 3, 2):
-            came.append(number)
-            yield answer(number)
-
-    seen = [(one.number, len(came)) for one in in_order(coming())]
-    assert seen == [(0, 2), (1, 2), (2, 4), (3, 4)]

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 from made_archive import MONITORS, asked, made
 
-from mavdiag.archive.job import Answer, Options, refused
+from mavdiag.archive.job import Answer, Options, judge_file, refused
 from mavdiag.archive.tables import COLUMNS, rows_of, write_csv, write_parquet
-from mavdiag.archive.work import judge_file
 from mavdiag.errors import UsageError
 from mavdiag.monitors import BY_NAME
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operating.md").read_text(encoding="utf-8")
-NAMES = [column.name for column in COLUMNS]
+NAMES = list(COLUMNS)
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +21,9 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> list[Answer]:
     """A healthy log, one with a fault in windows, and one that cannot be read."""
     whole, shaken = made(tmp_path_factory.mktemp("logs"), "a, b.tlog", "crack.tlog", shaken=("crack.tlog",))
     return [
-        Answer(0, whole, judge_file(str(whole), asked()), fresh=True),
-        Answer(1, shaken, judge_file(str(shaken), asked(Options(windows_s=5.0))), fresh=True),
-        Answer(2, Path("x.tlog"), refused("no such file"), fresh=True),
+        Answer(whole, judge_file(str(whole), asked()), fresh=True),
+        Answer(shaken, judge_file(str(shaken), asked(Options(windows_s=5.0))), fresh=True),
+        Answer(Path("x.tlog"), refused("no such file"), fresh=True),
     ]
 
 
@@ -57,8 +56,7 @@ def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) ->
     with (tmp_path / "a.csv").open(newline="") as file:
         text = list(csv.DictReader(file))
     assert list(text[0]) == NAMES
-    kinds = {column.name: column.kind for column in COLUMNS}
-    back = [{name: kinds[name](value) if value else None for name, value in row.items()} for row in text]
+    back = [{name: COLUMNS[name](value) if value else None for name, value in row.items()} for row in text]
     assert back == dicts(answers)
     pytest.importorskip("pyarrow", reason="it is an extra")
     from pyarrow.parquet import read_table
@@ -71,7 +69,7 @@ def test_csv_and_parquet_hold_the_same(answers: list[Answer], tmp_path: Path) ->
 
 
 def test_a_name_that_is_no_text_can_be_written(tmp_path: Path) -> None:
-    rows = rows_of(Answer(0, Path("caf\udce9.tlog"), refused("no such file"), fresh=True))
+    rows = list(rows_of(Answer(Path("caf\udce9.tlog"), refused("no such file"), fresh=True)))
     write_csv(tmp_path / "a.csv", rows)
     assert b"caf\xe9.tlog" in (tmp_path / "a.csv").read_bytes()
     pytest.importorskip("pyarrow", reason="it is an extra")

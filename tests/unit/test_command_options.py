@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made_telemetry import flight
 
-from mavdiag.commands.options import between
 from mavdiag.errors import InputError, UsageError
+from mavdiag.logs.part import between
 from mavdiag.look.inspection import summary
 from mavdiag.telemetry import Series, Signal
 from mavdiag.units import NS_PER_S

@@ -12,12 +12,12 @@ from made_baselines import ALWAYS, FRAME, NOW, healthy
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline, dump, parse
-from mavdiag.commands.options import between
 from mavdiag.errors import InputError
 from mavdiag.learning import LearnOptions, airborne, front_for, learn
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.guards import far_blocks, repeated, trim_groups, upsets
 from mavdiag.learning.teaching import taught
+from mavdiag.logs.part import between
 from mavdiag.monitors import monitor_of
 from mavdiag.rows.align import Grid
 from mavdiag.rows.tolerance import rate_tolerance

@@ -8,12 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_history import DAY_NS, START_NS, record, records, series
 
-from mavdiag.history.as_json import FLIGHT_COLUMNS, TREND_COLUMNS, flight_rows, overview_json, trend_rows
-from mavdiag.history.draw import chart, lines_of, sparkline
-from mavdiag.history.overview import overview_of
-from mavdiag.history.records import Mark, MarkKind
-from mavdiag.history.stretches import WATCHED, series_of, stretches_of
-from mavdiag.history.warn import Outlook, review, warned_at
+from mavdiag.history.show import (
+    FLIGHT_COLUMNS,
+    TREND_COLUMNS,
+    chart,
+    flight_rows,
+    lines_of,
+    overview_json,
+    sparkline,
+    trend_rows,
+)
+from mavdiag.history.stretches import WATCHED, Mark, MarkKind, series_of, stretches_of
+from mavdiag.history.warn import Outlook, overview_of, review, warned_at
 from mavdiag.telemetry import FloatArray
 
 

@@ -16,11 +16,11 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.as_json import verdict_json
 from mavdiag.baseline import Baseline
 from mavdiag.chain import chain_of
-from mavdiag.commands.options import between
 from mavdiag.decision.alarm import Stage
 from mavdiag.errors import InputError
 from mavdiag.judging import LogVerdict, Verdict, exit_code, judge, judge_in_full
 from mavdiag.learning import LearnOptions, learn
+from mavdiag.logs.part import between
 from mavdiag.monitors.base import FaultKind
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry

@@ -45,10 +45,10 @@ def test_the_words(arguments: Any, words: str) -> None:
 def test_a_line_now_and_then_where_no_terminal_is(
     clock: list[float], capsys: pytest.CaptureFixture[str], quiet: bool
 ) -> None:
-    with shown("judged", [1.0] * 100, quiet=quiet) as one:
+    with shown("judged", [1.0] * 100, quiet=quiet) as progress:
         for second in range(1, 101):
             clock[0] = float(second)
-            one.add(1.0)
+            progress.add(1.0)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.splitlines() == (
@@ -62,19 +62,23 @@ def test_a_line_now_and_then_where_no_terminal_is(
     )
 
 
+ERASED = "\x1b[1A\x1b[2K"  # up to the line of the bar, and away with it
+
+
 def test_a_bar_on_a_terminal_is_one_line_and_goes_away(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "40")
-    with shown("judged", [1.0, 3.0, 4.0]) as one:
+    monkeypatch.setenv("TERM", "xterm")
+    with shown("judged", [1.0, 3.0, 4.0]) as progress:
         for size in (1.0, 3.0, 4.0):
             clock[0] += 1.0
-            one.add(size)
+            progress.add(size)
     written = terminal.getvalue()
     assert "judged" in written
     assert "━" in written
-    assert "\n" not in written
-    assert written.endswith("\r\x1b[2K")
+    assert written.count("\n") == 1  # before it is erased
+    assert written.endswith(ERASED)
     assert sys.stdout is not terminal
 
 
@@ -83,13 +87,13 @@ def test_the_bar_makes_room_for_lines_on_the_same_terminal(clock: list[float], m
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("COLUMNS", "80")
-    with shown("judged", [1.0] * 3) as one:
+    monkeypatch.setenv("TERM", "xterm")
+    with shown("judged", [1.0] * 3) as progress:
         clock[0] = 5.0
-        one.add(1.0)
-        with one.cleared():
-            terminal.write("an answer\n")
+        progress.add(1.0)
+        progress.say("an answer")
     before, after = terminal.getvalue().split("an answer\n")
-    assert before.endswith("\r\x1b[2K")
+    assert before.endswith(ERASED)
     assert "1 of 3, 0.2 a second, 10 s left" in after
 
 
@@ -97,8 +101,8 @@ def test_one_item_needs_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     assert list(each([1], "read")) == [1]
-    with shown("judged", [1.0]) as one, one.cleared():
-        one.add(1.0)
+    with shown("judged", [1.0]) as progress:
+        progress.add(1.0)
     assert terminal.getvalue() == ""
     assert list(each([1, 2], "read", [5.0, 6.0])) == [1, 2]
     assert terminal.getvalue() != ""
