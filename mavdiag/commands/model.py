@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from mavdiag import commandline
-from mavdiag.as_json import json_line
+from mavdiag.as_json import json_line, plain
 from mavdiag.baseline import Baseline
 from mavdiag.commands import options as opt
 from mavdiag.commands.progress import working
