@@ -1,0 +1,27 @@
+"""Loops over bytes as machine code: numba compiles them at their first call and keeps the code on disk."""
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import ParamSpec, TypeVar, cast
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function when it is first called; numba is imported then, and not by who only imports the function."""
+
+    @cache
+    def machine_code() -> Callable[P, R]:
+        from numba import njit
+
+        try:
+            return cast(Callable[P, R], njit(cache=True)(function))
+        except RuntimeError:  # nowhere to keep the machine code
+            return cast(Callable[P, R], njit(function))
+
+    @wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        return machine_code()(*arguments, **named)
+
+    return call
