@@ -11,7 +11,7 @@ from enum import StrEnum
 from math import isfinite
 
 from mavdiag.errors import UsageError
-from mavdiag.link.batch import Batch, FrameBatch
+from mavdiag.link.batch import Batch, batch_of
 from mavdiag.link.codec import Frame, message_name
 from mavdiag.link.evidence import Evidence, evidence_of
 from mavdiag.link.messages import Autopilot, Component, MessageId
@@ -230,7 +230,7 @@ class Recognised:
 
 def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
     """The first of the profiles that one vehicle's frames fit; never a guess."""
-    return detect_profile_in([FrameBatch(frames)], profiles)
+    return detect_profile_in([batch_of(frames)], profiles)
 
 
 def detect_profile_in(batches: Sequence[Batch], profiles: Iterable[Profile] = _ROWS) -> Recognised:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.link.batch import Batch, Column, FrameBatch, Record
+from mavdiag.link.batch import Batch, Column, Record, batch_of
 from mavdiag.link.clock import EPOCH_NS, ClockReading, Counter, Run, changed_clock, unwrap
 from mavdiag.link.codec import Frame
 from mavdiag.link.conversion import SOURCES, Part, Source, sources
@@ -22,8 +22,6 @@ from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = ["Runs", "SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
@@ -107,6 +105,7 @@ class _Group(NamedTuple):
     """The frames of one message in a block, and what they become.
 
     source: the row of the table.
+    column: all its frames.
     record: (n,) payloads that are in line.
     host_ns: (n,) when they were received [ns].
     run: None for a message without a time of its own.
@@ -115,6 +114,7 @@ class _Group(NamedTuple):
     """
 
     source: Source
+    column: Column
     record: Record
     host_ns: IntArray
     run: Run | None
@@ -126,9 +126,9 @@ class _Group(NamedTuple):
         """Where the message's counter broke off, as a number of its frames; None if it went on to the end."""
         return None if self.run is None or self.run.used == self.total else self.first + self.run.used
 
-    def places(self, block: Batch) -> IntArray:
+    def places(self) -> IntArray:
         """(n,) where in the block the frames of `record` are."""
-        rows = block.places(self.source.message)[self.first :]
+        rows = self.column.places[self.first :]
         return rows if self.run is None or self.run.kept is None else rows[self.run.kept]
 
 
@@ -153,35 +153,35 @@ class SampleDecoder:
 
     def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival."""
-        return self.step_batch(state, FrameBatch(frames))
+        return self.step_batch(state, batch_of(frames, self.wanted))
 
     def step_batch(self, state: SampleState, batch: Batch) -> tuple[SampleState, Telemetry]:
-        """As `step`, for frames or columns of them."""
+        """As `step`, for frames that are laid out message by message."""
         state, telemetry, done = self._stretch(state, batch)
-        if done == len(batch):
+        if done == batch.size:
             return state, telemetry
         pieces, size = [telemetry], SMALL_BLOCK
-        while done < len(batch):
+        while done < batch.size:
             block = batch.part(done, done + size)
             state, telemetry, more = self._stretch(state, block)
             pieces.append(telemetry)
-            done, size = done + more, 2 * size if more == len(block) else SMALL_BLOCK
+            done, size = done + more, 2 * size if more == block.size else SMALL_BLOCK
         return state, joined(pieces)
 
     def _stretch(self, state: SampleState, block: Batch) -> tuple[SampleState, Telemetry, int]:
         """Convert frames up to where a counter breaks off; says how many. If it is none, the break is now behind."""
-        columns = block.columns(self.wanted)
-        groups = self._groups(state, block, columns)
+        columns = {msgid: column for msgid, column in block.columns.items() if msgid in self.wanted}
+        groups = self._groups(state, columns)
         broken = {m: at for m, group in groups.items() if (at := group.broken_at) is not None}
         if not broken:
-            return *self._converted(state, block, groups), len(block)
-        first, msgid, at = min((int(block.places(m)[at]), m, at) for m, at in broken.items())
-        if any(block.places(m)[0] < first for m in columns):
+            return *self._converted(state, block.size, groups), block.size
+        first, msgid, at = min((int(columns[m].places[at]), m, at) for m, at in broken.items())
+        if any(column.places[0] < first for column in columns.values()):
             return self._stretch(state, block.part(0, first))
         state, stray = self._decided(state, msgid, columns[msgid], at)
         return state, Telemetry(), first + stray
 
-    def _groups(self, state: SampleState, block: Batch, columns: Mapping[int, Column]) -> dict[int, _Group]:
+    def _groups(self, state: SampleState, columns: Mapping[int, Column]) -> dict[int, _Group]:
         """The messages in order of arrival, but those whose counter needs another's time come last."""
         groups: dict[int, _Group] = {}
         ambiguous: list[int] = []
@@ -194,7 +194,7 @@ class SampleDecoder:
         for msgid in ambiguous:
             own, first, since_boot_ns = columns[msgid], 0, None
             if msgid not in state.readings:
-                first, since_boot_ns = _first_placed(state.timeline, block, msgid, own, groups)
+                first, since_boot_ns = _first_placed(state.timeline, own, groups)
             if first < len(own):
                 groups[msgid] = self._group(state, msgid, own, first, since_boot_ns)
         return groups
@@ -214,7 +214,7 @@ class SampleDecoder:
             run = unwrap(source.counter, last, raw, host_ns, since_boot_ns, lead_ns)
             if run.kept is not None:
                 record, host_ns = record[: run.used][run.kept], run.host_ns
-        return _Group(source, record, host_ns, run, first, total)
+        return _Group(source, own, record, host_ns, run, first, total)
 
     def _decided(self, state: SampleState, msgid: int, own: Column, at: int) -> tuple[SampleState, bool]:
         """A frame out of line: a change of clock, a reboot, or (True) a stray to leave out."""
@@ -232,15 +232,13 @@ class SampleDecoder:
             readings[msgid] = last._replace(host_ns=host_ns)
         return replace(state, timeline=timeline, readings=readings), True
 
-    def _converted(
-        self, state: SampleState, block: Batch, groups: Mapping[int, _Group]
-    ) -> tuple[SampleState, Telemetry]:
+    def _converted(self, state: SampleState, size: int, groups: Mapping[int, _Group]) -> tuple[SampleState, Telemetry]:
         runs = {m: group.run for m, group in groups.items() if group.run is not None and len(group.record)}
         timeline, times = place(state.timeline, list(runs.values())) if runs else (state.timeline, [])
         when = dict(zip(runs, times, strict=True))
         missing = {m for m, group in groups.items() if group.run is None}
         if missing:
-            when |= _times_without_stamp(state.timeline.t_ns, block, when, groups, missing)
+            when |= _times_without_stamp(state.timeline.t_ns, size, when, groups, missing)
         found: dict[Signal, list[tuple[int, Part, Series, IntArray]]] = {}
         dropped = state.dropped
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
@@ -254,9 +252,7 @@ class SampleDecoder:
         series, held, armed_ns, contrary = [], dict(state.held), state.armed_ns, state.contrary
         for signal, parts in found.items():
             one = (
-                parts[0][2]
-                if len(parts) == 1
-                else merged(signal, [(s, groups[m].places(block)[r]) for m, _, s, r in parts])
+                parts[0][2] if len(parts) == 1 else merged(signal, [(s, groups[m].places()[r]) for m, _, s, r in parts])
             )
             if parts[0][1].held:
                 one = replace(one, values=filled(one.values, held.get(signal)))
@@ -272,34 +268,32 @@ class SampleDecoder:
         return SampleState(timeline, readings, held, dropped, leaps, armed_ns, contrary), Telemetry(tuple(series))
 
 
-def _first_placed(
-    timeline: Timeline, block: Batch, msgid: int, own: Column, groups: Mapping[int, _Group]
-) -> tuple[int, int | None]:
+def _first_placed(timeline: Timeline, own: Column, groups: Mapping[int, _Group]) -> tuple[int, int | None]:
     """From which of its frames on a message can be placed by another's time since boot, and that time there [ns]."""
     known_ns = timeline.since_boot_ns(int(own.host_ns[0]))
     if known_ns is not None:
         return 0, known_ns
-    for other, group in groups.items():
+    for group in groups.values():
         if group.run is not None and len(group.record) and not group.run.on_epoch:
-            first = int(np.searchsorted(block.places(msgid), block.places(other)[0]))
+            first = int(np.searchsorted(own.places, group.column.places[0]))
             since_ns = int(group.run.clock_ns[0]) - int(group.run.host_ns[0])
             return first, since_ns + int(own.host_ns[first]) if first < len(own) else None
     return len(own), None
 
 
 def _times_without_stamp(
-    known_ns: int | None, block: Batch, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
+    known_ns: int | None, size: int, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
 ) -> dict[int, IntArray]:
     """For messages without a time of their own the latest vehicle time at their arrival; none before the first stamp.
 
     known_ns: the latest time before the block. when: the times of its other messages. missing: the messages to place.
     """
-    latest = np.full(len(block), UNSTAMPED if known_ns is None else known_ns)
+    latest = np.full(size, UNSTAMPED if known_ns is None else known_ns)
     for msgid, t_ns in when.items():
-        rows = groups[msgid].places(block)
+        rows = groups[msgid].places()
         latest[rows[len(rows) - len(t_ns) :]] = t_ns
     latest = np.maximum.accumulate(latest)
-    return {m: (t_ns := latest[block.places(m)])[t_ns > UNSTAMPED] for m in missing}
+    return {m: (t_ns := latest[groups[m].column.places])[t_ns > UNSTAMPED] for m in missing}
 
 
 def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray, int]:
