@@ -122,39 +122,44 @@ class LogDecoder:
         data[self._held : size] = np.frombuffer(window, np.uint8)
         # Where a frame must begin before, so that the window surely holds it and the first byte of the next one.
         limit = size if last else max(STAMP_BYTES, size - LONGEST - STAMP_BYTES)
-        found = np.empty((size // SHORTEST + 1, 8), np.int64)
-        found = found[: _find(data, size, limit, last, _seeds(), _tables(), found)]
+        found = np.empty((8, size // SHORTEST + 1), np.int64)
+        found = found[:, : _find(data, size, limit, last, _seeds(), _tables(), found)]
         resume = size if last else limit - STAMP_BYTES
-        taken = 0
-        if len(found):
-            self.sound_end = self.size + int(found[-1, _AFTER])
-            resume = max(resume, int(found[-1, _AFTER]))
-            taken = int((found[:, _AFTER] - found[:, _BEGIN]).sum()) + STAMP_BYTES * len(found)
-            senders, seqs = found[:, _SENDER].astype(np.uint16), found[:, _SEQ].astype(np.uint8)
-            self.senders.note_all(senders, seqs, found[:, _MSGID].copy(), found[:, _TIME_US] * NS_PER_US)
-        self.records, self.damaged = self.records + len(found), self.damaged + resume - taken
-        decoded = Window(len(found), self._rows(found))
+        count, taken = found.shape[1], 0
+        if count:
+            self.sound_end = self.size + int(found[_AFTER, -1])
+            resume = max(resume, int(found[_AFTER, -1]))
+            taken = int((found[_AFTER] - found[_BEGIN]).sum()) + STAMP_BYTES * count
+            senders, seqs = found[_SENDER].astype(np.uint16), found[_SEQ].astype(np.uint8)
+            self.senders.note_all(senders, seqs, found[_MSGID], found[_TIME_US] * NS_PER_US)
+        self.records, self.damaged = self.records + count, self.damaged + resume - taken
+        decoded = Window(count, self._rows(found))
         self.size, self._held = self.size + resume, size - resume
         data[: self._held] = data[resume:size].copy()
         return decoded
 
     def _rows(self, found: IntArray) -> dict[int, Rows]:
-        msgids = found[:, _MSGID].astype(np.int32)
-        places = {msgid: np.flatnonzero(msgids == msgid) for msgid in self._sizes}
-        return {
-            msgid: _rows(self._data, found[own], own, self._sizes[msgid]) for msgid, own in places.items() if len(own)
-        }
+        """The wanted frames by message."""
+        keys = np.minimum(found[_MSGID], 0xFFFF).astype(np.uint16)  # sorted by radix; no wanted message is beyond
+        order = np.argsort(keys, kind="stable")
+        msgids = keys[order]
+        rows = {}
+        for msgid, size in self._sizes.items():
+            first, last = np.searchsorted(msgids, (msgid, msgid + 1)).tolist()
+            if first < last:
+                rows[msgid] = _rows(self._data, found, order[first:last], size)
+        return rows
 
 
-def _rows(data: NDArray[np.uint8], own: IntArray, places: IntArray, size: int) -> Rows:
+def _rows(data: NDArray[np.uint8], found: IntArray, places: IntArray, size: int) -> Rows:
+    body = found[_BODY][places]
     anywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))  # a payload at every byte
-    payloads = anywhere[own[:, _BODY]].view(np.uint8).reshape(len(own), size)
-    lengths = own[:, _STOP] - own[:, _BODY]
+    payloads = anywhere[body].view(np.uint8).reshape(len(places), size)
+    lengths = found[_STOP][places] - body
     if int(lengths.min()) < size:
         kept = np.tri(size + 1, size, -1, np.uint8) * np.uint8(0xFF)  # row: length of the payload
         payloads &= kept[np.minimum(lengths, size)]
-    host_ns, sender, seq = own[:, _TIME_US] * NS_PER_US, own[:, _SENDER].copy(), own[:, _SEQ].copy()
-    return Rows(places, payloads, host_ns, sender, seq)
+    return Rows(places, payloads, found[_TIME_US][places] * NS_PER_US, found[_SENDER][places], found[_SEQ][places])
 
 
 @cache
@@ -194,10 +199,10 @@ def _find(
     tables: NDArray[np.uint16],
     found: IntArray,
 ) -> int:
-    """Write down the sound frames, a row each; returns how many.
+    """Write down the sound frames, a column each; returns how many.
 
-    A row is the place of the marker, of the payload, of the checksum and behind the frame; message (`codec.UNKNOWN`
-    outside the dialect), sender, running number and time since 1970 [us].
+    Of each is noted the place of the marker, of the payload, of the checksum and behind the frame; message
+    (`codec.UNKNOWN` outside the dialect), sender, running number and time since 1970 [us].
     """
     zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
     count, at, beyond = 0, STAMP_BYTES, len(seeds) - 1
@@ -243,6 +248,6 @@ def _find(
         sender = (zero + data[header + 1]) << 8 | (zero + data[header + 2])
         noted = (begin, body, stop, after, msgid, sender, zero + data[header], time_us)
         for j in range(8):
-            found[count, j] = noted[j]
+            found[j, count] = noted[j]
         count, at = count + 1, following
     return count
