@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,6 +16,7 @@ from mavdiag.telemetry import IntArray
 Record: TypeAlias = NDArray[Any]
 
 AUTOPILOT = int(Component.AUTOPILOT1)
+_host_ns = itemgetter(5)  # of a Frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,19 +69,23 @@ class Batch:
 
 def batch_of(frames: Sequence[Frame], wanted: Container[int] | None = None) -> Batch:
     """Frames that came one by one. wanted: messages; None for all."""
-    members: dict[int, list[int]] = {}
+    members: dict[int, tuple[list[int], list[Frame]]] = {}
     for place, frame in enumerate(frames):
         msgid = frame[0]
         if frame[2] == AUTOPILOT and (wanted is None or msgid in wanted):
-            if msgid in members:
-                members[msgid].append(place)
-            else:
-                members[msgid] = [place]
-    columns = {}
-    for msgid, places in members.items():
-        own = [frames[place] for place in places]
-        host_ns = np.array([frame[5] for frame in own], np.int64)
-        columns[msgid] = Column(np.array(places), b"".join([frame[4] for frame in own]), host_ns)
+            known = members.get(msgid)
+            if known is None:
+                members[msgid] = known = ([], [])
+            known[0].append(place)
+            known[1].append(frame)
+    columns = {
+        msgid: Column(
+            np.array(places),
+            b"".join([frame[4] for frame in own]),
+            np.fromiter(map(_host_ns, own), np.int64, len(own)),
+        )
+        for msgid, (places, own) in members.items()
+    }
     return Batch(len(frames), columns)
 
 

@@ -20,7 +20,7 @@ from mavdiag.link.conversion import SOURCES, Part, Source, sources
 from mavdiag.link.offsets import lead_ns as lead_of
 from mavdiag.link.profiles import Profile
 from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
@@ -126,10 +126,11 @@ class _Group(NamedTuple):
         """Where the message's counter broke off, as a number of its frames; None if it went on to the end."""
         return None if self.run is None or self.run.used == self.total else self.first + self.run.used
 
-    def places(self) -> IntArray:
-        """(n,) where in the block the frames of `record` are."""
+    def places(self, kept: IntArray | None = None) -> IntArray:
+        """(n,) where in the block the frames of `record` are, or those of them that are kept."""
         rows = self.column.places[self.first :]
-        return rows if self.run is None or self.run.kept is None else rows[self.run.kept]
+        rows = rows if self.run is None or self.run.kept is None else rows[self.run.kept]
+        return rows if kept is None else rows[kept]
 
 
 class SampleDecoder:
@@ -239,32 +240,34 @@ class SampleDecoder:
         missing = {m for m, group in groups.items() if group.run is None}
         if missing:
             when |= _times_without_stamp(state.timeline.t_ns, size, when, groups, missing)
-        found: dict[Signal, list[tuple[int, Part, Series, IntArray]]] = {}
+        found: dict[Signal, list[tuple[_Group, Part, Series, IntArray | None]]] = {}
         dropped = state.dropped
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
             for msgid, t_ns in when.items():
                 group = groups[msgid]
                 for part in group.source.convert(self.profile, group.record):
-                    one, rows, unsound = _series(part, t_ns, group.host_ns)
+                    made, rows, unsound = _series(part, t_ns, group.host_ns)
                     dropped += unsound
-                    if len(one):
-                        found.setdefault(part.signal, []).append((msgid, part, one, rows))
+                    if len(made):
+                        found.setdefault(part.signal, []).append((group, part, made, rows))
         series, held, armed_ns, contrary = [], dict(state.held), state.armed_ns, state.contrary
         for signal, parts in found.items():
-            one = (
-                parts[0][2] if len(parts) == 1 else merged(signal, [(s, groups[m].places()[r]) for m, _, s, r in parts])
-            )
-            if parts[0][1].held:
-                one = replace(one, values=filled(one.values, held.get(signal)))
-                held[signal] = one.values[-1]
+            _, part, made, _ = parts[0]
+            if len(parts) > 1:
+                made = merged(signal, [(each, group.places(kept)) for group, _, each, kept in parts])
+            if part.held:
+                made = replace(made, values=filled(made.values, held.get(signal)))
+                held[signal] = made.values[-1]
             if signal is Signal.ARMED:
-                beats = len(one)
-                one, armed_ns = _steady(one, armed_ns)
-                contrary += beats - len(one)
-            series += [one] if len(one) else []
-        readings = dict(state.readings)
-        readings.update((msgid, group.run.reading) for msgid, group in groups.items() if group.run is not None)
-        leaps = state.leaps + sum(group.run.leaps for group in groups.values() if group.run is not None)
+                beats = len(made)
+                made, armed_ns = _steady(made, armed_ns)
+                contrary += beats - len(made)
+            series += [made] if len(made) else []
+        readings, leaps = dict(state.readings), state.leaps
+        for msgid, group in groups.items():
+            if group.run is not None:
+                readings[msgid] = group.run.reading
+                leaps += group.run.leaps
         return SampleState(timeline, readings, held, dropped, leaps, armed_ns, contrary), Telemetry(tuple(series))
 
 
@@ -296,22 +299,21 @@ def _times_without_stamp(
     return {m: (t_ns := latest[groups[m].column.places])[t_ns > UNSTAMPED] for m in missing}
 
 
-def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray, int]:
-    """The sound rows of a part, which they are, and how many were not.
+def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray | None, int]:
+    """The sound rows of a part, which they are (None: all), and how many were not.
 
     t_ns: times of the last rows; those before have none.
     """
-    values, untimed = part.values, len(host_ns) - len(t_ns)
-    keep: BoolArray | None = part.meant
-    unsound = 0
+    values, keep, unsound = part.values, part.meant, 0
     if not part.finite and not np.isfinite(values).all():
-        sound = np.logical_and.reduce(np.isfinite(values), axis=1)
-        meant = sound | True if keep is None else keep
+        sound = np.isfinite(values).all(axis=1)
+        meant = np.ones_like(sound) if keep is None else keep
         unsound = int(np.count_nonzero(meant & ~sound))
         keep = meant & sound
-    rows = np.arange(untimed, len(host_ns)) if keep is None else untimed + np.flatnonzero(keep[untimed:])
+    untimed = len(host_ns) - len(t_ns)
     if keep is None and not untimed:
-        return Series(part.signal, t_ns, host_ns, values), rows, unsound
+        return Series(part.signal, t_ns, host_ns, values), None, unsound
+    rows = np.arange(untimed, len(host_ns)) if keep is None else untimed + np.flatnonzero(keep[untimed:])
     return Series(part.signal, t_ns[rows - untimed], host_ns[rows], values[rows]), rows, unsound
 
 

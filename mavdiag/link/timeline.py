@@ -22,8 +22,6 @@ from mavdiag.link.offsets import NO_CLOCKS, Clocks, followed, lead_ns, placed
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = ["OutOfLine", "Timeline", "out_of_line", "place", "rebooted"]
-
 # Choices, not measurements; SILENT_NS is one, too.
 GONE_NS = 10 * NS_PER_S  # how long the old clock must be silent before a clock that no reboot explains takes over
 UPTIME_SLACK_NS = 10 * NS_PER_S  # how much older than that silence a vehicle may be that has rebooted in it
@@ -105,37 +103,37 @@ def place(timeline: Timeline, runs: Sequence[Run]) -> tuple[Timeline, list[IntAr
     runs: none empty, and of a fresh timeline the first one to arrive first. Returns the vehicle times of each run [ns];
     where a clock is not laid over the first yet (one to two seconds), the leading samples have none and are left out.
     """
-    before = timeline.clocks
+    before, base_ns = timeline.clocks, timeline.base_ns
     if before.reference is None:
-        timeline = _begun(timeline, runs[0])
+        base_ns = _begun(timeline, runs[0])
     clocks, paths = followed(before, runs)
-    received_ns, known_ns = timeline.host_ns, timeline.t_ns
+    received_ns, known_ns, rival = timeline.host_ns, timeline.t_ns, timeline.rival
     seen_ns, high_ns = list(timeline.seen_ns), list(timeline.high_ns)
     times = []
     for run in runs:
-        t_ns = run.clock_ns
+        t_ns, on_epoch = run.clock_ns, run.on_epoch
         if run.clock is not clocks.reference:
             t_ns = placed(t_ns, run.host_ns, paths.get(run.clock, ()), before.offsets[run.clock] is not None)
-        if timeline.base_ns:
-            t_ns = t_ns + timeline.base_ns
+        if base_ns:
+            t_ns = t_ns + base_ns
         if len(t_ns):
-            latest_ns = int(t_ns.max())
+            latest_ns = run.latest_ns if t_ns is run.clock_ns else int(t_ns.max())
             known_ns = latest_ns if known_ns is None else max(known_ns, latest_ns)
-        received_ns = max(received_ns, run.reading.host_ns)
-        if not run.ambiguous and run.latest_ns >= high_ns[run.on_epoch] - GONE_NS:  # else a clock of its own
-            seen_ns[run.on_epoch] = max(seen_ns[run.on_epoch], run.reading.host_ns)
-            high_ns[run.on_epoch] = max(high_ns[run.on_epoch], run.latest_ns)
+        run_ns = run.reading.host_ns
+        received_ns = max(received_ns, run_ns)
+        if not run.ambiguous and run.latest_ns >= high_ns[on_epoch] - GONE_NS:  # else a clock of its own
+            seen_ns[on_epoch] = max(seen_ns[on_epoch], run_ns)
+            high_ns[on_epoch] = max(high_ns[on_epoch], run.latest_ns)
         times.append(t_ns)
     seen, high = (seen_ns[0], seen_ns[1]), (high_ns[0], high_ns[1])
-    known = replace(timeline, clocks=clocks, t_ns=known_ns, host_ns=received_ns, seen_ns=seen, high_ns=high)
-    rival = timeline.rival
     if rival is not None and seen[rival.clock_ns >= EPOCH_NS] != timeline.seen_ns[rival.clock_ns >= EPOCH_NS]:
-        known = replace(known, rival=None)
-    return known, times
+        rival = None
+    return Timeline(clocks, base_ns, known_ns, received_ns, seen, high, rival, timeline.reboots), times
 
 
-def _begun(timeline: Timeline, first: Run) -> Timeline:
+def _begun(timeline: Timeline, first: Run) -> int:
+    """What to add to a fresh reference [ns]."""
     if timeline.t_ns is None:
-        return timeline
+        return timeline.base_ns
     resume_ns = timeline.t_ns + max(int(first.host_ns[0]) - timeline.host_ns, REBOOT_GAP_NS)
-    return replace(timeline, base_ns=resume_ns - int(first.clock_ns[0]))
+    return resume_ns - int(first.clock_ns[0])
