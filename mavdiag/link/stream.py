@@ -3,12 +3,12 @@
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
+from mavdiag.link.clock import VehicleTime
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, Profile, by_attitude, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState
-from mavdiag.link.timeline import Timeline
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
@@ -43,7 +43,7 @@ class VehicleStream:
         return self._decoder.profile
 
     @property
-    def timeline(self) -> Timeline:
+    def timeline(self) -> VehicleTime:
         """Where the vehicle's time stands."""
         return self._state.timeline
 
