@@ -73,11 +73,11 @@ def batch_of(frames: Sequence[Frame], wanted: Container[int] | None = None) -> B
     for place, frame in enumerate(frames):
         msgid = frame[0]
         if frame[2] == AUTOPILOT and (wanted is None or msgid in wanted):
-            known = members.get(msgid)
-            if known is None:
-                members[msgid] = known = ([], [])
-            known[0].append(place)
-            known[1].append(frame)
+            if msgid not in members:
+                members[msgid] = ([], [])
+            places, own = members[msgid]
+            places.append(place)
+            own.append(frame)
     columns = {
         msgid: Column(
             np.array(places),

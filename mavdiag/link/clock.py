@@ -215,8 +215,8 @@ class VehicleTime:
         messages: (k, 3) the messages: number, tick [ns] and turn, as `Counter` has them; a tick of 0 for one without a
         time of its own, which gets the latest time known. rows: which of them each frame is; -1 for a frame that is
         passed over. raw: their counts. host_ns: when they were received [ns].
-        Returns the vehicle's time of each [ns], `NEVER` for those that are left out, and how many were taken: up to the
-        first one of a vehicle that has started anew.
+        Returns the vehicle's time of each [ns], `NEVER` for those that are left out, 0 for those that are passed over;
+        and how many were taken: up to the first one of a vehicle that has started anew.
         """
         from mavdiag.link.clock_loop import stamp  # numba, at the first frame
 

@@ -55,9 +55,10 @@ def stamp(
     mem = mems[0]
     messages, rows, raws, host_ns = frames
     for k in range(len(raws)):
-        t_ns[k] = NEVER
+        t_ns[k] = 0
         if rows[k] < 0:
             continue
+        t_ns[k] = NEVER
         msgid, tick, turn = messages[rows[k]]
         now_ns = host_ns[k]
         if tick == 0:

@@ -124,8 +124,8 @@ def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 def _imu(profile: Profile, record: Record) -> tuple[Part, ...]:
     rate, force = record["xgyro"] * profile.gyro_unit, record["xacc"] * profile.accel_unit
-    names = record.dtype.names or ()
-    first = record["id"] == 0 if "id" in names and record["id"].any() else None
+    first = record["id"] == 0 if record.dtype.names and "id" in record.dtype.names else None
+    first = None if first is None or first.all() else first
     finite = record["xacc"].dtype.kind == "i"
     return Part(Signal.BODY_RATE, rate, first, finite), Part(Signal.SPECIFIC_FORCE, force, first, finite)
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.batch import Batch, Column, total
-from mavdiag.link.codec import FieldValue, Frame, field_index, record_dtype
+from mavdiag.link.codec import Frame, field_index, record_dtype
+from mavdiag.link.layout import FieldValue
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.telemetry import FloatArray, IntArray
 

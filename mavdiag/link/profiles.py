@@ -19,23 +19,6 @@ from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
 
-__all__ = [
-    "IMU_MESSAGES",
-    "LAST_RESORT",
-    "PROFILES",
-    "Evidence",
-    "Profile",
-    "Recognised",
-    "Stamp",
-    "by_attitude",
-    "detect_profile",
-    "detect_profile_in",
-    "profile_named",
-    "scale_doubt",
-    "with_imu",
-    "with_imu_of",
-]
-
 MILLI = 1e-3
 MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1000, about 2048; parted at their mean
 # Our choices: armed, more than idle thrust, and five seconds for the climb. Live, an alert must not wait for an end.

@@ -154,7 +154,7 @@ class SampleDecoder:
         self, state: SampleState, timeline: VehicleTime, batch: Batch, times_ns: IntArray
     ) -> tuple[SampleState, Telemetry]:
         found: dict[Signal, list[tuple[Part, Series, IntArray]]] = {}
-        dropped = state.dropped
+        dropped, all_timed = state.dropped, bool(times_ns.min() > NEVER)
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
             for msgid, column in batch.columns.items():
                 source = self._sources.get(msgid)
@@ -162,7 +162,7 @@ class SampleDecoder:
                     continue
                 places, host_ns, record = column.places, column.host_ns, column.record(source.dtype)
                 t_ns = times_ns[places]
-                if t_ns.min() == NEVER:
+                if not all_timed:
                     timed = t_ns > NEVER
                     places, host_ns, record, t_ns = places[timed], host_ns[timed], record[timed], t_ns[timed]
                 for part in source.convert(self.profile, record) if len(record) else ():

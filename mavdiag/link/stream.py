@@ -12,8 +12,6 @@ from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["CLEAR_FRAMES", "VehicleStream"]
-
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
 USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
