@@ -154,7 +154,7 @@ class SampleDecoder:
         self, state: SampleState, timeline: VehicleTime, batch: Batch, times_ns: IntArray
     ) -> tuple[SampleState, Telemetry]:
         found: dict[Signal, list[tuple[Part, Series, IntArray]]] = {}
-        dropped, all_timed = state.dropped, bool(times_ns.min() > NEVER)
+        dropped, all_timed = state.dropped, bool(times_ns.min(initial=0) > NEVER)
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
             for msgid, column in batch.columns.items():
                 source = self._sources.get(msgid)
