@@ -1,4 +1,4 @@
-"""Loops over bytes as machine code: numba compiles them at their first call and keeps the code on disk."""
+"""Loops as machine code: numba compiles them at their first call and keeps the code on disk."""
 
 from collections.abc import Callable
 from functools import cache, wraps
@@ -8,17 +8,22 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function when it is first called, also from another one of these. Imports numba."""
+    from numba import njit
+
+    try:
+        return cast(Callable[P, R], njit(cache=True)(function))
+    except RuntimeError:  # nowhere to keep the machine code
+        return cast(Callable[P, R], njit(function))
+
+
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function when it is first called; numba is imported then, and not by who only imports the function."""
+    """As `jit`, for a function that calls no other one; numba is imported when it is first called."""
 
     @cache
     def machine_code() -> Callable[P, R]:
-        from numba import njit
-
-        try:
-            return cast(Callable[P, R], njit(cache=True)(function))
-        except RuntimeError:  # nowhere to keep the machine code
-            return cast(Callable[P, R], njit(function))
+        return jit(function)
 
     @wraps(function)
     def call(*arguments: P.args, **named: P.kwargs) -> R:

@@ -15,7 +15,7 @@ import numpy as np
 from mavdiag.link.batch import Batch, batch_of
 from mavdiag.link.clock import NEVER, VehicleTime
 from mavdiag.link.codec import Frame
-from mavdiag.link.conversion import SOURCES, Part, Source, sources
+from mavdiag.link.conversion import SOURCES, Part, Source, euler_angles, sources
 from mavdiag.link.profiles import Profile
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -44,6 +44,13 @@ class SampleState:
     def leaps(self) -> int:
         """Samples left out because their stamps leap, so far."""
         return self.timeline.leaps
+
+
+def warm() -> None:
+    """Compile what converts frames, or load it from disk, before the first of them comes: seconds, or half of one."""
+    none = np.empty(0, np.int64)
+    VehicleTime().stamped(np.zeros((1, 3), np.int64), none, none, none)
+    euler_angles(np.empty((0, 4)))
 
 
 def by_vehicle(frames: Sequence[Frame]) -> dict[int, list[Frame]]:
