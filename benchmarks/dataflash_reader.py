@@ -16,8 +16,7 @@ from importlib import import_module
 from pathlib import Path
 
 from mavdiag.logs.dataflash import WANTED, read_dataflash
-from mavdiag.logs.dataflash_format import Table
-from mavdiag.logs.dataflash_walk import Walk
+from mavdiag.logs.dataflash_records import RecordTable, Walk
 from mavdiag.logs.log import windows_of
 
 REPEATS = 20
@@ -34,7 +33,7 @@ def peer(path: Path) -> int:
     return count
 
 
-def tables_of(path: Path) -> list[Table]:
+def tables_of(path: Path) -> list[RecordTable]:
     """Read the needed messages as tables."""
     walk = Walk(WANTED)
     for window in windows_of(path):

@@ -8,8 +8,7 @@ checksum of every message as well, count every sender's losses, and lay the fiel
 reads side by side as arrays ("decoding"); `read_tlog` goes on to the telemetry of one vehicle, in SI, on one timeline,
 and takes the SHA-256 of the file.
 
-Figures are processor time: the median of the repeats against the mean of one run of the peer before and one after each
-pair of contenders.
+Figures are processor time: the median of the repeats against the mean of one run of the peer before and one after them.
 """
 
 import argparse
@@ -20,12 +19,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from mavdiag.link.frame_loop import by_loop
-from mavdiag.link.frame_walk import Finder, by_arrays
 from mavdiag.logs.log import windows_of
 from mavdiag.logs.tlog import TlogContent, decode_windows, read_tlog
 
@@ -40,9 +36,9 @@ def peer(path: Path) -> int:
     return count
 
 
-def decoded(path: Path, find: Finder) -> TlogContent:
+def decoded(path: Path) -> TlogContent:
     """Every frame checked, the wanted ones as columns, read as `read_tlog` reads them."""
-    return decode_windows(windows_of(path), find)
+    return decode_windows(windows_of(path))
 
 
 def seconds_of(work: Callable[[], object]) -> float:
@@ -54,24 +50,20 @@ def seconds_of(work: Callable[[], object]) -> float:
 
 def race(path: Path, repeats: int) -> None:
     """Print each contender's time and its ratio to the peer."""
-    content = decoded(path, by_arrays)
+    first = seconds_of(lambda: decoded(path))
+    content = decoded(path)
     print(f"{path.name}: {content.records} messages, {content.size / 1e6:.1f} MB, seed {SEED}")
     assert peer(path) == content.records + content.damaged_bytes, "the peer reads something else"
     theirs = [seconds_of(lambda: peer(path))]
-    for kind, find in (("numpy alone", by_arrays), ("with numba", by_loop)):
-        # Whoever imports numba makes `read_tlog` use it.
-        assert find is by_loop or "numba" not in sys.modules, "numba is there too early"
-        decode = partial(decoded, path, find)
-        first = seconds_of(decode)
-        decoding = [seconds_of(decode) for _ in range(repeats)]
-        whole = [seconds_of(lambda: read_tlog(path)) for _ in range(repeats)]
-        theirs.append(seconds_of(lambda: peer(path)))
-        against = statistics.mean(theirs[-2:])
-        print(f"  {kind}; the peer {1e6 * against / content.records:.2f} us a message, our first run {first:.2f} s")
-        for name, own in (("decoding", decoding), ("read_tlog to telemetry", whole)):
-            ours = statistics.median(own)
-            speed = f"{1e6 * ours / content.records:.3f} us a message, {content.size / ours / 1e6:.0f} MB/s"
-            print(f"    {name:24} {speed:36} {against / ours:6.1f} x (worst {against / max(own):.1f} x)")
+    decoding = [seconds_of(lambda: decoded(path)) for _ in range(repeats)]
+    whole = [seconds_of(lambda: read_tlog(path)) for _ in range(repeats)]
+    theirs.append(seconds_of(lambda: peer(path)))
+    against = statistics.mean(theirs)
+    print(f"  the peer {1e6 * against / content.records:.2f} us a message, our first run {first:.2f} s")
+    for name, own in (("decoding", decoding), ("read_tlog to telemetry", whole)):
+        ours = statistics.median(own)
+        speed = f"{1e6 * ours / content.records:.3f} us a message, {content.size / ours / 1e6:.0f} MB/s"
+        print(f"    {name:24} {speed:36} {against / ours:6.1f} x (worst {against / max(own):.1f} x)")
     print(f"  peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 

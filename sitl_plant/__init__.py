@@ -6,7 +6,7 @@ Flight dynamics, control, sensors and propeller faults:
          ▲                                                                └─ motion capture ─────┤
          └───────────────────────────────────────────────────────────────────────────────────────┘
 
-`sitl_plant.plant` has the one class to use, `Plant`. It needs numba: install `mavdiag[plant]`.
+`sitl_plant.plant` has the one class to use, `Plant`.
 """
 
 __all__: list[str] = []

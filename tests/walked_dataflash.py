@@ -4,10 +4,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mavdiag.logs.dataflash_format import FMT_TYPE, HEADER, Format, Table, declared, first_instance
+from mavdiag.logs.dataflash_records import FMT_TYPE, HEADER, Format, RecordTable, declared
 
 
-def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tuple[str, ...]]:
+def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, RecordTable], tuple[str, ...]]:
     """Tables of the wanted messages by name, and what is wrong with the file."""
     formats: dict[int, Format] = {}
     starts: dict[int, list[int]] = {}
@@ -27,12 +27,12 @@ def walked(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Table], tupl
                 if found.sound and found.name in wanted:
                     starts[number] = []
         position = data.find(HEADER, position + (length or 1))
-    tables: dict[str, Table] = {}
+    tables: dict[str, RecordTable] = {}
     for kind, at in starts.items():
         form = formats[kind]
         if at and form.name not in tables:
             content = b"".join(data[place : place + form.length] for place in at)
-            tables[form.name] = first_instance(Table(form, np.array(at), np.frombuffer(content, form.layout())))
+            tables[form.name] = RecordTable(form, np.array(at), np.frombuffer(content, form.layout())).first_instance()
     rest = data[sound_end:]
     cut = f"it ends within a record, {len(rest)} bytes are lost: the recording was cut off"
     skipped = f"{sound_end - sound} bytes of it are no records of a known type and were skipped"

@@ -6,18 +6,6 @@ from dataclasses import dataclass
 from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.messages import Component, MessageId
 
-__all__ = [
-    "COMMANDS",
-    "PARAMETER_REQUESTS",
-    "REQUESTS_MAX",
-    "Ack",
-    "Command",
-    "acks_in",
-    "commands_in",
-    "parameters_asked",
-    "parameters_asked_in",
-]
-
 # Commands and parameter requests for one vehicle's computer that are handed out at a time, so that a flood is not
 # answered (our choice).
 REQUESTS_MAX = 16

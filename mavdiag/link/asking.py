@@ -14,8 +14,6 @@ from mavdiag.link.signing import Signing
 from mavdiag.link.wants import Want
 from mavdiag.telemetry import Instant
 
-__all__ = ["Asked", "Asker"]
-
 BEAT_S = 1.0
 AGAIN_S = 1.5  # a stream that has not come by then is asked for once more (our choice)
 TRIES = 2

@@ -23,22 +23,6 @@ from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.sequence import DecoderCount, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 
-__all__ = [
-    "Decoder",
-    "DecoderCount",
-    "Encoder",
-    "FieldValue",
-    "Frame",
-    "StatusText",
-    "decode_statustext",
-    "field_index",
-    "known_messages",
-    "message_name",
-    "next_marker",
-    "record_dtype",
-    "wire_fields",
-]
-
 MARKER_V1, MARKER_V2 = MARKERS = 0xFE, 0xFD
 UNFINISHED = -1
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`

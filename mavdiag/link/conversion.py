@@ -5,12 +5,14 @@ for each signal in them. Everything is in the body frame FRD already: MAVLink ha
 `SOURCES`, and its number in `mavdiag.link.messages.MessageId`.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from mavdiag.compiled import compiled
 from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32, US_32, US_64, Counter
 from mavdiag.link.codec import record_dtype
@@ -19,15 +21,12 @@ from mavdiag.link.profiles import Profile
 from mavdiag.telemetry import BoolArray, FloatArray, Signal
 from mavdiag.units import RPM
 
-__all__ = ["ACTUATORS", "ROTORS", "SOURCES", "Part", "Source", "euler_angles", "source", "sources"]
-
 UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
 ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
 ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
 PULSE_US = 1000.0, 2000.0  # PWM for 0 and full output
 PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
 DSHOT_FULL = 2047.0  # the largest of its 11 bits
-ANGLES = 1 << 10  # quaternions at a time: what is made of them stays in the processor's cache
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
@@ -73,51 +72,44 @@ class Source:
     chosen_by: int | None
 
 
-def _angle_terms() -> FloatArray:
-    """(16, 7): from the products q q^T, row by row, to three numerators, three denominators and |q|^2.
-
-    They are of the tangents of roll, pitch and yaw (body to world, order z-y-x). Pitch's denominator is left open: it
-    is the hypotenuse of roll's pair, so that nothing is divided or clipped and the length of q does not matter.
-    """
-    terms = np.zeros((4, 4, 7))
-    terms[0, 1, 0] = terms[2, 3, 0] = 2.0  # 2 (w x + y z)
-    terms[0, 2, 1], terms[1, 3, 1] = 2.0, -2.0  # 2 (w y - x z)
-    terms[0, 3, 2] = terms[1, 2, 2] = 2.0  # 2 (w z + x y)
-    for i, squares in enumerate(((1, 0, 1, 1), (-1, 0, 1, 1), (-1, 0, -1, 1), (1, 0, -1, 1))):
-        terms[i, i, 3:] = squares
-    return terms.reshape(16, 7)
-
-
-_ANGLE_TERMS = _angle_terms()
-
-
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 
 
 def euler_angles(q: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10."""
-    return _euler_angles(q)[0]
+    """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10.
+
+    Body to world, order z-y-x. Pitch's denominator is the hypotenuse of roll's pair, so that nothing is divided or
+    clipped and the length of q does not matter.
+    """
+    angles = np.empty((len(q), 3))
+    _fill_angles(q, angles)
+    return angles
 
 
-def _euler_angles(q: FloatArray) -> tuple[FloatArray, bool]:
-    """The same, and whether every quaternion has a length that one may have."""
-    if len(q) > ANGLES:
-        parts = [_euler_angles(q[at : at + ANGLES]) for at in range(0, len(q), ANGLES)]
-        return np.concatenate([part for part, _ in parts]), all(whole for _, whole in parts)
-    terms = (q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _ANGLE_TERMS
-    terms[:, 4] = np.hypot(terms[:, 0], terms[:, 3])
-    angles: FloatArray = np.arctan2(terms[:, :3], terms[:, 3:6])
-    squared = terms[:, 6]
-    if squared.min(initial=1.0) > SQUARED[0] and squared.max(initial=1.0) < SQUARED[1]:
-        return angles, True
-    angles[~((squared > SQUARED[0]) & (squared < SQUARED[1]))] = np.nan
-    return angles, False
+@compiled
+def _fill_angles(q: FloatArray, angles: FloatArray) -> bool:
+    """Write the angles; returns whether every quaternion has a length that one may have."""
+    whole = True
+    for k in range(len(q)):
+        w, x, y, z = q[k, 0], q[k, 1], q[k, 2], q[k, 3]
+        ww, xx, yy, zz = w * w, x * x, y * y, z * z
+        squared = ww + xx + yy + zz
+        if not (squared > SQUARED[0] and squared < SQUARED[1]):
+            angles[k, 0] = angles[k, 1] = angles[k, 2] = np.nan
+            whole = False
+            continue
+        sine, cosine = 2.0 * (w * x + y * z), ww - xx - yy + zz
+        angles[k, 0] = math.atan2(sine, cosine)
+        angles[k, 1] = math.atan2(2.0 * (w * y - x * z), math.hypot(sine, cosine))
+        angles[k, 2] = math.atan2(2.0 * (w * z + x * y), ww + xx - yy - zz)
+    return whole
 
 
 def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
     target = record["q"].astype(np.float64)  # q, body rates and thrust lie side by side
     finite = bool(np.isfinite(target).all())
-    angles, whole = _euler_angles(target[:, :4])
+    angles = np.empty((len(target), 3))
+    whole = _fill_angles(target, angles)
     mask = record["type_mask"]
     attitude = rate = throttle = None
     if mask.any():
@@ -132,8 +124,8 @@ def _attitude_target(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 def _imu(profile: Profile, record: Record) -> tuple[Part, ...]:
     rate, force = record["xgyro"] * profile.gyro_unit, record["xacc"] * profile.accel_unit
-    names = record.dtype.names or ()
-    first = record["id"] == 0 if "id" in names and record["id"].any() else None
+    first = record["id"] == 0 if record.dtype.names and "id" in record.dtype.names else None
+    first = None if first is None or first.all() else first
     finite = record["xacc"].dtype.kind == "i"
     return Part(Signal.BODY_RATE, rate, first, finite), Part(Signal.SPECIFIC_FORCE, force, first, finite)
 
@@ -162,7 +154,7 @@ def _heartbeat(profile: Profile, record: Record) -> tuple[Part, ...]:
 
 
 def _servo_outputs(profile: Profile, record: Record) -> tuple[Part, ...]:
-    raw = np.column_stack((record["servo1_raw"], record["servo9_raw"]))
+    raw = np.concatenate((record["servo1_raw"], record["servo9_raw"]), axis=1)
     return (Part(Signal.ACTUATOR, _share(profile, raw), record["port"] == 0, finite=True),)
 
 

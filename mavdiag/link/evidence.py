@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.batch import Batch, Column, total
-from mavdiag.link.codec import FieldValue, Frame, field_index, record_dtype
+from mavdiag.link.codec import Frame, field_index, record_dtype
+from mavdiag.link.layout import FieldValue
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.telemetry import FloatArray, IntArray
-
-__all__ = ["Evidence", "autopilots_of", "evidence_of", "is_autopilot_heartbeat", "mav_type_of", "mav_types_of"]
 
 _NAMES = ("type", "autopilot")
 _TYPE, _AUTOPILOT = (field_index(MessageId.HEARTBEAT, name) for name in _NAMES)
@@ -72,14 +71,15 @@ def autopilots_of(batch: Batch) -> frozenset[int]:
 
 def _beats(batch: Batch) -> Counter[tuple[int, int]]:
     """MAV_TYPE and MAV_AUTOPILOT of the heartbeats of a vehicle's autopilot, and how often they come."""
-    found = [column.record(_HEARTBEAT) for column in batch.columns({MessageId.HEARTBEAT}).values()]
-    beats = Counter(one for record in found for one in zip(*(record[name].tolist() for name in _NAMES), strict=True))
+    column = batch.columns.get(MessageId.HEARTBEAT)
+    record = np.empty(0, _HEARTBEAT) if column is None else column.record(_HEARTBEAT)
+    beats = Counter(zip(*(record[name].tolist() for name in _NAMES), strict=True))
     return Counter({(kind, autopilot): n for (kind, autopilot), n in beats.items() if _is_autopilot(kind, autopilot)})
 
 
 def evidence_of(batches: Sequence[Batch]) -> Evidence:
     """What the frames of one vehicle show, in several pieces, in order of arrival."""
-    raw = [_raw_imu(column) for batch in batches for column in batch.columns({MessageId.RAW_IMU}).values()]
+    raw = [_raw_imu(column) for batch in batches if (column := batch.columns.get(MessageId.RAW_IMU))]
     weight = period_us = float("nan")
     if raw:
         weight = float(np.median(np.concatenate([sizes for sizes, _ in raw])))

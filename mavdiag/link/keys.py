@@ -13,8 +13,6 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.link.signing import STALE, Signing, stamp_at
 from mavdiag.storage import open_regular, read_text, write_atomically
 
-__all__ = ["KeptSigning", "open_signing", "read_key", "read_secret"]
-
 AHEAD = 9_000_000  # what is kept is so far ahead of the stamps in use [10 us]: 90 s, so that few writes do (our choice)
 AGAIN = 3_000_000  # when less than this is left, it is written again [10 us]
 TICKS_S = 100_000  # stamps in a second

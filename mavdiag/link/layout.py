@@ -16,8 +16,6 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import MessageId
 
-__all__ = ["EXTRA_LAYOUTS", "Argument", "FieldValue", "Layout", "cut"]
-
 FieldValue: TypeAlias = int | float | bytes
 Argument: TypeAlias = int | float | bytes | str | Sequence[int] | Sequence[float]
 

@@ -19,8 +19,6 @@ from mavdiag.link.signing import Signing, stamp_at
 from mavdiag.link.vehicles import Ack, LinkDecoder, VehicleStream
 from mavdiag.telemetry import Log, Telemetry
 
-__all__ = ["Link", "open_link"]
-
 POLL_S = 0.04
 SILENT_NOTE = "it sends no message with a measurement; let it send ATTITUDE_TARGET and an IMU message"
 SILENT_ADVICE = (

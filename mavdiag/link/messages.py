@@ -6,18 +6,6 @@ be sent and received by its number.
 
 from enum import IntEnum, IntFlag
 
-__all__ = [
-    "Autopilot",
-    "Component",
-    "MavCmd",
-    "MavResult",
-    "MavType",
-    "MessageId",
-    "ModeFlag",
-    "Severity",
-    "TargetMask",
-]
-
 
 class MessageId(IntEnum):
     """Messages that the project reads or writes."""

@@ -16,8 +16,6 @@ from mavdiag.link.codec import Frame, field_index, record_dtype
 from mavdiag.link.messages import Autopilot, Component, MessageId
 from mavdiag.telemetry import Instant
 
-__all__ = ["MOST_PARAMETERS", "Reading", "parameters_in", "telling", "with_parameters"]
-
 MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 _NAME = field_index(MessageId.PARAM_VALUE, "param_id")

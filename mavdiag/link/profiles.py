@@ -11,30 +11,13 @@ from enum import StrEnum
 from math import isfinite
 
 from mavdiag.errors import UsageError
-from mavdiag.link.batch import Batch, FrameBatch
+from mavdiag.link.batch import Batch, batch_of
 from mavdiag.link.codec import Frame, message_name
 from mavdiag.link.evidence import Evidence, evidence_of
 from mavdiag.link.messages import Autopilot, Component, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
-
-__all__ = [
-    "IMU_MESSAGES",
-    "LAST_RESORT",
-    "PROFILES",
-    "Evidence",
-    "Profile",
-    "Recognised",
-    "Stamp",
-    "by_attitude",
-    "detect_profile",
-    "detect_profile_in",
-    "profile_named",
-    "scale_doubt",
-    "with_imu",
-    "with_imu_of",
-]
 
 MILLI = 1e-3
 MILLI_G, IIM_42652 = (700.0, 1431.0), (1431.0, 2900.0)  # counts of 1 g: about 1000, about 2048; parted at their mean
@@ -230,7 +213,7 @@ class Recognised:
 
 def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
     """The first of the profiles that one vehicle's frames fit; never a guess."""
-    return detect_profile_in([FrameBatch(frames)], profiles)
+    return detect_profile_in([batch_of(frames)], profiles)
 
 
 def detect_profile_in(batches: Sequence[Batch], profiles: Iterable[Profile] = _ROWS) -> Recognised:

@@ -3,31 +3,24 @@
     state = SampleState()
     state, telemetry = decoder.step(state, frames)
 
-What a message means is in `conversion`, when it was is in `clock` and `timeline`; here they are put together. How the
-frames are cut into blocks does not matter.
+What a message means is in `conversion`, when it was is in `clock`; here they are put together. How the frames are cut
+into blocks does not matter.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from mavdiag.link.batch import Batch, Column, FrameBatch, Record
-from mavdiag.link.clock import EPOCH_NS, ClockReading, Counter, Run, changed_clock, unwrap
+from mavdiag.link.batch import Batch, batch_of
+from mavdiag.link.clock import NEVER, VehicleTime
 from mavdiag.link.codec import Frame
-from mavdiag.link.conversion import SOURCES, Part, Source, sources
-from mavdiag.link.offsets import lead_ns as lead_of
+from mavdiag.link.conversion import SOURCES, Part, Source, euler_angles, sources
 from mavdiag.link.profiles import Profile
-from mavdiag.link.timeline import OutOfLine, Timeline, out_of_line, place
-from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Runs", "SampleDecoder", "SampleState", "by_vehicle", "filled", "joined", "merged"]
-
-UNSTAMPED = -(1 << 62)  # stands for "no time known yet" [ns]
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
-SMALL_BLOCK = 32  # frames: how carefully to go on after a break, so that many breaks do not cost a rescan each
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,21 +28,29 @@ class SampleState:
     """What one vehicle's conversion carries from block to block.
 
     timeline: where its time stands.
-    readings: where each message's counter stands.
     held: last known row of the signals whose messages carry only some of the columns.
     dropped: rows with NaN, infinity or a zero quaternion so far.
-    leaps: samples left out because their stamps leap, so far.
     armed_ns: when the latest armed heartbeat was received [ns].
     contrary: disarmed heartbeats amid armed ones, left out so far.
     """
 
-    timeline: Timeline = field(default_factory=Timeline)
-    readings: Mapping[int, ClockReading] = field(default_factory=dict)
+    timeline: VehicleTime = field(default_factory=VehicleTime)
     held: Mapping[Signal, FloatArray] = field(default_factory=dict, compare=False)
     dropped: int = 0
-    leaps: int = 0
-    armed_ns: int = UNSTAMPED
+    armed_ns: int = NEVER
     contrary: int = 0
+
+    @property
+    def leaps(self) -> int:
+        """Samples left out because their stamps leap, so far."""
+        return self.timeline.leaps
+
+
+def warm() -> None:
+    """Compile what converts frames, or load it from disk, before the first of them comes: seconds, or half of one."""
+    none = np.empty(0, np.int64)
+    VehicleTime().stamped(np.zeros((1, 3), np.int64), none, none, none)
+    euler_angles(np.empty((0, 4)))
 
 
 def by_vehicle(frames: Sequence[Frame]) -> dict[int, list[Frame]]:
@@ -103,35 +104,6 @@ class Runs:
         return Telemetry(tuple(series))
 
 
-class _Group(NamedTuple):
-    """The frames of one message in a block, and what they become.
-
-    source: the row of the table.
-    record: (n,) payloads that are in line.
-    host_ns: (n,) when they were received [ns].
-    run: None for a message without a time of its own.
-    first: frames of this message at the start of the block that cannot be placed in time and are left out.
-    total: frames of this message behind those.
-    """
-
-    source: Source
-    record: Record
-    host_ns: IntArray
-    run: Run | None
-    first: int
-    total: int
-
-    @property
-    def broken_at(self) -> int | None:
-        """Where the message's counter broke off, as a number of its frames; None if it went on to the end."""
-        return None if self.run is None or self.run.used == self.total else self.first + self.run.used
-
-    def places(self, block: Batch) -> IntArray:
-        """(n,) where in the block the frames of `record` are."""
-        rows = block.places(self.source.message)[self.first :]
-        return rows if self.run is None or self.run.kept is None else rows[self.run.kept]
-
-
 class SampleDecoder:
     """Turns one vehicle's frames into telemetry, by its profile. Holds nothing but the profile; the state is passed.
 
@@ -140,8 +112,7 @@ class SampleDecoder:
     table: the messages that are known.
     wanted: the message ids that it reads, for the decoder of frames.
     Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
-    has given the time since boot. A block costs some 100 us however short it is: convert 50 pairs of set-point and IMU
-    message or more at a time.
+    has given the time since boot. A block costs some 50 us however short it is.
     """
 
     def __init__(
@@ -150,175 +121,91 @@ class SampleDecoder:
         self.profile = profile
         self._sources: dict[int, Source] = {row.message: row for row in sources(profile, signals, table)}
         self.wanted = frozenset(self._sources)
+        counters = [(msgid, row.counter) for msgid, row in self._sources.items()]
+        self._messages = np.array(
+            [(msgid, c.tick_ns, c.turn) if c else (msgid, 0, 0) for msgid, c in counters], np.int64
+        ).reshape(-1, 3)
+        self._rows = {msgid: number for number, msgid in enumerate(self._sources)}
 
     def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
         """Take the next frames of one vehicle, in order of arrival."""
-        return self.step_batch(state, FrameBatch(frames))
+        return self.step_batch(state, batch_of(frames, self.wanted))
 
     def step_batch(self, state: SampleState, batch: Batch) -> tuple[SampleState, Telemetry]:
-        """As `step`, for frames or columns of them."""
-        state, telemetry, done = self._stretch(state, batch)
-        if done == len(batch):
-            return state, telemetry
-        pieces, size = [telemetry], SMALL_BLOCK
-        while done < len(batch):
-            block = batch.part(done, done + size)
-            state, telemetry, more = self._stretch(state, block)
-            pieces.append(telemetry)
-            done, size = done + more, 2 * size if more == len(block) else SMALL_BLOCK
+        """As `step`, for frames that are laid out message by message."""
+        frames, done, pieces = self._stamps(batch), 0, []
+        while done < batch.size:
+            timeline, t_ns, taken = state.timeline.stamped(self._messages, *frames[:, done:])
+            stretch = batch if taken == batch.size else batch.part(done, done + taken)
+            state, piece = self._converted(state, timeline, stretch, t_ns)
+            pieces.append(piece)
+            done += taken
+            if done < batch.size:  # the vehicle started anew
+                state = replace(state, held={}, armed_ns=NEVER)
         return state, joined(pieces)
 
-    def _stretch(self, state: SampleState, block: Batch) -> tuple[SampleState, Telemetry, int]:
-        """Convert frames up to where a counter breaks off; says how many. If it is none, the break is now behind."""
-        columns = block.columns(self.wanted)
-        groups = self._groups(state, block, columns)
-        broken = {m: at for m, group in groups.items() if (at := group.broken_at) is not None}
-        if not broken:
-            return *self._converted(state, block, groups), len(block)
-        first, msgid, at = min((int(block.places(m)[at]), m, at) for m, at in broken.items())
-        if any(block.places(m)[0] < first for m in columns):
-            return self._stretch(state, block.part(0, first))
-        state, stray = self._decided(state, msgid, columns[msgid], at)
-        return state, Telemetry(), first + stray
-
-    def _groups(self, state: SampleState, block: Batch, columns: Mapping[int, Column]) -> dict[int, _Group]:
-        """The messages in order of arrival, but those whose counter needs another's time come last."""
-        groups: dict[int, _Group] = {}
-        ambiguous: list[int] = []
-        for msgid, own in columns.items():
-            counter = self._sources[msgid].counter
-            if counter is not None and counter.ambiguous:
-                ambiguous.append(msgid)
-            else:
-                groups[msgid] = self._group(state, msgid, own)
-        for msgid in ambiguous:
-            own, first, since_boot_ns = columns[msgid], 0, None
-            if msgid not in state.readings:
-                first, since_boot_ns = _first_placed(state.timeline, block, msgid, own, groups)
-            if first < len(own):
-                groups[msgid] = self._group(state, msgid, own, first, since_boot_ns)
-        return groups
-
-    def _group(
-        self, state: SampleState, msgid: int, own: Column, first: int = 0, since_boot_ns: int | None = None
-    ) -> _Group:
-        source = self._sources[msgid]
-        record, host_ns = own.record(source.dtype)[first:], own.host_ns[first:]
-        total, run = len(host_ns), None
-        if source.counter:
-            raw = record[source.time].astype(np.int64)
-            last, lead_ns = state.readings.get(msgid), None
-            if last is None:
-                on_epoch = int(raw[0]) * source.counter.tick_ns >= EPOCH_NS
-                lead_ns = lead_of(state.timeline.clocks, source.counter.clock(on_epoch))
-            run = unwrap(source.counter, last, raw, host_ns, since_boot_ns, lead_ns)
-            if run.kept is not None:
-                record, host_ns = record[: run.used][run.kept], run.host_ns
-        return _Group(source, record, host_ns, run, first, total)
-
-    def _decided(self, state: SampleState, msgid: int, own: Column, at: int) -> tuple[SampleState, bool]:
-        """A frame out of line: a change of clock, a reboot, or (True) a stray to leave out."""
-        source, last, host_ns = self._sources[msgid], state.readings[msgid], int(own.host_ns[at])
-        counter = source.counter or Counter(1, 0)
-        raw = max(0, int(own.record(source.dtype)[source.time][at].astype(np.int64)))
-        if changed_clock(counter, last, raw):
-            return replace(state, readings={m: reading for m, reading in state.readings.items() if m != msgid}), False
-        timeline, what = out_of_line(state.timeline, counter, raw, host_ns)
-        if what is OutOfLine.REBOOT:
-            anew = SampleState(timeline, dropped=state.dropped, leaps=state.leaps, contrary=state.contrary)
-            return anew, False
-        readings = dict(state.readings)
-        if what is OutOfLine.STRAY:  # the next decision is due after another second
-            readings[msgid] = last._replace(host_ns=host_ns)
-        return replace(state, timeline=timeline, readings=readings), True
+    def _stamps(self, batch: Batch) -> IntArray:
+        """(3, n): message, count and time of arrival of each frame, as `VehicleTime.stamped` takes them."""
+        frames = np.empty((3, batch.size), np.int64)
+        rows, raw, host_ns = frames
+        rows.fill(-1)
+        for msgid, column in batch.columns.items():
+            source = self._sources.get(msgid)
+            if source is not None:
+                rows[column.places], host_ns[column.places] = self._rows[msgid], column.host_ns
+                if source.counter:
+                    raw[column.places] = column.record(source.dtype)[source.time]
+        return frames
 
     def _converted(
-        self, state: SampleState, block: Batch, groups: Mapping[int, _Group]
+        self, state: SampleState, timeline: VehicleTime, batch: Batch, times_ns: IntArray
     ) -> tuple[SampleState, Telemetry]:
-        runs = {m: group.run for m, group in groups.items() if group.run is not None and len(group.record)}
-        timeline, times = place(state.timeline, list(runs.values())) if runs else (state.timeline, [])
-        when = dict(zip(runs, times, strict=True))
-        missing = {m for m, group in groups.items() if group.run is None}
-        if missing:
-            when |= _times_without_stamp(state.timeline.t_ns, block, when, groups, missing)
-        found: dict[Signal, list[tuple[int, Part, Series, IntArray]]] = {}
-        dropped = state.dropped
+        found: dict[Signal, list[tuple[Part, Series, IntArray]]] = {}
+        dropped, all_timed = state.dropped, bool(times_ns.min(initial=0) > NEVER)
         with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
-            for msgid, t_ns in when.items():
-                group = groups[msgid]
-                for part in group.source.convert(self.profile, group.record):
-                    one, rows, unsound = _series(part, t_ns, group.host_ns)
+            for msgid, column in batch.columns.items():
+                source = self._sources.get(msgid)
+                if source is None:
+                    continue
+                places, host_ns, record = column.places, column.host_ns, column.record(source.dtype)
+                t_ns = times_ns[places]
+                if not all_timed:
+                    timed = t_ns > NEVER
+                    places, host_ns, record, t_ns = places[timed], host_ns[timed], record[timed], t_ns[timed]
+                for part in source.convert(self.profile, record) if len(record) else ():
+                    rows, unsound = _sound(part)
                     dropped += unsound
-                    if len(one):
-                        found.setdefault(part.signal, []).append((msgid, part, one, rows))
+                    if rows is None:
+                        made = Series(part.signal, t_ns, host_ns, part.values)
+                    else:
+                        made = Series(part.signal, t_ns[rows], host_ns[rows], part.values[rows])
+                    if len(made):
+                        found.setdefault(part.signal, []).append((part, made, places if rows is None else places[rows]))
         series, held, armed_ns, contrary = [], dict(state.held), state.armed_ns, state.contrary
         for signal, parts in found.items():
-            one = (
-                parts[0][2]
-                if len(parts) == 1
-                else merged(signal, [(s, groups[m].places(block)[r]) for m, _, s, r in parts])
-            )
-            if parts[0][1].held:
-                one = replace(one, values=filled(one.values, held.get(signal)))
-                held[signal] = one.values[-1]
+            part, made, _ = parts[0]
+            if len(parts) > 1:
+                made = merged(signal, [(each, places) for _, each, places in parts])
+            if part.held:
+                made = replace(made, values=filled(made.values, held.get(signal)))
+                held[signal] = made.values[-1]
             if signal is Signal.ARMED:
-                beats = len(one)
-                one, armed_ns = _steady(one, armed_ns)
-                contrary += beats - len(one)
-            series += [one] if len(one) else []
-        readings = dict(state.readings)
-        readings.update((msgid, group.run.reading) for msgid, group in groups.items() if group.run is not None)
-        leaps = state.leaps + sum(group.run.leaps for group in groups.values() if group.run is not None)
-        return SampleState(timeline, readings, held, dropped, leaps, armed_ns, contrary), Telemetry(tuple(series))
+                beats = len(made)
+                made, armed_ns = _steady(made, armed_ns)
+                contrary += beats - len(made)
+            series += [made] if len(made) else []
+        return SampleState(timeline, held, dropped, armed_ns, contrary), Telemetry(tuple(series))
 
 
-def _first_placed(
-    timeline: Timeline, block: Batch, msgid: int, own: Column, groups: Mapping[int, _Group]
-) -> tuple[int, int | None]:
-    """From which of its frames on a message can be placed by another's time since boot, and that time there [ns]."""
-    known_ns = timeline.since_boot_ns(int(own.host_ns[0]))
-    if known_ns is not None:
-        return 0, known_ns
-    for other, group in groups.items():
-        if group.run is not None and len(group.record) and not group.run.on_epoch:
-            first = int(np.searchsorted(block.places(msgid), block.places(other)[0]))
-            since_ns = int(group.run.clock_ns[0]) - int(group.run.host_ns[0])
-            return first, since_ns + int(own.host_ns[first]) if first < len(own) else None
-    return len(own), None
-
-
-def _times_without_stamp(
-    known_ns: int | None, block: Batch, when: Mapping[int, IntArray], groups: Mapping[int, _Group], missing: Set[int]
-) -> dict[int, IntArray]:
-    """For messages without a time of their own the latest vehicle time at their arrival; none before the first stamp.
-
-    known_ns: the latest time before the block. when: the times of its other messages. missing: the messages to place.
-    """
-    latest = np.full(len(block), UNSTAMPED if known_ns is None else known_ns)
-    for msgid, t_ns in when.items():
-        rows = groups[msgid].places(block)
-        latest[rows[len(rows) - len(t_ns) :]] = t_ns
-    latest = np.maximum.accumulate(latest)
-    return {m: (t_ns := latest[block.places(m)])[t_ns > UNSTAMPED] for m in missing}
-
-
-def _series(part: Part, t_ns: IntArray, host_ns: IntArray) -> tuple[Series, IntArray, int]:
-    """The sound rows of a part, which they are, and how many were not.
-
-    t_ns: times of the last rows; those before have none.
-    """
-    values, untimed = part.values, len(host_ns) - len(t_ns)
-    keep: BoolArray | None = part.meant
-    unsound = 0
-    if not part.finite and not np.isfinite(values).all():
-        sound = np.logical_and.reduce(np.isfinite(values), axis=1)
-        meant = sound | True if keep is None else keep
+def _sound(part: Part) -> tuple[IntArray | None, int]:
+    """The rows of a part that are meant and sound, None for all, and how many are meant and not sound."""
+    keep, unsound = part.meant, 0
+    if not part.finite and not np.isfinite(part.values).all():
+        sound = np.isfinite(part.values).all(axis=1)
+        meant = np.ones_like(sound) if keep is None else keep
         unsound = int(np.count_nonzero(meant & ~sound))
         keep = meant & sound
-    rows = np.arange(untimed, len(host_ns)) if keep is None else untimed + np.flatnonzero(keep[untimed:])
-    if keep is None and not untimed:
-        return Series(part.signal, t_ns, host_ns, values), rows, unsound
-    return Series(part.signal, t_ns[rows - untimed], host_ns[rows], values[rows]), rows, unsound
+    return None if keep is None else np.flatnonzero(keep), unsound
 
 
 def _steady(armed: Series, armed_ns: int) -> tuple[Series, int]:

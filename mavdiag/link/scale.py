@@ -12,8 +12,6 @@ import numpy as np
 from mavdiag.telemetry import FloatArray, Series
 from mavdiag.units import NS_PER_S, G
 
-__all__ = ["CONTRARY", "AxisCheck", "gravity_of", "gyro_checks", "scale_of"]
-
 CONTRARY = 1.4  # an acceleration so many times off 1 g is of another scale; 2048/1000 counts are 2.05 (our choice)
 ALIKE = 0.1  # counts this near to a known scale are of it (our choice: hovering does not weigh better)
 LAGS_S = np.arange(-0.2, 0.2001, 0.002)  # delays that are tried

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from mavdiag.errors import UsageError
 from mavdiag.units import NS_PER_MS, NS_PER_S
 
-__all__ = ["Impairment", "Shim", "ShimCount"]
-
 HOLD_NS = 250 * NS_PER_MS  # a message that waits to be overtaken waits no longer than this (our choice)
 QUEUE_NS = NS_PER_S  # what would wait longer for the line is thrown away (our choice: a radio's buffer holds as much)
 

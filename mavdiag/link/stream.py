@@ -3,16 +3,14 @@
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
+from mavdiag.link.clock import VehicleTime
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import IMU_MESSAGES, LAST_RESORT, Profile, by_attitude, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState
-from mavdiag.link.timeline import Timeline
 from mavdiag.telemetry import Signal, Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = ["CLEAR_FRAMES", "VehicleStream"]
 
 CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
 LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
@@ -43,7 +41,7 @@ class VehicleStream:
         return self._decoder.profile
 
     @property
-    def timeline(self) -> Timeline:
+    def timeline(self) -> VehicleTime:
         """Where the vehicle's time stands."""
         return self._state.timeline
 

@@ -14,8 +14,6 @@ from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.messages import Component, MessageId
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Timesync", "TimesyncMessage", "exchanged"]
-
 EVERY_NS = 10 * NS_PER_S  # our choice: it is only a figure
 
 _TC1, _TS1 = (field_index(MessageId.TIMESYNC, name) for name in ("tc1", "ts1"))

@@ -33,7 +33,7 @@ from mavdiag.link.profiles import (
     Profile,
     detect_profile,
 )
-from mavdiag.link.samples import SampleDecoder, by_vehicle
+from mavdiag.link.samples import SampleDecoder, by_vehicle, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
@@ -103,6 +103,7 @@ class LinkDecoder:
         passed: list[tuple[bytes, int]] | None = None,
         ours: Collection[int] = (),
     ) -> None:
+        warm()
         everyone = profiles if profile is None else (profile,)
         wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
         others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}

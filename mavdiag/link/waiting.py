@@ -7,8 +7,6 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.evidence import is_autopilot_heartbeat
 from mavdiag.units import NS_PER_S
 
-__all__ = ["BEATS_S", "Waiting"]
-
 BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
 _KIND = slice(4, 6)  # type and autopilot in the payload of a HEARTBEAT
 

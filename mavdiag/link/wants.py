@@ -12,8 +12,6 @@ from mavdiag.link.messages import Autopilot, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.telemetry import Signal
 
-__all__ = ["LABELS", "Want", "log_remedy", "messages_of", "remedy", "wants_of"]
-
 # Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
 _SLOW: Mapping[Signal, tuple[float, float]] = {
     Signal.ACTUATOR: (25.0, 10.0),

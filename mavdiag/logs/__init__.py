@@ -11,8 +11,7 @@ from pathlib import Path
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError, UsageError
-from mavdiag.logs.csv_columns import ColumnMap
-from mavdiag.logs.csv_log import read_csv
+from mavdiag.logs.csv_columns import ColumnMap, read_csv
 from mavdiag.logs.log import LogKind, read_bytes, sha256_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.telemetry import Log
@@ -20,14 +19,7 @@ from mavdiag.telemetry import Log
 __all__ = ["ColumnMap", "Log", "LogKind", "airframe_name_for", "gate_for", "is_log", "kinds", "read_log", "sha256_of"]
 
 HEAD_BYTES = 4096
-_READERS = (
-    "dataflash",
-    "ulog",
-    "crazyflie",
-    "dronepropa",
-    "tlog",
-    "csv_log",
-)  # tlog: a weak signature
+_READERS = ("dataflash", "ulog", "crazyflie", "dronepropa", "tlog", "csv_columns")  # tlog: a weak signature
 
 
 @cache
@@ -85,7 +77,7 @@ def gate_for(profile: str, among: Sequence[LogKind] | None = None) -> GateSpec:
     if found is not None:
         return found
     if profile not in PROFILES:
-        names = (*PROFILES, *(one for kind in known for one in kind.profiles))
+        names = (*PROFILES, *(name for kind in known for name in kind.profiles))
         raise UsageError(f"no profile {profile}; there are {', '.join(names)}")
     return PROFILES[profile].gate
 

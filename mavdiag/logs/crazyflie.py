@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 
 from mavdiag.errors import InputError
 from mavdiag.logs.log import LogKind, read_bytes, sha256_of
-from mavdiag.logs.records import as_floats, gather, recorded
+from mavdiag.logs.records import Row, as_floats, gather, read_rows, scaled
 from mavdiag.rows.gate import GateSpec
-from mavdiag.telemetry import IntArray, Log, Series, Signal, Telemetry
-from mavdiag.units import DEG, G
-
-__all__ = ["KIND", "read_crazyflie"]
+from mavdiag.telemetry import FloatArray, IntArray, Log, Signal, Telemetry
+from mavdiag.units import DEG, NS_PER_US, G
 
 PROFILE = "crazyflie"
 TOKEN = 0xBC
@@ -42,67 +40,51 @@ THRUST_FULL_SCALE = 65535  # and its thrust and motor ratios are uint16
 _VARIABLE = re.compile(r"(?P<name>.+)\((?P<code>[bBhHiIqQefd?])\)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """How one signal is made.
-
-    signal: what is made.
-    variables: one for each column; None: not logged, the column is NaN.
-    factors: of each column.
-    """
-
-    signal: Signal
-    variables: tuple[str | None, ...]
-    factors: tuple[float, ...]
+def _names(group: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{group}.{name}" for name in names)
 
 
 # The first row of a signal whose variables are all in the log is taken. Rows that name gyro, acc, stateEstimate angles,
 # pm or motor follow the firmware's log groups; the recorded flights do not carry those variables.
+_FRD_DEG = scaled(DEG, DEG, -DEG)
 _ROWS = (
-    _Row(Signal.ATTITUDE_SETPOINT, ("controller.roll", "controller.pitch", "controller.yaw"), (DEG, DEG, -DEG)),
-    _Row(Signal.RATE_SETPOINT, ("controller.rollRate", "controller.pitchRate", "controller.yawRate"), (DEG, DEG, -DEG)),
-    _Row(Signal.BODY_RATE, ("controller.r_roll", "controller.r_pitch", "controller.r_yaw"), (1.0, 1.0, -1.0)),
-    _Row(Signal.BODY_RATE, ("gyro.x", "gyro.y", "gyro.z"), (DEG, -DEG, -DEG)),
-    _Row(
+    Row(Signal.ATTITUDE_SETPOINT, "", _names("controller", "roll", "pitch", "yaw"), _FRD_DEG),
+    Row(Signal.RATE_SETPOINT, "", _names("controller", "rollRate", "pitchRate", "yawRate"), _FRD_DEG),
+    Row(Signal.BODY_RATE, "", _names("controller", "r_roll", "r_pitch", "r_yaw"), scaled(1.0, 1.0, -1.0)),
+    Row(Signal.BODY_RATE, "", _names("gyro", "x", "y", "z"), scaled(DEG, -DEG, -DEG)),
+    Row(
         Signal.TORQUE_COMMAND,
-        ("controller.cmd_roll", "controller.cmd_pitch", "controller.cmd_yaw"),
-        (1 / TORQUE_FULL_SCALE,) * 3,
+        "",
+        _names("controller", "cmd_roll", "cmd_pitch", "cmd_yaw"),
+        scaled(1 / TORQUE_FULL_SCALE),
     ),
-    _Row(Signal.THRUST_SETPOINT, ("controller.actuatorThrust",), (1 / THRUST_FULL_SCALE,)),
-    _Row(
-        Signal.SPECIFIC_FORCE,
-        ("acc.x", "acc.y", "acc.z"),
-        (G, -G, -G),  # the firmware's unit of acceleration is the g
-    ),
-    _Row(Signal.SPECIFIC_FORCE, (None, None, "controller.accelz"), (1.0, 1.0, -G)),
-    _Row(Signal.ATTITUDE, ("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw"), (DEG, DEG, -DEG)),
-    _Row(Signal.HEIGHT, ("stateEstimate.z",), (1.0,)),
-    _Row(Signal.VOLTAGE, ("pm.vbat",), (1.0,)),
-    _Row(Signal.ACTUATOR, ("motor.m1", "motor.m2", "motor.m3", "motor.m4"), (1 / THRUST_FULL_SCALE,) * 4),
+    Row(Signal.THRUST_SETPOINT, "", ("controller.actuatorThrust",), scaled(1 / THRUST_FULL_SCALE)),
+    Row(Signal.SPECIFIC_FORCE, "", _names("acc", "x", "y", "z"), scaled(G, -G, -G)),  # the firmware counts in g
+    Row(Signal.SPECIFIC_FORCE, "", (None, None, "controller.accelz"), scaled(1.0, 1.0, -G)),
+    Row(Signal.ATTITUDE, "", _names("stateEstimate", "roll", "pitch", "yaw"), _FRD_DEG),
+    Row(Signal.HEIGHT, "", ("stateEstimate.z",)),
+    Row(Signal.VOLTAGE, "", ("pm.vbat",)),
+    Row(Signal.ACTUATOR, "", _names("motor", "m1", "m2", "m3", "m4"), scaled(1 / THRUST_FULL_SCALE)),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class _EventType:
-    """One kind of record.
-
-    number: its id.
-    variables: their names.
-    layout: of the whole record, id and time included.
-    """
-
-    number: int
-    variables: tuple[str, ...]
-    layout: np.dtype[np.void]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Events:
-    """All records of one event type, in the order of the file."""
+    """All records of one event type, in the order of the file: id, time and the variables, as fields f0, f1, …"""
 
+    name: str
     variables: tuple[str, ...]
-    t_ns: IntArray
     records: NDArray[np.void]
+
+    def read(self, row: Row) -> tuple[IntArray, FloatArray] | None:
+        """See `records.Table`."""
+        if not all(name is None or name in self.variables for name in row.fields):
+            return None
+        values = np.full((len(self.records), len(row.fields)), np.nan)
+        for column, name in enumerate(row.fields):
+            if name is not None:
+                values[:, column] = as_floats(self.records[f"f{self.variables.index(name) + 2}"])
+        return self.records["f1"].astype(np.int64) * NS_PER_US, values
 
 
 class _Header:
@@ -128,6 +110,18 @@ class _Header:
         self.position = end + 1
         return raw.decode("latin-1")
 
+    def event_type(self) -> tuple[int, _Events]:
+        """Number and layout of the next event type that is declared, without records."""
+        number, name = self.u16(), self.text()
+        variables, fields = [], [("f0", "<u2"), ("f1", "<u8")]
+        for index in range(self.u16()):
+            match = _VARIABLE.fullmatch(self.text())
+            if match is None:
+                raise InputError(f"event {name!r} declares a variable without a known type")
+            variables.append(match["name"])
+            fields.append((f"f{index + 2}", "<" + match["code"]))
+        return number, _Events(name, tuple(variables), np.empty(0, fields))
+
 
 def read_crazyflie(path: Path) -> Log:
     """Read a uSD-card log of a Crazyflie, version 2. Profile "crazyflie"; the file does not say when it was started.
@@ -138,27 +132,12 @@ def read_crazyflie(path: Path) -> Log:
     """
     data = read_bytes(path)
     try:
-        series = _series(_events(_checked(data)))
+        series = tuple(read_rows(_ROWS, _events(_checked(data))).values())
+        if not series:
+            raise InputError("it carries no signal that is known here; log the `controller` group")
     except InputError as error:
         raise InputError(f"{path}: not a usable Crazyflie log: {error}") from error
     return Log(path.name, sha256_of(data), PROFILE, Telemetry(series))
-
-
-def _recognise(head: bytes) -> bool:
-    """A uSD-card log starts with its token."""
-    return head[:1] == bytes([TOKEN])
-
-
-# It has no arming state; the limits are those that the recorded flights were found to need (height 0.38 m, thrust 25000
-# of 65535, 0.5 s and 0.6 s off the ends).
-KIND = LogKind(
-    "Crazyflie",
-    _recognise,
-    lambda path, vehicle, profile: read_crazyflie(path),
-    PROFILE,
-    GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
-    airframe_name="crazyflie",
-)
 
 
 def _checked(data: bytes) -> bytes:
@@ -174,76 +153,51 @@ def _checked(data: bytes) -> bytes:
     return content
 
 
-def _events(content: bytes) -> tuple[_Events, ...]:
+def _events(content: bytes) -> list[_Events]:
     """The records by event type, in the order in which the header declares the types; types without records left out.
 
     Raises InputError if the header or a record does not make sense.
     """
     header = _Header(content)
-    types: dict[int, _EventType] = {}
-    for _ in range(int.from_bytes(content[3:5], "little")):
-        event_type = _event_type(header)
-        types[event_type.number] = event_type
+    types = dict(header.event_type() for _ in range(int.from_bytes(content[3:5], "little")))
     body = content[header.position :]
-    found = []
-    for event_type, records in _records(body, types):
-        time_us = records["f1"]
-        if len(time_us) and int(time_us.max()) > MAX_TIME_US:
-            raise InputError("a time stamp is out of range")
-        found.append(_Events(event_type.variables, time_us.astype(np.int64) * 1000, records))
-    return tuple(found)
-
-
-def _event_type(header: _Header) -> _EventType:
-    """The next event type that the header declares."""
-    number, name = header.u16(), header.text()
-    variables, fields = [], [("f0", "<u2"), ("f1", "<u8")]
-    for index in range(header.u16()):
-        match = _VARIABLE.fullmatch(header.text())
-        if match is None:
-            raise InputError(f"event {name!r} declares a variable without a known type")
-        variables.append(match["name"])
-        fields.append((f"f{index + 2}", "<" + match["code"]))
-    return _EventType(number, tuple(variables), np.dtype(fields))
-
-
-def _records(body: bytes, types: dict[int, _EventType]) -> list[tuple[_EventType, NDArray[np.void]]]:
-    """The records of each type that occurs. Raises InputError at an undeclared id or a record that is cut short."""
     if len(body) < 2:
         raise InputError("it has no records")
-    only = types.get(int.from_bytes(body[:2], "little"))
-    if only is not None and len(body) % only.layout.itemsize == 0:  # the usual log has one type: no walk is needed
-        records = np.frombuffer(body, only.layout)
-        if bool((records["f0"] == only.number).all()):
-            return [(only, records)]
-    starts: dict[int, list[int]] = {number: [] for number in types}
-    sizes = {number: event_type.layout.itemsize for number, event_type in types.items()}
+    found = []
+    for number, starts in _starts(body, {number: kind.records.itemsize for number, kind in types.items()}).items():
+        kind = types[number]
+        records = gather(body, kind.records.dtype, starts)
+        if len(records) and int(records["f1"].max()) > MAX_TIME_US:
+            raise InputError("a time stamp is out of range")
+        found += [_Events(kind.name, kind.variables, records)] if len(records) else []
+    return found
+
+
+def _starts(body: bytes, sizes: dict[int, int]) -> dict[int, list[int] | IntArray]:
+    """Where the records of each type begin. Raises InputError at an undeclared id or a record that is cut short."""
+    number = int.from_bytes(body[:2], "little")
+    if number in sizes and len(body) % sizes[number] == 0:  # the usual log has one type: no walk is needed
+        starts = np.arange(0, len(body), sizes[number])
+        if (np.frombuffer(body, np.uint8).reshape(-1, sizes[number])[:, :2] == list(body[:2])).all():
+            return {number: starts}
+    found: dict[int, list[int]] = {number: [] for number in sizes}
     position = 0
     while position < len(body):
         number = body[position] | body[position + 1] << 8 if position + 1 < len(body) else -1
         if number not in sizes or position + sizes[number] > len(body):
             raise InputError(f"the record at byte {position} of the data is of no declared type or cut short")
-        starts[number].append(position)
+        found[number].append(position)
         position += sizes[number]
-    return [(types[number], gather(body, types[number].layout, at)) for number, at in starts.items() if at]
+    return dict(found)
 
 
-def _series(events: tuple[_Events, ...]) -> tuple[Series, ...]:
-    """One series per signal, from the first row of the table and the first event type that carry it."""
-    found: dict[Signal, Series] = {}
-    for row in _ROWS:
-        for group in events:
-            if row.signal not in found and all(v is None or v in group.variables for v in row.variables):
-                found[row.signal] = _convert(row, group)
-    if not found:
-        raise InputError("it carries no signal that is known here; log the `controller` group")
-    return tuple(found.values())
-
-
-def _convert(row: _Row, group: _Events) -> Series:
-    """One signal in SI units and FRD. values: (n, columns of the row)."""
-    values = np.full((len(group.t_ns), len(row.variables)), np.nan)
-    for column, (variable, factor) in enumerate(zip(row.variables, row.factors, strict=True)):
-        if variable is not None:
-            values[:, column] = as_floats(group.records[f"f{group.variables.index(variable) + 2}"]) * factor
-    return recorded(row.signal, group.t_ns, values)
+# It has no arming state; the limits are those that the recorded flights were found to need (height 0.38 m, thrust 25000
+# of 65535, 0.5 s and 0.6 s off the ends).
+KIND = LogKind(
+    "Crazyflie",
+    lambda head: head[:1] == bytes([TOKEN]),
+    lambda path, vehicle, profile: read_crazyflie(path),
+    PROFILE,
+    GateSpec(min_height_m=0.38, min_thrust=0.38, need_armed=False, trim_start_s=0.5, trim_end_s=0.6),
+    airframe_name="crazyflie",
+)

@@ -1,14 +1,13 @@
 """ArduPilot DataFlash logs (.bin): the messages of any era become one vehicle's telemetry, in SI and FRD.
 
 Eras differ: `TimeMS` or `TimeUS`, `IMU2` or an instance field, centi-degrees or degrees per second in RATE. Each is
-decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_walk`).
+decided from the file itself. What is damaged is skipped (see `mavdiag.logs.dataflash_records`).
 """
 
 import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 
@@ -16,14 +15,11 @@ import numpy as np
 
 from mavdiag.airframe.parameters import COPTER_MOTORS, output_functions
 from mavdiag.errors import InputError
-from mavdiag.logs.dataflash_format import HEADER, INTEGERS, Table
-from mavdiag.logs.dataflash_walk import Walk
+from mavdiag.logs.dataflash_records import HEADER, INTEGERS, RecordTable, Walk
 from mavdiag.logs.log import RECORDED_GATE, LogKind, windows_of
-from mavdiag.logs.records import recorded
+from mavdiag.logs.records import Row, read_rows, recorded
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import DEG, NS_PER_MS, NS_PER_S, NS_PER_US
-
-__all__ = ["KIND", "WANTED", "read_dataflash"]
 
 PROFILE = "ardupilot-log"
 SIGNATURE = b"\xa3\x95\x80\x80"  # the format record of the format message comes first
@@ -41,34 +37,28 @@ LEAP_SECONDS = ((1930, 18), (1851, 17), (1695, 16))  # GPS - UTC from this GPS w
 GPS_FIX_3D = 3
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """How one signal is made from one message. Angles are wrapped to ±pi, as a quaternion would give them."""
-
-    signal: Signal
-    message: str
-    labels: tuple[str, ...]
-    unit: float = 1.0
-    integer_unit: float = 1.0
-    wrapped: bool = False
+def _wrapped(degrees: FloatArray) -> FloatArray:
+    """Angles in -pi..pi, as a quaternion would give them; those already there are left as they are, to the bit."""
+    angle = degrees * DEG
+    return np.where(np.abs(angle) > math.pi, np.remainder(angle + math.pi, 2 * math.pi) - math.pi, angle)
 
 
 # The first row of a signal whose message and fields are in the log is taken.
 _ROWS = (
-    _Row(Signal.ATTITUDE_SETPOINT, "ATT", ("DesRoll", "DesPitch", "DesYaw"), DEG, wrapped=True),
-    _Row(Signal.ATTITUDE, "ATT", ("Roll", "Pitch", "Yaw"), DEG, wrapped=True),
-    _Row(Signal.BODY_RATE, "IMU", ("GyrX", "GyrY", "GyrZ")),
-    _Row(Signal.SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
-    _Row(Signal.VIBRATION, "VIBE", ("VibeX", "VibeY", "VibeZ")),
-    _Row(Signal.THRUST_SETPOINT, "CTUN", ("ThO",)),
-    _Row(Signal.THRUST_SETPOINT, "CTUN", ("ThrOut",), integer_unit=THROTTLE_PER_MILLE),
-    _Row(Signal.HEIGHT, "POS", ("RelHomeAlt",)),
-    _Row(Signal.HEIGHT, "CTUN", ("Alt",)),
-    _Row(Signal.HEIGHT, "BARO", ("Alt",)),
-    _Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
-    _Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
+    Row(Signal.ATTITUDE_SETPOINT, "ATT", ("DesRoll", "DesPitch", "DesYaw"), _wrapped),
+    Row(Signal.ATTITUDE, "ATT", ("Roll", "Pitch", "Yaw"), _wrapped),
+    Row(Signal.BODY_RATE, "IMU", ("GyrX", "GyrY", "GyrZ")),
+    Row(Signal.SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
+    Row(Signal.VIBRATION, "VIBE", ("VibeX", "VibeY", "VibeZ")),
+    Row(Signal.THRUST_SETPOINT, "CTUN", ("ThO",)),
+    Row(Signal.THRUST_SETPOINT, "CTUN", ("ThrOut",), integer_unit=THROTTLE_PER_MILLE),
+    Row(Signal.HEIGHT, "POS", ("RelHomeAlt",)),
+    Row(Signal.HEIGHT, "CTUN", ("Alt",)),
+    Row(Signal.HEIGHT, "BARO", ("Alt",)),
+    Row(Signal.VOLTAGE, "BAT", ("Volt",), integer_unit=CENTIVOLT),
+    Row(Signal.VOLTAGE, "CURR", ("Volt",), integer_unit=CENTIVOLT),
 )
-WANTED = frozenset(row.message for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG"}
+WANTED = frozenset(row.table for row in _ROWS) | {"RATE", "RCOU", "PARM", "ARM", "EV", "GPS", "MSG"}
 
 # What the firmware says at its start: "ArduCopter V4.5.6 (bbf0b066)", "APM:Copter V3.3", "Frame: QUAD/X".
 _FIRMWARE = re.compile(rb"(?:ardu|apm:|antenna)?(copter|plane|rover|sub|tracker|blimp)[0-9]? V\d", re.IGNORECASE)
@@ -105,19 +95,12 @@ def read_dataflash(path: Path) -> Log:
     return Log(*named, Telemetry(series), started_ns, notes, parameters, bool(motors), kind)
 
 
-def _series(tables: Mapping[str, Table], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
+def _series(tables: Mapping[str, RecordTable], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
     """Every signal that the log carries.
 
     motors: output channels by motor; empty if they are not known. others: channels that are known to be no motors.
     """
-    found: dict[Signal, Series] = {}
-    for row in _ROWS:
-        table = tables.get(row.message)
-        t_ns = table.t_ns() if table is not None else None
-        if row.signal in found or table is None or t_ns is None or not table.has(row.labels):
-            continue
-        values = table.columns(row.labels, row.integer_unit) * row.unit
-        found[row.signal] = recorded(row.signal, t_ns, _wrapped(values) if row.wrapped else values)
+    found = read_rows(_ROWS, tables.values())
     return (
         *found.values(),
         *_rate_loop(tables, found.get(Signal.BODY_RATE)),
@@ -126,13 +109,7 @@ def _series(tables: Mapping[str, Table], motors: Sequence[int], others: Sequence
     )
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """Angles in -pi..pi; those already there are left as they are, to the bit."""
-    with np.errstate(invalid="ignore"):  # an infinite angle, from damage, becomes NaN
-        return np.where(np.abs(angle) > math.pi, np.remainder(angle + math.pi, 2 * math.pi) - math.pi, angle)
-
-
-def _rate_loop(tables: Mapping[str, Table], gyro: Series | None) -> tuple[Series, ...]:
+def _rate_loop(tables: Mapping[str, RecordTable], gyro: Series | None) -> tuple[Series, ...]:
     """Rate setpoints and torque commands of the RATE message."""
     table = tables.get("RATE")
     t_ns = table.t_ns() if table is not None else None
@@ -146,7 +123,7 @@ def _rate_loop(tables: Mapping[str, Table], gyro: Series | None) -> tuple[Series
     )
 
 
-def _rate_unit(table: Table, t_ns: IntArray, gyro: Series | None) -> float:
+def _rate_unit(table: RecordTable, t_ns: IntArray, gyro: Series | None) -> float:
     """What RATE counts in [rad/s]: degrees per second, or hundredths of them up to Copter 3.3.
 
     The message repeats the gyro, so the file decides: its mean size against the IMU's over their common span is near
@@ -168,7 +145,7 @@ def _mean_size(values: FloatArray) -> float:
     return float(finite.mean()) if len(finite) else 0.0
 
 
-def _actuator(tables: Mapping[str, Table], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
+def _actuator(tables: Mapping[str, RecordTable], motors: Sequence[int], others: Sequence[int]) -> tuple[Series, ...]:
     """The motors' outputs from RCOU: (pulse - 1000 us) / 1000 us; 0 for an idle output (0 us) and for no motor's."""
     table = tables.get("RCOU")
     t_ns = table.t_ns() if table is not None else None
@@ -187,7 +164,7 @@ def _actuator(tables: Mapping[str, Table], motors: Sequence[int], others: Sequen
     return (recorded(Signal.ACTUATOR, t_ns, np.maximum(pulse_us - PWM_ZERO_US, 0.0) / PWM_SPAN_US),)
 
 
-def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
+def _parameters(tables: Mapping[str, RecordTable]) -> dict[str, float]:
     """The last value of each parameter; empty where the log has none."""
     table = tables.get("PARM")
     if table is None or not table.has(("Value",)) or not table.has(("Name",), "N"):
@@ -196,7 +173,7 @@ def _parameters(tables: Mapping[str, Table]) -> dict[str, float]:
     return {name: value for name, value in zip(names, table.column("Value").tolist(), strict=True) if isfinite(value)}
 
 
-def _mav_type(texts: Table | None, parameters: Mapping[str, float]) -> int | None:
+def _mav_type(texts: RecordTable | None, parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE by the firmware's name and its frame; None where the log does not say."""
     if texts is None or not texts.has(("Message",), "Z"):
         return None
@@ -218,7 +195,7 @@ def _motor_channels(functions: Mapping[int, int]) -> list[int]:
     return [first[wanted] for wanted in COPTER_MOTORS if wanted in first]
 
 
-def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
+def _armed(tables: Mapping[str, RecordTable]) -> tuple[Series, ...]:
     """Arming changes, from ARM or else from EV. Early EV records carry no time: theirs is the last IMU record's."""
     arm, event = tables.get("ARM"), tables.get("EV")
     if arm is not None and arm.has(("ArmState",)):
@@ -233,7 +210,7 @@ def _armed(tables: Mapping[str, Table]) -> tuple[Series, ...]:
     return (recorded(Signal.ARMED, t_ns[change], (number[change] == EVENT_ARMED).astype(np.float64)),)
 
 
-def _event_time(event: Table, clock: Table | None) -> IntArray | None:
+def _event_time(event: RecordTable, clock: RecordTable | None) -> IntArray | None:
     """Time of each event, by its own stamp or by the last record of `clock` before it in the file."""
     own = event.t_ns()
     ticks = clock.t_ns() if clock is not None else None
@@ -242,7 +219,7 @@ def _event_time(event: Table, clock: Table | None) -> IntArray | None:
     return ticks[np.maximum(np.searchsorted(clock.starts, event.starts) - 1, 0)]
 
 
-def _started_ns(tables: Mapping[str, Table], series: tuple[Series, ...]) -> int:
+def _started_ns(tables: Mapping[str, RecordTable], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first three-dimensional GPS fix; 0 if there is none."""
     table = tables.get("GPS")
     if table is None or not table.has(("Status",)):

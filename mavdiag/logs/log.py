@@ -1,4 +1,4 @@
-"""What a kind of log is, and the two helpers that all readers need."""
+"""What a kind of log is, and how the content of a file is read."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -9,18 +9,6 @@ from mavdiag.errors import InputError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import Log
-
-__all__ = [
-    "LOG_BYTES",
-    "RECORDED_GATE",
-    "TLOG_BYTES",
-    "WINDOW_BYTES",
-    "LogKind",
-    "Reader",
-    "read_bytes",
-    "sha256_of",
-    "windows_of",
-]
 
 #: Logs of the big autopilots have both ends of a flight in them: as live, and its last 0.6 s are dropped (our choice).
 RECORDED_GATE = GateSpec(min_thrust=0.1, need_armed=True, trim_start_s=5.0, trim_end_s=0.6)
@@ -66,15 +54,8 @@ def sha256_of(data: bytes) -> str:
 
 
 def read_bytes(path: Path, limit: int = -1) -> bytes:
-    """The content of a log, or its first `limit` bytes. Raises InputError if it cannot be read or is empty."""
-    try:
-        with open_regular(path, LOG_BYTES if limit < 0 else TLOG_BYTES) as file:
-            data = file.read(limit)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    if not data:
-        raise InputError(f"{path}: the file is empty; record the flight again")
-    return data
+    """The content of a log, or its first `limit` bytes. Raises InputError as `windows_of`."""
+    return next(windows_of(path, limit, LOG_BYTES if limit < 0 else TLOG_BYTES))
 
 
 def windows_of(path: Path, size: int = WINDOW_BYTES, most: int = LOG_BYTES) -> Iterator[bytes]:

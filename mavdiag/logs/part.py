@@ -11,8 +11,6 @@ from mavdiag.logs import ColumnMap, Log, read_log
 from mavdiag.telemetry import Series, Telemetry
 from mavdiag.units import NS_PER_S
 
-__all__ = ["between", "check_times", "read_part"]
-
 
 def read_part(
     path: Path, vehicle: int | None, from_s: float | None, to_s: float | None, columns: ColumnMap | None = None

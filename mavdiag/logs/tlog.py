@@ -3,8 +3,8 @@
 A record is the time in microseconds since 1970, 8 bytes, most significant first, and one MAVLink frame. There is no
 header and no checksum of the whole: damage is skipped, frame by frame, and counted.
 
-A file is read in pieces and each piece decoded as a whole, by arrays (`link.frame_walk`, `link.columns`); with numba
-installed, large files by a compiled loop. What comes out is what `link.codec.Decoder` finds frame by frame.
+A file is read in windows, and each window decoded as a whole (`link.recording`): what comes out is what
+`link.codec.Decoder` finds frame by frame.
 """
 
 import hashlib
@@ -14,37 +14,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.batch import ColumnBatch, total
+from mavdiag.link.batch import Batch, total
 from mavdiag.link.codec import Frame
-from mavdiag.link.columns import Decoded, decoded, known_ids
 from mavdiag.link.evidence import mav_types_of
-from mavdiag.link.frame_loop import finder_for
-from mavdiag.link.frame_walk import LONGEST, STAMP_BYTES, Finder, Piece, dialect, walk
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile_in, profile_named, with_imu_of
+from mavdiag.link.recording import STAMP_BYTES, LogDecoder, Window
 from mavdiag.link.samples import Runs, SampleDecoder, SampleState
-from mavdiag.link.sequence import LinkCount, Senders
+from mavdiag.link.sequence import LinkCount
 from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, windows_of
 from mavdiag.telemetry import Log, Telemetry
-from mavdiag.units import NS_PER_US
-
-__all__ = [
-    "KIND",
-    "STAMP_BYTES",
-    "TlogContent",
-    "VehicleLog",
-    "decode_tlog",
-    "decode_windows",
-    "read_content",
-    "read_tlog",
-    "tlog_record",
-    "vehicle_stream",
-]
 
 DAMAGED_SHARE = 0.5  # of the bytes: beyond it what was lost is not known (our choice)
 
@@ -66,7 +48,7 @@ class TlogContent:
     trailing_bytes: how many of those stand behind the last sound record.
     """
 
-    pieces: tuple[Decoded, ...]
+    pieces: tuple[Window, ...]
     size: int
     sha256: str
     records: int
@@ -90,20 +72,22 @@ class TlogContent:
     @property
     def mav_types(self) -> dict[int, int]:
         """MAV_TYPE of each system id that has an autopilot, by most of its heartbeats."""
-        told = {one: sum((mav_types_of(piece.vehicle(one)) for piece in self.pieces), Counter()) for one in self.heard}
-        return {one: types.most_common(1)[0][0] for one, types in told.items() if types}
+        told = {
+            sysid: sum((mav_types_of(piece.vehicle(sysid)) for piece in self.pieces), Counter()) for sysid in self.heard
+        }
+        return {sysid: types.most_common(1)[0][0] for sysid, types in told.items() if types}
 
     @property
     def flying(self) -> list[int]:
         """System ids of multirotors, by their autopilots' heartbeats; of any vehicles where there is no multirotor."""
         types = self.mav_types
-        return [one for one, kind in types.items() if not refusal(kind)] or list(types)
+        return [sysid for sysid, kind in types.items() if not refusal(kind)] or list(types)
 
     @property
     def span_ns(self) -> int:
         """Time from the earliest frame to the latest [ns]."""
         times = [rows.host_ns for piece in self.pieces for rows in piece.rows.values()]
-        return max(int(one.max()) for one in times) - min(int(one.min()) for one in times) if times else 0
+        return max(int(span.max()) for span in times) - min(int(span.min()) for span in times) if times else 0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -147,41 +131,17 @@ def read_content(path: Path) -> TlogContent:
     return replace(decode_windows(summed()), sha256=digest.hexdigest())
 
 
-def decode_windows(windows: Iterable[bytes], find: Finder | None = None) -> TlogContent:
-    """As `decode_tlog`, for a log that comes in windows, wherever they cut it.
-
-    find: how to find the frames; None for what is quickest. All ways find the same.
-    """
-    known, senders = dialect(), Senders()
-    pieces: list[Decoded] = []
-    records = damaged = sound_end = begin = 0
-    data, held = np.empty(0, np.uint8), 0
-    for window, last in _with_last(windows):
-        size = held + len(window)
-        if len(data) < size + LONGEST:
-            data = np.concatenate((data[:held], np.zeros(len(window) + 2 * LONGEST, np.uint8)))
-        data[held:size] = np.frombuffer(window, np.uint8)
-        piece = Piece(data, size, last)
-        found = walk(piece, known, find or finder_for(begin))
-        frames = found.frames
-        if len(frames):
-            senders.note_all(frames.sender, frames.seq, known_ids(frames, known), frames.time_us * NS_PER_US)
-            pieces.append(decoded(piece, frames, known, _WANTED))
-            sound_end = begin + found.sound_end
-        records, damaged, begin = records + len(frames), damaged + found.damaged, begin + found.resume
-        held = size - found.resume
-        data[:held] = data[found.resume : size].copy()
-    return TlogContent(tuple(pieces), begin, "", records, damaged, senders.counts(), begin - sound_end)
-
-
-def _with_last(windows: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
-    """Each window, and whether it is the last."""
-    window = b""
-    for following in windows:
-        if window:
-            yield window, False
-        window = following
-    yield window, True
+def decode_windows(windows: Iterable[bytes]) -> TlogContent:
+    """As `decode_tlog`, for a log that comes in windows, wherever they cut it."""
+    decoder, pieces = LogDecoder(_WANTED), list[Window]()
+    pending = b""
+    for window in windows:
+        if pending:
+            pieces.append(decoder.feed(pending, last=False))
+        pending = window
+    pieces.append(decoder.feed(pending, last=True))
+    counts, lost = decoder.senders.counts(), decoder.size - decoder.sound_end
+    return TlogContent(tuple(pieces), decoder.size, "", decoder.records, decoder.damaged, counts, lost)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -229,9 +189,9 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
     """The flights of the vehicles that are chosen. What was decoded is given up as the last one is converted."""
     content = _usable(path)
     sysids, heard, types, pieces = choose(content), content.heard, content.mav_types, list(content.pieces)
-    if refused := next((text for one in sysids if (text := refusal(types.get(one)))), ""):
+    if refused := next((text for sysid in sysids if (text := refusal(types.get(sysid)))), ""):
         raise InputError(f"{path}: {refused}")
-    left_out = tuple(f"vehicle {one} is left out: {text}" for one, kind in types.items() if (text := refusal(kind)))
+    left_out = tuple(f"vehicle {sysid} is left out: {text}" for sysid, kind in types.items() if (text := refusal(kind)))
     named = [frame for piece in pieces for frame in piece.frames({MessageId.PARAM_VALUE})]
     content = replace(content, pieces=())
     for sysid in sysids:
@@ -242,7 +202,7 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         known = recognised.profile if profile is None else profile_named(profile)
         if known is None:
             raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
-        parameters = parameters_in((one for one in named if one.sysid == sysid), known.autopilot)
+        parameters = parameters_in((frame for frame in named if frame.sysid == sysid), known.autopilot)
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
         telemetry = _converted(batches, known)
         notes, kind = (*content.notes, *left_out), types.get(sysid)
@@ -252,7 +212,7 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         yield VehicleLog(sysid, log)
 
 
-def _converted(batches: list[ColumnBatch], profile: Profile) -> Telemetry:
+def _converted(batches: list[Batch], profile: Profile) -> Telemetry:
     """The telemetry of one vehicle; uses the batches up."""
     decoder, state, runs = SampleDecoder(with_imu_of(profile, total(batches))), SampleState(), Runs()
     batches.reverse()

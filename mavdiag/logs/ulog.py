@@ -8,7 +8,7 @@ Damaged parts are skipped as pyulog skips them.
 import io
 import struct
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from math import isfinite
@@ -21,11 +21,9 @@ from pyulog import ULog, ULogException
 from mavdiag.errors import InputError
 from mavdiag.link.conversion import euler_angles
 from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
-from mavdiag.logs.records import as_floats, recorded
+from mavdiag.logs.records import Row, as_floats, read_rows
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_US, RPM
-
-__all__ = ["KIND", "TOPICS", "read_ulog"]
 
 PROFILE = "px4-log"
 SIGNATURE = b"ULog\x01\x12\x35"
@@ -49,12 +47,6 @@ _PARSER_ERRORS = (
     ULogException, struct.error, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError,
     RecursionError, MemoryError,
 )  # fmt: skip
-
-Conversion = Callable[[FloatArray], FloatArray]
-
-
-def _as_is(values: FloatArray) -> FloatArray:
-    return values
 
 
 def _norm(values: FloatArray) -> FloatArray:
@@ -90,23 +82,6 @@ def _armed(state: FloatArray) -> FloatArray:
     return np.where(state == ARMED_STATE, 1.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """How one signal is made from one topic.
-
-    signal: what is made.
-    topic, fields: of what.
-    convert: from the fields (n, k) to SI and FRD.
-    delay: a field with the sample's time after the time stamp [us].
-    """
-
-    signal: Signal
-    topic: str
-    fields: tuple[str, ...]
-    convert: Conversion = _as_is
-    delay: str | None = None
-
-
 def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
     """The names that pyulog gives to the elements of an array."""
     return tuple(f"{name}[{index}]{member}" for index in range(count))
@@ -114,33 +89,33 @@ def _elements(name: str, count: int, member: str = "") -> tuple[str, ...]:
 
 # The first row of a signal whose topic and fields are in the log is taken. Later rows are other versions' topics.
 _ROWS = (
-    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
-    _Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), euler_angles),
-    _Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
-    _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
-    _Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
-    _Row(Signal.THRUST_SETPOINT, "vehicle_rates_setpoint", _elements("thrust_body", 3), _norm),
-    _Row(Signal.TORQUE_COMMAND, "vehicle_torque_setpoint", _elements("xyz", 3)),
-    _Row(Signal.TORQUE_COMMAND, "actuator_controls_0", _elements("control", 3)),
-    _Row(Signal.BODY_RATE, "sensor_combined", _elements("gyro_rad", 3)),
-    _Row(Signal.BODY_RATE, "vehicle_angular_velocity", _elements("xyz", 3)),
-    _Row(
+    Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", ("roll_body", "pitch_body", "yaw_body")),
+    Row(Signal.ATTITUDE_SETPOINT, "vehicle_attitude_setpoint", _elements("q_d", 4), euler_angles),
+    Row(Signal.RATE_SETPOINT, "vehicle_rates_setpoint", ("roll", "pitch", "yaw")),
+    Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", ("thrust",)),
+    Row(Signal.THRUST_SETPOINT, "vehicle_attitude_setpoint", _elements("thrust_body", 3), _norm),
+    Row(Signal.THRUST_SETPOINT, "vehicle_rates_setpoint", _elements("thrust_body", 3), _norm),
+    Row(Signal.TORQUE_COMMAND, "vehicle_torque_setpoint", _elements("xyz", 3)),
+    Row(Signal.TORQUE_COMMAND, "actuator_controls_0", _elements("control", 3)),
+    Row(Signal.BODY_RATE, "sensor_combined", _elements("gyro_rad", 3)),
+    Row(Signal.BODY_RATE, "vehicle_angular_velocity", _elements("xyz", 3)),
+    Row(
         Signal.SPECIFIC_FORCE,
         "sensor_combined",
         _elements("accelerometer_m_s2", 3),
         delay="accelerometer_timestamp_relative",
     ),
-    _Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
-    _Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
-    _Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
-    _Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
-    _Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
-    _Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
-    _Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
-    _Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
+    Row(Signal.SPECIFIC_FORCE, "vehicle_acceleration", _elements("xyz", 3)),
+    Row(Signal.ATTITUDE, "vehicle_attitude", _elements("q", 4), euler_angles),
+    Row(Signal.ACTUATOR, "actuator_motors", _elements("control", 12), _in_use),
+    Row(Signal.ACTUATOR, "actuator_outputs", _elements("output", 16), _pulses),
+    Row(Signal.ROTOR_SPEED, "esc_status", _elements("esc", 8, ".esc_rpm"), _turning),
+    Row(Signal.HEIGHT, "vehicle_local_position", ("z",), np.negative),
+    Row(Signal.VOLTAGE, "battery_status", ("voltage_v",)),
+    Row(Signal.ARMED, "vehicle_status", ("arming_state",), _armed),
 )
 _GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")
-TOPICS = sorted({row.topic for row in _ROWS} | set(_GPS_TOPICS))
+TOPICS = sorted({row.table for row in _ROWS} | set(_GPS_TOPICS))
 
 
 def read_ulog(path: Path) -> Log:
@@ -152,8 +127,11 @@ def read_ulog(path: Path) -> Log:
     """
     data = read_bytes(path)
     try:
-        topics, parameters, notes = _content(data)
-        found = _series(topics)
+        content, parameters, notes = _content(data)
+        topics = {name: _Topic(name, item.data) for name, item in content.items()}
+        found = read_rows(_ROWS, topics.values())
+        if not found:
+            raise InputError("no record of a known signal; check what the logger was set to record")
     except InputError as error:
         raise InputError(f"{path}: not a usable ULog: {error}") from error
     series = tuple(found.values())
@@ -173,8 +151,7 @@ class _Metered(io.BytesIO):
 
     def __init__(self, data: bytes, log: ULog) -> None:
         super().__init__(data)
-        self._data = data
-        self._log = log
+        self._data, self._log = data, log
         self._left = READ_ALLOWANCE * len(data)
         self._checked: list[ULog.MessageFormat] = []
         self.since = HEAD_BYTES
@@ -182,23 +159,21 @@ class _Metered(io.BytesIO):
     def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
         """As of any file. Raises InputError when the allowance is used up, or for messages that are too large.
 
-        pyulog steps back to the first subscription or text, where the definitions end, and expands them afterwards.
+        pyulog steps back to the first subscription or text, where the definitions end, and expands them afterwards:
+        they are checked before, if there are others than at the last check, for what that costs of the allowance.
         """
         self._left -= self.tell() - self.since + 1
         self.since = super().seek(offset, whence)
         if self._data[self.since + 2 : self.since + 3] in DEFINITIONS_END:
-            self._check(list(self._log.message_formats.values()))
+            formats = list(self._log.message_formats.values())
+            self._left -= len(formats) // COMPARED_AT_ONCE
+            if formats != self._checked:
+                self._checked = formats
+                self._left -= sum(len(message.fields) for message in formats)
+                _check_definitions(self._log)
         if self._left < 0:
             raise InputError("it is damaged beyond use; download the log again")
         return self.since
-
-    def _check(self, formats: list[ULog.MessageFormat]) -> None:
-        """Check the definitions, if there are others than at the last check, for what that costs of the allowance."""
-        self._left -= len(formats) // COMPARED_AT_ONCE
-        if formats != self._checked:
-            self._checked = formats
-            self._left -= sum(len(message.fields) for message in formats)
-            _check_definitions(self._log)
 
 
 class _Reading(ULog):
@@ -282,59 +257,47 @@ def _check_definitions(log: ULog) -> None:
         fields_of(name, 0)
 
 
-def _series(topics: Mapping[str, ULog.Data]) -> dict[Signal, Series]:
-    """Every signal that the log carries. Raises InputError if there is none."""
-    found: dict[Signal, Series] = {}
-    for row in _ROWS:
-        topic = topics.get(row.topic)
-        if row.signal in found or topic is None or not all(name in topic.data for name in row.fields):
-            continue
-        time_us = _sample_time_us(topic.data, row.delay)
-        if time_us is None:
-            continue
+@dataclass(frozen=True, slots=True, eq=False)
+class _Topic:
+    """One topic: its name, and each field by its name, (n,)."""
+
+    name: str
+    fields: Mapping[str, NDArray[np.number]]
+
+    def integers(self, name: str | None) -> IntArray | None:
+        """A field, (n,); None if there is none, or it is of another kind."""
+        stored = None if name is None else self.fields.get(name)
+        return None if stored is None or stored.dtype.kind not in "iu" else stored.astype(np.int64)
+
+    def read(self, row: Row) -> tuple[IntArray, FloatArray] | None:
+        """See `records.Table`. A sample that was never taken is left out."""
+        time_us = self.integers("timestamp_sample" if "timestamp_sample" in self.fields else "timestamp")
+        if time_us is None or not all(name in self.fields for name in row.fields):
+            return None
+        late = self.integers(row.delay)
+        if late is not None:
+            time_us = np.where(late == NO_ACCELEROMETER, 0, time_us + late)
         known = (time_us > 0) & (time_us < MAX_TIME_US)  # a topic that was never published is stamped 0
-        stored = np.column_stack([as_floats(topic.data[name][known]) for name in row.fields])
-        with np.errstate(invalid="ignore", over="ignore"):  # damaged values become NaN or infinite
-            values = row.convert(stored)
-        if values.size:
-            found[row.signal] = recorded(row.signal, time_us[known] * NS_PER_US, values)
-    if not found:
-        raise InputError("no record of a known signal; check what the logger was set to record")
-    return found
+        stored = [as_floats(self.fields[name][known]) for name in row.fields if name]
+        return time_us[known] * NS_PER_US, np.column_stack(stored)
 
 
-def _sample_time_us(fields: Mapping[str, NDArray[np.number]], delay: str | None) -> IntArray | None:
-    """When the samples of a topic were taken, (n,); 0 where nothing was. None if the topic has no time."""
-    stamp = fields.get("timestamp_sample", fields.get("timestamp"))
-    if stamp is None or stamp.dtype.kind not in "iu":
-        return None
-    time_us = stamp.astype(np.int64)
-    late = fields.get(delay) if delay is not None else None
-    if late is None or late.dtype.kind not in "iu":
-        return time_us
-    return np.where(late == NO_ACCELEROMETER, 0, time_us + late.astype(np.int64))
-
-
-def _mav_type(topics: Mapping[str, ULog.Data], parameters: Mapping[str, float]) -> int | None:
+def _mav_type(topics: Mapping[str, _Topic], parameters: Mapping[str, float]) -> int | None:
     """MAV_TYPE as most of the vehicle's states tell it, or by its parameter; None where the log does not say."""
-    states = topics.get("vehicle_status")
-    told = None if states is None else states.data.get("system_type")
-    if told is not None and told.dtype.kind in "iu" and len(told):
+    told = topics["vehicle_status"].integers("system_type") if "vehicle_status" in topics else None
+    if told is not None and len(told):
         return int(Counter(told.tolist()).most_common(1)[0][0])
     return int(parameters["MAV_TYPE"]) if "MAV_TYPE" in parameters else None
 
 
-def _started_ns(topics: Mapping[str, ULog.Data], series: tuple[Series, ...]) -> int:
+def _started_ns(topics: Mapping[str, _Topic], series: tuple[Series, ...]) -> int:
     """Unix time of the first sample [ns], by the first GPS time; 0 if there is none."""
     gps = next((topics[name] for name in _GPS_TOPICS if name in topics), None)
-    utc, boot = (gps.data.get("time_utc_usec"), gps.data.get("timestamp")) if gps is not None else (None, None)
-    if utc is None or boot is None or utc.dtype.kind not in "iu" or boot.dtype.kind not in "iu":
+    utc, boot = (gps.integers("time_utc_usec"), gps.integers("timestamp")) if gps is not None else (None, None)
+    known = [] if utc is None else np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US)).tolist()
+    if utc is None or boot is None or not known:
         return 0
-    known = np.flatnonzero((utc > UTC_PLAUSIBLE_US) & (utc < MAX_TIME_US))
-    if len(known) == 0:
-        return 0
-    first = known[0]
-    return (int(utc[first]) - int(boot[first])) * NS_PER_US + min(int(s.t_ns[0]) for s in series)
+    return int(utc[known[0]] - boot[known[0]]) * NS_PER_US + min(int(found.t_ns[0]) for found in series)
 
 
 KIND = LogKind(

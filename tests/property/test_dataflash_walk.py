@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from made_logs import DATAFLASH_SELF, DataFlashMessage, dataflash
 from walked_dataflash import walked
 
-from mavdiag.logs.dataflash_walk import Walk
+from mavdiag.logs.dataflash_records import Walk
 
 WANTED = ("IMU", "ATT", "EV", "NONE")
 IMU = DataFlashMessage(163, "IMU", "QBf", "TimeUS,I,GyrX")
@@ -68,11 +68,9 @@ def cut(data: bytes, sizes: Iterable[int]) -> list[bytes]:
 @given(
     data=FILES,
     sizes=st.lists(st.one_of(st.integers(0, 9), st.integers(0, 2000)), max_size=6),
-    patience=st.sampled_from([1, 3, 64]),
-    span=st.sampled_from([1, 2, 7, 1024]),
 )
-def test_the_same_records_and_notes_as_one_by_one(data: bytes, sizes: list[int], patience: int, span: int) -> None:
-    walk = Walk(WANTED, patience, span)
+def test_the_same_records_and_notes_as_one_by_one(data: bytes, sizes: list[int]) -> None:
+    walk = Walk(WANTED)
     for piece in cut(data, sizes):
         walk.feed(piece)
     tables, notes = walk.finish()

@@ -1,6 +1,5 @@
-"""Telemetry logs in arrays: whatever is in the file, what the live decoder finds record by record is found."""
+"""Telemetry logs in windows: whatever is in the file, what the live decoder finds record by record is found."""
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +13,6 @@ from made_telemetry import assert_same_telemetry
 from shared_data import shared
 
 from mavdiag.link.codec import Encoder, known_messages
-from mavdiag.link.frame_loop import by_loop
-from mavdiag.link.frame_walk import Finder, by_arrays
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.link.profiles import detect_profile, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState
@@ -24,7 +21,6 @@ from mavdiag.logs.tlog import TlogContent, decode_tlog, decode_windows, read_tlo
 from mavdiag.telemetry import Telemetry
 
 START_US = 1_763_000_000_000_000
-FINDERS: list[Finder] = [by_arrays, by_loop] if importlib.util.find_spec("numba") else [by_arrays]
 MESSAGES = sorted(known_messages())
 SEEDS = {msgid: seed for msgid, (_, seed) in known_messages().items()}
 
@@ -106,30 +102,27 @@ def assert_same(found: TlogContent, data: bytes) -> None:
 @example(b"\xfd" * 500, [100])
 @example(bytes(8) + b"\xfe\x00" * 300, [33])
 @example((bytes(8) + b"\xfd\x00") * 60, [700])
-def test_arrays_find_what_the_decoder_finds(data: bytes, sizes: list[int]) -> None:
-    for find in FINDERS:
-        assert_same(decode_windows([data], find), data)
-        assert_same(decode_windows(cut(data, sizes), find), data)
+def test_the_loop_finds_what_the_decoder_finds(data: bytes, sizes: list[int]) -> None:
+    assert_same(decode_windows([data]), data)
+    assert_same(decode_windows(cut(data, sizes)), data)
 
 
-@pytest.mark.parametrize("find", FINDERS)
-def test_where_the_file_is_cut_does_not_matter(find: Finder) -> None:
+def test_where_the_file_is_cut_does_not_matter() -> None:
     """The longest frames that there are, and one outside the dialect, cut at every byte."""
     long = [new(msgid, bytes([7] * 255), k, (1, 1), flags=1) for k, msgid in enumerate((83, 27, (1 << 24) - 1, 22))]
     data = b"".join(tlog_record(START_US, one) for one in long)
-    whole = decode_windows([data], find)
+    whole = decode_windows([data])
     assert_same(whole, data)
     for at in range(1, len(data)):
-        found = decode_windows([data[:at], data[at:]], find)
+        found = decode_windows([data[:at], data[at:]])
         assert (found.records, found.frames) == (whole.records, whole.frames)
 
 
-@pytest.mark.parametrize("find", FINDERS)
-def test_random_bytes_and_repeated_markers(find: Finder) -> None:
+def test_random_bytes_and_repeated_markers() -> None:
     rng = np.random.default_rng(3)
     for size in range(0, 6000, 373):
         data = rng.choice(np.array([0, 0, 0, 0, 7, 0xFD, 0xFE, 0xFF], np.uint8), size).tobytes()
-        assert_same(decode_windows([data], find), data)
+        assert_same(decode_windows([data]), data)
 
 
 def flight(seed: int) -> bytes:
@@ -196,7 +189,7 @@ def test_more_senders_than_are_followed() -> None:
     keys = [(int(a), int(b)) for a, b in rng.integers(1, 255, (3000, 2))]
     data = b"".join(tlog_record(START_US, new(0, b"\x02\x03", k % 256, sender)) for k, sender in enumerate(keys))
     for sizes in ([len(data)], [20_000]):
-        assert_same(decode_windows(cut(data, sizes), by_arrays), data)
+        assert_same(decode_windows(cut(data, sizes)), data)
 
 
 @pytest.mark.parametrize("folder", ["arducopter_sitl", "arducopter_live"])
@@ -205,6 +198,5 @@ def test_recorded_flights_are_the_same(folder: str) -> None:
     data = path.read_bytes()[:3_000_000]
     rng = np.random.default_rng(1)
     for one in (data, harmed(data, rng)):
-        for find in FINDERS:
-            assert_same(decode_windows([one], find), one)
+        assert_same(decode_windows([one]), one)
     assert_same_telemetry(read_tlog(path, vehicle=1).telemetry, telemetry_framewise(path.read_bytes())[1])

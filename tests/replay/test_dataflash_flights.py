@@ -11,8 +11,7 @@ import pytest
 from shared_data import shared
 
 from mavdiag.logs.dataflash import read_dataflash
-from mavdiag.logs.dataflash_format import Table
-from mavdiag.logs.dataflash_walk import Walk
+from mavdiag.logs.dataflash_records import RecordTable, Walk
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 
 REAL = "data/ardupilot_real/log171.bin"  # Copter 3.3-dev, 2015
@@ -38,7 +37,7 @@ def oracle(path: Path, wanted: Collection[str]) -> dict[str, dict[str, FloatArra
     return {name: {k: np.array([row[k] for row in all_rows]) for k in all_rows[0]} for name, all_rows in rows.items()}
 
 
-def tables(path: Path, wanted: Collection[str]) -> Mapping[str, Table]:
+def tables(path: Path, wanted: Collection[str]) -> Mapping[str, RecordTable]:
     walk = Walk(wanted)
     walk.feed(path.read_bytes())
     return walk.finish()[0]

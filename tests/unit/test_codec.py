@@ -11,7 +11,6 @@ from mavdiag.link.codec import (
     UNKNOWN,
     Decoder,
     Encoder,
-    FieldValue,
     Frame,
     decode_statustext,
     field_index,
@@ -19,6 +18,7 @@ from mavdiag.link.codec import (
     record_dtype,
     wire_fields,
 )
+from mavdiag.link.layout import FieldValue
 from mavdiag.link.messages import MessageId, Severity
 
 HEARTBEAT = (2, 3, 128, 0, 4, 3)

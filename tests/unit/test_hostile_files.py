@@ -154,7 +154,7 @@ def mat_file(content: bytes, claimed: int) -> bytes:
 
 def test_a_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What a megabyte of the file would become is never made whole; the bound itself is lowered to keep this quick."""
-    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 1 << 22)
+    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 1 << 22)
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat_file(bytes(48 << 20), 1 << 27))
     assert path.stat().st_size < 100_000

@@ -11,8 +11,9 @@ from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.conversion import SOURCES, Part, euler_angles, source
+from mavdiag.link.evidence import Evidence
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
-from mavdiag.link.profiles import PROFILES, Evidence, Profile, detect_profile, profile_named, with_imu
+from mavdiag.link.profiles import PROFILES, Profile, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, by_vehicle, joined
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 

@@ -1,7 +1,5 @@
 """Telemetry logs made by hand: whole, damaged, of several vehicles, or something else altogether."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +7,6 @@ import pytest
 
 from mavdiag.errors import InputError, UsageError
 from mavdiag.link.codec import UNKNOWN, Encoder
-from mavdiag.link.frame_loop import PAYS_BYTES, finder_for
-from mavdiag.link.frame_walk import by_arrays
 from mavdiag.link.messages import MavType, MessageId
 from mavdiag.logs import read_log, sha256_of
 from mavdiag.logs.tlog import decode_tlog, read_tlog, tlog_record, vehicle_stream
@@ -136,15 +132,6 @@ def test_each_vehicle_of_several_is_read_in_one_pass(tmp_path: Path) -> None:
     assert alone_in_file.log.name == "flight.tlog"
     with pytest.raises(InputError, match="no autopilot's heartbeat"):
         list(vehicle_stream(written(tmp_path, companion)))
-
-
-def test_numba_is_loaded_for_large_logs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path, b"".join(records()))
-    code = f"import sys; from mavdiag import read_log; read_log({str(path)!r}); print('numba' in sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "False"
-    monkeypatch.setitem(sys.modules, "numba", None)
-    assert finder_for(PAYS_BYTES) is by_arrays
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from made_dronepropa import content
 from scipy.io import loadmat
 
 from mavdiag.errors import InputError
-from mavdiag.logs.mat5 import is_mat, read_matrices
+from mavdiag.logs.matlab import is_mat, read_matrices
 
 RNG = np.random.default_rng(11)
 WANTED = {"one": 3, "two": 2}
@@ -29,11 +29,11 @@ def by_scipy(data: bytes, folder: Path) -> dict[str, Any]:
 def test_it_reads_what_scipy_reads(tmp_path: Path, compressed: bool, dtype: str) -> None:
     rows = {name: (20 * values).astype(dtype) for name, values in ROWS.items()}
     data = content({"other": np.ones((5, 7)), **rows, "text": np.array(["a", "b"])}, compressed=compressed)
-    found = read_matrices(data, WANTED)
-    scipys = by_scipy(data, tmp_path)
-    for name in WANTED:
-        np.testing.assert_array_equal(found[name].values, scipys[name].T)
-        assert found[name].note == ""
+    found, notes = read_matrices(data, WANTED)
+    for name, values in by_scipy(data, tmp_path).items():
+        if name in WANTED:
+            np.testing.assert_array_equal(found[name], values.T)
+    assert notes == ()
 
 
 def last_element(data: bytes) -> int:
@@ -48,12 +48,23 @@ def test_a_file_that_was_cut_off_keeps_its_whole_samples() -> None:
     data = content(ROWS)
     begin = last_element(data)
     half = data[: begin + (len(data) - begin) // 2]
-    found = read_matrices(half, WANTED)
-    kept = len(found["two"].values)
+    found, notes = read_matrices(half, WANTED)
+    kept = len(found["two"])
     assert 300 < kept < 600
-    np.testing.assert_array_equal(found["two"].values, ROWS["two"].T[:kept])
-    assert found["two"].note == f"two: only {kept} of 900 samples are there: it was cut off"
-    np.testing.assert_array_equal(found["one"].values, ROWS["one"].T)
+    np.testing.assert_array_equal(found["two"], ROWS["two"].T[:kept])
+    assert notes == (f"two: only {kept} of 900 samples are there: it was cut off",)
+    np.testing.assert_array_equal(found["one"], ROWS["one"].T)
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4", "i2", "u1"])
+def test_every_place_of_the_cut_keeps_the_whole_samples_before_it(dtype: str) -> None:
+    values = RNG.integers(0, 100, (3, 40)).astype(dtype)
+    data = content({"one": values}, compressed=False)
+    for cut in range(1, 120 * values.itemsize):
+        count = min(40, (120 * values.itemsize - max(0, cut - -values.nbytes % 8)) // (3 * values.itemsize))
+        if count:
+            found, _ = read_matrices(data[:-cut], {"one": 3})
+            np.testing.assert_array_equal(found["one"], values.T[:count])
 
 
 @pytest.mark.parametrize("missing", [1, 2, 3, 4])
@@ -64,9 +75,9 @@ def test_an_incomplete_checksum_is_a_note(missing: int) -> None:
     body = data[begin + 8 : -missing]
     shortened = data[:begin] + struct.pack("<II", 15, len(body)) + body
     for cut in (shortened, data[:-missing]):
-        found = read_matrices(cut, WANTED)
-        np.testing.assert_array_equal(found["two"].values, ROWS["two"].T)
-        assert found["two"].note == "two: its checksum is cut off"
+        found, notes = read_matrices(cut, WANTED)
+        np.testing.assert_array_equal(found["two"], ROWS["two"].T)
+        assert notes == ("two: its checksum is cut off",)
 
 
 def compressed(inner: bytes) -> bytes:
@@ -95,9 +106,9 @@ def in_the_middle() -> bytes:
         (content(ROWS)[:300], "cut off; download it again"),
         (content({"one": ROWS["one"]}), "no two: it is another recording"),
         (content({"one": ROWS["one"].T, "two": ROWS["two"]}), "one is 4000 x 3, but a recording has 3 rows"),
-        (content({"one": ROWS["one"] * 1j, "two": ROWS["two"]}), "no one"),
+        (content({"one": ROWS["one"] * 1j, "two": ROWS["two"]}), "one is of complex numbers"),
         (content({"one": {"a": 1.0}, "two": ROWS["two"]}), "no one"),
-        (with_wrong_checksum(), "checksum of two is wrong"),
+        (with_wrong_checksum(), "incorrect data check"),
         (in_the_middle(), "compressed data are damaged"),
         (compressed(struct.pack("<II", 14, 2**31) + bytes(40)), "no one"),
     ],
@@ -109,16 +120,16 @@ def test_what_cannot_be_used_is_one_line(data: bytes, reason: str) -> None:
 
 
 def test_a_bomb_is_refused_before_it_is_inflated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 50_000)
+    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 50_000)
     with pytest.raises(InputError, match="too long to be a flight"):
         read_matrices(content({"one": np.zeros((3, 100_000)), "two": ROWS["two"]}), WANTED)
 
 
 def test_the_bound_is_over_all_matrices_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = {"one": np.zeros((3, 1000)), "two": np.zeros((len(ROWS["two"]), 1000))}
-    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])))
-    assert len(read_matrices(content(rows), WANTED)) == 2
-    monkeypatch.setattr("mavdiag.logs.mat5.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])) - 1)
+    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])))
+    assert len(read_matrices(content(rows), WANTED)[0]) == 2
+    monkeypatch.setattr("mavdiag.logs.matlab.MAX_BYTES", 8 * 1000 * (3 + len(ROWS["two"])) - 1)
     with pytest.raises(InputError, match="two is too long to be a flight"):
         read_matrices(content(rows), WANTED)
 
@@ -135,5 +146,5 @@ def test_both_byte_orders_are_read(tmp_path: Path) -> None:
     parts = struct.pack(">IIII", 6, 8, 6, 0) + struct.pack(">IIii", 5, 8, 2, 3)
     parts += struct.pack(">HH4s", 3, 1, b"two\0") + struct.pack(">II", 9, 48) + values.astype(">f8").tobytes()
     data = b"MATLAB 5.0".ljust(124) + b"\x01\x00MI" + struct.pack(">II", 14, len(parts)) + parts
-    np.testing.assert_array_equal(read_matrices(data, {"two": 2})["two"].values, values.reshape(3, 2))
+    np.testing.assert_array_equal(read_matrices(data, {"two": 2})[0]["two"], values.reshape(3, 2))
     np.testing.assert_array_equal(by_scipy(data, tmp_path)["two"].T, values.reshape(3, 2))

@@ -1,0 +1,117 @@
+"""Matrices out of MATLAB files of version 5, as far as a file reaches; `scipy.io` reads them.
+
+Layout (MathWorks, "MAT-File Format"): a header of 128 bytes, then elements of a tag (u32 type, u32 bytes) and their
+data; a compressed element holds one zlib stream with one matrix element inside, column after column. scipy reads no
+file that is cut off, and a file may claim any size: so the elements are handed to it one by one, inflated within a
+bound, and filled up to the length that they claim.
+"""
+
+import struct
+import zlib
+from collections.abc import Mapping
+from importlib import import_module
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+
+from mavdiag.errors import InputError
+from mavdiag.telemetry import FloatArray
+
+HEADER_BYTES = 128
+TAG_BYTES = 8
+BYTE_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version 0x0100 and the mark of the byte order
+NEWER = b"MATLAB 7.3"  # HDF5 behind the header of 128 bytes
+COMPRESSED = 15  # type of an element
+NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
+HEAD_BYTES = 4096  # flags, dimensions and name of a matrix fit in them
+MAX_BYTES = 2**28  # of all matrices as float64 (our choice): more than the longest recording has, twice; more is damage
+
+# What scipy lets through on damaged files.
+_SCIPY_ERRORS = (ValueError, TypeError, LookupError, ArithmeticError, OSError, MemoryError, AttributeError)
+
+
+def is_mat(head: bytes) -> bool:
+    """Whether a file's first bytes are those of a MATLAB file of version 5 or 7.3."""
+    return len(head) >= HEADER_BYTES and (head[124:128] in BYTE_ORDERS or head.startswith(NEWER))
+
+
+def read_matrices(data: bytes, wanted: Mapping[str, int]) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """The wanted matrices of a file by name, and what is wrong with it though it can be used, one sentence each.
+
+    wanted: names, and how many rows each must have. Other variables are passed over. A matrix (n, rows) has a row for
+    each column of the file, up to where the file was cut off.
+    Raises InputError if a file is of another version or damaged, or one of the matrices is absent, of another shape or
+    too long.
+    """
+    if data.startswith(NEWER):
+        raise InputError("it is of MATLAB's version 7.3; save it again with -v7")
+    if not is_mat(data):
+        raise InputError("its first bytes are not those of a MATLAB file")
+    header, order = data[:HEADER_BYTES], BYTE_ORDERS[data[124:128]]
+    found: dict[str, FloatArray] = {}
+    notes: list[str] = []
+    position, cut, left = HEADER_BYTES, False, MAX_BYTES
+    while position + TAG_BYTES <= len(data) and len(found) < len(wanted):
+        kind, size = struct.unpack_from(order + "II", data, position)
+        begin, position = position, position + TAG_BYTES + size
+        stream = zlib.decompressobj() if kind == COMPRESSED else None
+        cut = position > len(data)
+        try:
+            element = (
+                stream.decompress(data[begin + TAG_BYTES : position], HEAD_BYTES) if stream else data[begin:position]
+            )
+            name, rows, columns = _claimed(header + element[:HEAD_BYTES])
+            if name not in wanted or name in found:
+                continue
+            if rows != wanted[name]:
+                raise InputError(f"{name} is {rows} x {columns}, but a recording has {wanted[name]} rows, one a signal")
+            claimed = TAG_BYTES + int(struct.unpack_from(order + "I", element, 4)[0])
+            if max(8 * rows * columns, claimed - HEAD_BYTES) > left:
+                raise InputError(f"{name} is too long to be a flight")
+            if stream:
+                element += stream.decompress(stream.unconsumed_tail, claimed + 1)
+        except zlib.error as error:
+            raise InputError(f"its compressed data are damaged ({error}); download it again") from error
+        values_at = 56 + (-(-len(name) // 8) * 8 if len(name) > 4 else 0)  # a short name stands in its tag
+        column_bytes = rows * ((claimed - values_at) // (rows * columns))
+        whole = min(columns, (len(element) - values_at) // column_bytes) if column_bytes > 0 else 0
+        if whole <= 0:
+            continue
+        if whole < columns:
+            notes.append(f"{name}: only {whole} of {columns} samples are there: it was cut off")
+        elif stream and not stream.eof:
+            notes.append(f"{name}: its checksum is cut off")
+        found[name] = _values(header + element.ljust(claimed, b"\0"), name)[:whole]
+        left -= found[name].nbytes
+    lacking = [name for name in wanted if name not in found]
+    if lacking:
+        remedy = "it was cut off; download it again" if cut else "it is another recording, or cut off"
+        raise InputError(f"it holds no {' and no '.join(lacking)}: {remedy}")
+    return found, tuple(notes)
+
+
+def _scipy_io() -> Any:
+    """Not at the start of a program that reads no such file; and its stubs know no file but those on disk."""
+    return import_module("scipy.io")
+
+
+def _claimed(file: bytes) -> tuple[str, int, int]:
+    """Name, rows and columns of the matrix of a file that holds one element; no name if it is no numeric matrix."""
+    try:
+        name, shape, kind = _scipy_io().whosmat(BytesIO(file))[0]
+        rows, columns = shape if kind in NUMERIC else (0, 0)
+    except _SCIPY_ERRORS:
+        return "", 0, 0
+    return (str(name), int(rows), int(columns)) if min(rows, columns) > 0 else ("", 0, 0)
+
+
+def _values(file: bytes, name: str) -> FloatArray:
+    try:
+        stored = _scipy_io().loadmat(BytesIO(file), variable_names=[name])[name]
+        if stored.dtype.kind == "c":
+            raise InputError(f"{name} is of complex numbers: it is another recording")
+        with np.errstate(invalid="ignore"):
+            return np.asarray(stored.T, dtype=np.float64)
+    except _SCIPY_ERRORS as error:
+        raise InputError(f"{name} is damaged ({' '.join(str(error).split())}); download it again") from error
