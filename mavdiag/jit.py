@@ -16,8 +16,6 @@ from typing import Any, Literal, ParamSpec, TypeVar, cast
 
 import numba
 
-from mavdiag.errors import UsageError
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -45,13 +43,16 @@ def inline(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def cached(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile on the first call and keep the machine code on disk.
+    """Compile on the first call and keep the machine code on disk, where there is a place for it.
 
-    `function` must close over `source_digest()`, so that a change of any compiled source changes numba's cache key.
+    A function that calls compiled ones of other files must close over `source_digest()`, so that a change of any of
+    them changes numba's cache key.
     """
-    if function.__closure__ is None:
-        raise UsageError(f"{function.__name__} must close over source_digest() to be cached")
-    return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))
+    options: Any = {"error_model": "numpy"}
+    try:
+        return cast(Callable[P, R], numba.njit(cache=True, **options)(function))
+    except RuntimeError:  # nowhere to keep it
+        return cast(Callable[P, R], numba.njit(**options)(function))
 
 
 def source_digest() -> int:

@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.compiled import jit
+from mavdiag.jit import cached
 from mavdiag.link.clock import (
     AGREED_STEP_NS,
     AGREEING,
@@ -42,7 +42,7 @@ _IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
 _STRAY, _RIVAL, _REBOOT = 0, 1, 2  # what a stamp out of line is
 
 
-@jit
+@cached
 def stamp(
     mems: Records,
     readings: Records,
@@ -89,7 +89,7 @@ def stamp(
     return len(raws)
 
 
-@jit
+@cached
 def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
     if clock_ns >= EPOCH_NS:
         return _UNIX
@@ -98,7 +98,7 @@ def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
     return _BOOT_MS if tick == NS_PER_MS else _BOOT_US
 
 
-@jit
+@cached
 def _place(readings: Records, msgid: int) -> int:
     """Where a message's reading is, or can be: the last place where there is no room for one more."""
     for k in range(len(readings)):
@@ -108,7 +108,7 @@ def _place(readings: Records, msgid: int) -> int:
     return len(readings) - 1
 
 
-@jit
+@cached
 def _begin(
     reading: Fields, leads: Records, tick: int, turn: int, ambiguous: bool, raw: int, beyond: bool, now_ns: int
 ) -> bool:
@@ -134,7 +134,7 @@ def _begin(
     return True
 
 
-@jit
+@cached
 def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now_ns: int) -> tuple[int, int]:
     """What the stamp is, and the message's own clock [ns]. The reading goes on, unless the counter has broken off."""
     ahead_of_it = reading.turns * turn
@@ -170,7 +170,7 @@ def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now
     return _IN_LINE, clock_ns
 
 
-@jit
+@cached
 def _out_of_line(mem: Fields, clock_ns: int, now_ns: int) -> int:
     """What a stamp out of line is taken for: a stray, a clock that may take over, or the vehicle that started anew."""
     silent_ns = now_ns - mem.seen_ns[int(clock_ns >= EPOCH_NS)]
@@ -193,7 +193,7 @@ def _out_of_line(mem: Fields, clock_ns: int, now_ns: int) -> int:
     return _RIVAL
 
 
-@jit
+@cached
 def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records) -> None:
     """The clocks are new, and the time goes on with the receiver's, by a second at least."""
     mem.reference, mem.base_ns, mem.rivals = -1, 0, 0
@@ -206,7 +206,7 @@ def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records
         leads[clock].count = offsets[clock].known = 0
 
 
-@jit
+@cached
 def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns: int, clock: int) -> Any:
     """The vehicle's time of a stamp in line; `NEVER` where its clock is not laid over the reference yet."""
     if mem.reference < 0:
@@ -235,7 +235,7 @@ def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns
     return t_ns
 
 
-@jit
+@cached
 def _least(lead: Fields) -> Any:
     least = lead.least[0]
     for k in range(1, lead.count):
@@ -243,7 +243,7 @@ def _least(lead: Fields) -> Any:
     return least
 
 
-@jit
+@cached
 def _watch(leads: Records, clock: int, clock_ns: int, now_ns: int) -> None:
     """Take a sample into the leads of its clock."""
     lead, second, found_ns = leads[clock], now_ns // NS_PER_S, now_ns - clock_ns
@@ -261,7 +261,7 @@ def _watch(leads: Records, clock: int, clock_ns: int, now_ns: int) -> None:
     lead.seconds[k], lead.least[k] = second, found_ns
 
 
-@jit
+@cached
 def _forget(leads: Records) -> None:
     """Drop the seconds that no window will use any more; the latest one of each clock stays."""
     since_s = NEVER
@@ -278,7 +278,7 @@ def _forget(leads: Records) -> None:
             lead.count -= old
 
 
-@jit
+@cached
 def _follow(offset: Fields, own: Fields, base: Fields, reference: int, clock: int, now_ns: int) -> int:
     """Bring an offset on by the seconds that are new; what it is at this time [ns], `NEVER` while it is not known."""
     boot = reference != _UNIX and clock != _UNIX
@@ -300,7 +300,7 @@ def _follow(offset: Fields, own: Fields, base: Fields, reference: int, clock: in
             found_ns = _at(offset, now_ns)
 
 
-@jit
+@cached
 def _after(lead: Fields, second: int) -> int:
     """The first second after this one in which a clock was seen; `NEVER` if there is none."""
     for k in range(lead.count):
@@ -309,14 +309,14 @@ def _after(lead: Fields, second: int) -> int:
     return NEVER
 
 
-@jit
+@cached
 def _at(offset: Fields, now_ns: int) -> int:
     """An offset within its second [ns]."""
     share = min(max((now_ns - offset.second * NS_PER_S) / NS_PER_S, 0.0), 1.0)
     return int(offset.begin_ns + int(np.rint((offset.end_ns - offset.begin_ns) * share)))
 
 
-@jit
+@cached
 def _lag(own: Fields, base: Fields, since_s: int, until_s: int) -> int:
     """The least lead of the clock less that of the reference over [since_s, until_s) [ns]; `NEVER` without either."""
     found = NEVER
@@ -330,7 +330,7 @@ def _lag(own: Fields, base: Fields, since_s: int, until_s: int) -> int:
     return NEVER if found == NEVER or least == NEVER else int(found - least)
 
 
-@jit
+@cached
 def _lay(offset: Fields, own: Fields, base: Fields, boot: bool, first_s: int, first_ns: int, second: int) -> None:
     """Lay a clock over the reference for the first time, if enough is known in this second."""
     at_ns = int(np.rint(first_ns / TURN_NS)) * TURN_NS
@@ -343,7 +343,7 @@ def _lay(offset: Fields, own: Fields, base: Fields, boot: bool, first_s: int, fi
         offset.begin_ns = offset.end_ns = offset.since_ns = at_ns
 
 
-@jit
+@cached
 def _go_on(offset: Fields, own: Fields, base: Fields, first_s: int, second: int) -> None:
     """Bring an offset on to the next second in which a sample came."""
     at_ns = offset.end_ns

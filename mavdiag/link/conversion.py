@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from mavdiag.compiled import compiled
+from mavdiag.jit import cached
 from mavdiag.link.batch import Record
 from mavdiag.link.clock import MS_32, US_32, US_64, Counter
 from mavdiag.link.codec import record_dtype
@@ -86,7 +86,7 @@ def euler_angles(q: FloatArray) -> FloatArray:
     return angles
 
 
-@compiled
+@cached
 def _fill_angles(q: FloatArray, angles: FloatArray) -> bool:
     """Write the angles; returns whether every quaternion has a length that one may have."""
     whole = True

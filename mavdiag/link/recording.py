@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.compiled import compiled
+from mavdiag.jit import cached
 from mavdiag.link.batch import AUTOPILOT, Batch, Column
 from mavdiag.link.codec import UNKNOWN, Frame, known_messages
 from mavdiag.link.sequence import Senders
@@ -189,7 +189,7 @@ def _tables() -> NDArray[np.uint16]:
     return tables
 
 
-@compiled
+@cached
 def _find(
     data: NDArray[np.uint8],
     size: int,

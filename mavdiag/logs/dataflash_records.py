@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.compiled import compiled
+from mavdiag.jit import cached
 from mavdiag.logs.records import Row, as_floats, gather
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US
@@ -225,7 +225,7 @@ class Walk:
                 gathered.records += gather(data, self._formats[kind].layout(), at).view(np.uint8).data
 
 
-@compiled
+@cached
 def _follow(data: NDArray[np.uint8], position: int, lengths: IntArray, taken: BoolArray, found: IntArray) -> IntArray:
     """Follow the chain of records from a place on, up to a declaration or to where a record may go on behind the data.
 
