@@ -26,7 +26,7 @@ from sitl_plant.campaign.causes import injections_of
 from sitl_plant.campaign.conditions import MANOEUVRES, Conditions
 from sitl_plant.campaign.worker import PAYLOAD_BELOW_M, PAYLOAD_OFFSET_M, specimen
 from sitl_plant.physics.airframe import Airframe, Payload
-from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 

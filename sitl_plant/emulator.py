@@ -15,14 +15,14 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing
-from sitl_plant.autopilot.commands import Autopilot, Forward, PlantOrder, Reply
+from sitl_plant.autopilot.commands import Autopilot, PlantOrder
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.imu_filters import FilteredSamples, ImuFilters
 from sitl_plant.autopilot.stream import Message, Streamer
-from sitl_plant.changes import Renewal
-from sitl_plant.physics.injections import Injection
+from sitl_plant.autopilot.wire import Forward, Reply
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import STEP_NS, Plant, PlantSamples
+from sitl_plant.plant import STEP_NS, Plant, PlantSamples, Renewal
 
 __all__ = ["FlightReport", "Link", "fly", "obey"]
 

@@ -12,11 +12,9 @@ import typer
 
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
-from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.airframe import Payload, PickUp, in_session_number
 from sitl_plant.physics.airframe import drone as specimen
 from sitl_plant.physics.jit import check_numba
-from sitl_plant.physics.loading import PickUp
-from sitl_plant.physics.sessions import in_session_number
 from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from

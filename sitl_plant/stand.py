@@ -190,7 +190,7 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
 
     Every propeller has a residue of its own, up to what G 6.3 permits (T Eq 3.6), at an angle of its own.
     """
-    mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.unbalance_g_mm) for fault in FAULTS)]
+    mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.propeller.printed_g_mm) for fault in FAULTS)]
     permitted = qdrone2().propulsion.unbalance_max_g_mm
     peaks = []
     for (name, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):

@@ -13,9 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from sitl_plant.changes import Change, Renewal, SteadyWind
-from sitl_plant.physics.injections import Injection, SensorFault
-from sitl_plant.plant import STEP_NS, PlantConfig, PlantSamples
+from sitl_plant.physics.faults import Injection, SensorFault
+from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples, Renewal, SteadyWind
 
 __all__ = ["Truth"]
 

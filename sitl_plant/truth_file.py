@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TextIO
 
 from mavdiag.errors import UsageError
-from sitl_plant.changes import Change
-from sitl_plant.plant import PlantConfig, PlantSamples
+from sitl_plant.plant import Change, PlantConfig, PlantSamples
 from sitl_plant.truth import Truth
 
 __all__ = ["TruthWriter", "truth_file"]

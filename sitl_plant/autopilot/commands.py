@@ -21,11 +21,9 @@ from sitl_plant.autopilot.parameters import Encoding, Parameters
 from sitl_plant.autopilot.pilot import Pilot
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.wire import Action, Forward, Reply, number, optional, target
-from sitl_plant.changes import Renewal
-from sitl_plant.config import PlantConfig
-from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import PlantSamples
+from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
 
 __all__ = ["Action", "Autopilot", "Forward", "PlantOrder", "Reply"]
 

@@ -9,8 +9,7 @@ from collections.abc import Mapping
 
 from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.parameters import Kind, Parameter, Parameters
-from sitl_plant.config import fault_injection
-from sitl_plant.physics.injections import Injection, RotorDamage, speed_corruption
+from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 
 __all__ = ["FAULT", "FAULT_PARAMETERS", "SEVERITY", "Failures"]
 
@@ -22,8 +21,8 @@ OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
 SLOW_SHARE = 0.9  # of the commanded speed (our choice)
 
 _MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
-    OFF: ("motor off", speed_corruption(0.0)),
-    SLOW: ("motor slow", speed_corruption(SLOW_SHARE)),
+    OFF: ("motor off", RotorDamage(speed_factor=0.0)),
+    SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE)),
 }
 
 

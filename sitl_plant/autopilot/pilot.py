@@ -14,7 +14,7 @@ import numpy as np
 from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.firmware import SPEED_MOST, Firmware, Mode
 from sitl_plant.autopilot.parameters import Parameters
-from sitl_plant.physics.attitude import wrapped
+from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.trajectory import (
     BELOW_M,
     CLIMB_M_S,

@@ -11,18 +11,7 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
-from sitl_plant.physics.faults import FAULTS, Fault
-from sitl_plant.physics.injections import (
-    Injection,
-    RotorDamage,
-    SensorFault,
-    added_mass,
-    bending,
-    chipping,
-    ejection,
-    speed_corruption,
-    texture,
-)
+from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
 
 __all__ = ["CAUSES", "HEALTHY", "RIGHT", "Cause", "Group", "causes_named", "injections_of"]
 
@@ -78,12 +67,12 @@ def _imu(sensor: str, scale: float = 1.0, offset: float = 0.0, drift: float = 0.
 
 CAUSES: Mapping[str, Cause] = {
     **{fault.code: _fault(fault) for fault in FAULTS},
-    "chipping": _rotor(Group.BLADE, chipping(0.05, 60.0, thrust_loss=0.03, drag_factor=1.03)),
-    "bending": _rotor(Group.BLADE, bending(thrust_loss=0.04, drag_factor=1.05)),
-    "added-mass": _rotor(Group.BLADE, added_mass(0.05, 50.0)),
-    "texture": _rotor(Group.BLADE, texture(thrust_factor=0.97, drag_factor=1.06)),
-    "motor-speed": _rotor(Group.MOTOR, speed_corruption(0.97)),
-    "ejection": _rotor(Group.LOSS, ejection()),
+    "chipping": _rotor(Group.BLADE, RotorDamage(1.0 - 0.03, 1.03, 0.05 * 60.0)),
+    "bending": _rotor(Group.BLADE, RotorDamage(1.0 - 0.04, 1.05)),
+    "added-mass": _rotor(Group.BLADE, RotorDamage(unbalance_g_mm=0.05 * 50.0)),
+    "texture": _rotor(Group.BLADE, RotorDamage(0.97, 1.06)),
+    "motor-speed": _rotor(Group.MOTOR, RotorDamage(speed_factor=0.97)),
+    "ejection": _rotor(Group.LOSS, RotorDamage(0.0, 0.0, ejected=True)),
     "gyro-bias": _imu("gyro", offset=0.05),
     "gyro-drift": _imu("gyro", drift=0.002),
     "gyro-scale": _imu("gyro", scale=1.1),

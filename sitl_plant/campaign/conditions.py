@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from mavdiag.errors import UsageError
 from mavdiag.units import G
 from sitl_plant.autopilot.telemetry import LinkSpec
-from sitl_plant.physics.mount import isolating_hz
 from sitl_plant.physics.parameters import STEP_S
+from sitl_plant.physics.sensors import isolating_hz
 from sitl_plant.vehicle import SoftMount, Vehicle
 
 __all__ = [

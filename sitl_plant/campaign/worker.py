@@ -21,10 +21,8 @@ from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry
 from sitl_plant.campaign.causes import HEALTHY, injections_of
 from sitl_plant.campaign.conditions import CONDITIONS, MANOEUVRES, Conditions, parse_link
 from sitl_plant.campaign.plan import FlightTask, LearnTask, task_sequence
-from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
-from sitl_plant.physics.injections import Injection
-from sitl_plant.physics.loading import PickUp
-from sitl_plant.physics.sessions import Wear, in_session, with_propellers
+from sitl_plant.physics.airframe import Airframe, Payload, PickUp, Wear, draw_airframe, in_session, with_propellers
+from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
 

@@ -15,7 +15,6 @@ from mavdiag import commandline
 from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.ports import open_endpoint
-from sitl_plant.config import PlantConfig, fault_injection
 from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.datagrams import Datagrams
 from sitl_plant.hil.outputs import AutopilotName, OutputMap, output_map
@@ -25,7 +24,9 @@ from sitl_plant.hil.serve import serve_frames, serve_json
 from sitl_plant.hil.simulation import FLYING_M, HilPlan, Simulation
 from sitl_plant.options import STARTING, TruthFile, VehicleName, parse_speed, with_options
 from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.faults import fault_injection
 from sitl_plant.physics.jit import check_numba
+from sitl_plant.plant import PlantConfig
 from sitl_plant.truth_file import TruthWriter, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 

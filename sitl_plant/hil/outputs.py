@@ -8,8 +8,7 @@ import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.vehicle import Vehicle
-from sitl_plant.vehicle_hil import Hil, Pilot
+from sitl_plant.vehicle import Hil, HilPilot, Vehicle
 
 __all__ = ["AutopilotName", "OutputMap", "output_map", "pilot_of"]
 
@@ -48,7 +47,7 @@ def output_map(vehicle: Vehicle, autopilot: AutopilotName) -> OutputMap:
     return OutputMap(np.argsort(pilot.rotors), hil.pwm_us)
 
 
-def pilot_of(vehicle: Vehicle, autopilot: AutopilotName) -> tuple[Hil, Pilot]:
+def pilot_of(vehicle: Vehicle, autopilot: AutopilotName) -> tuple[Hil, HilPilot]:
     """The tables `[hil]` and `[hil.NAME]`. Raises UsageError if they are missing, or do not name every rotor once."""
     if vehicle.hil is None:
         raise UsageError(f"{vehicle.name}: no autopilot can fly it: add a table [hil] to its file, as qdrone2.toml has")

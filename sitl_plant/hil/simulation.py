@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.changes import Change
-from sitl_plant.config import PlantConfig
-from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
-from sitl_plant.plant import Plant, PlantSamples
+from sitl_plant.plant import Change, Plant, PlantConfig, PlantSamples
 
 __all__ = ["FLYING_M", "HilPlan", "Simulation", "Watch"]
 

@@ -1,14 +1,9 @@
 """The one place that touches numba: typed decorators, and a compiled cache that cannot go stale.
 
-numba keys its on-disk cache by the time stamp of the file that holds the cached function. A function that it calls in
-another file may change without the cache noticing. So only the outermost function is cached (`cached`), and its key
-also holds a digest of every file that defined a compiled function.
-
-numba counts references to every array that a function touches. In the loop that took two thirds of the time, so it is
-left out (`_nrt`, an option of numba that is not documented) of all functions but those that make arrays (`allocating`,
-`cached`); numba says so if another one does.
-
-Without numba everything can be imported, and the first call of a compiled function says what to install.
+numba keys its on-disk cache by the time stamp of the file of the cached function; what that function calls in another
+file may change without notice. So only the outermost function is cached (`cached`), and its key holds a digest of every
+file that defined a compiled function. numba counts references to every array that a function touches, which took two
+thirds of the time; it is left out (`_nrt`, an undocumented option) of all but `allocating` and `cached` functions.
 """
 
 import hashlib
@@ -23,8 +18,6 @@ try:
 except ImportError:
     numba = None  # type: ignore[assignment]  # a module or None: every use below asks
 
-__all__ = ["allocating", "cached", "check_numba", "inline", "jit", "source_digest"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -33,28 +26,25 @@ _sources: set[Path] = set()
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` when a compiled function first calls it. No fast-math: results are reproducible."""
-    return _compiled(function, inline="never")
+    return _compiled(function, "never")
 
 
 def allocating(function: Callable[P, R]) -> Callable[P, R]:
     """As `jit`, for a function that makes arrays."""
-    return _compiled(function, inline="never", counts=True)
+    return _compiled(function, "never", counts=True)
 
 
 def inline(function: Callable[P, R]) -> Callable[P, R]:
     """As `jit`, but merged into its caller: no cost for passing large tuples."""
-    return _compiled(function, inline="always")
+    return _compiled(function, "always")
 
 
 def cached(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile on the first call and keep the machine code on disk.
-
-    `function` must close over `source_digest()`, so that a change of any compiled source changes numba's cache key.
-    """
+    """Compile on the first call, and keep the machine code. `function` must close over `source_digest()`."""
     if function.__closure__ is None:
         raise UsageError(f"{function.__name__} must close over source_digest() to be cached")
     if numba is None:
-        return cast(Callable[P, R], _unavailable)
+        return cast(Callable[P, R], _missing)
     return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))
 
 
@@ -69,7 +59,7 @@ def source_digest() -> int:
 def _compiled(function: Callable[P, R], inline: Literal["never", "always"], counts: bool = False) -> Callable[P, R]:
     _sources.add(Path(function.__code__.co_filename))
     if numba is None:
-        return cast(Callable[P, R], _unavailable)
+        return cast(Callable[P, R], _missing)
     options: Any = {"error_model": "numpy", "inline": inline, "_nrt": counts}
     return cast(Callable[P, R], numba.njit(**options)(function))
 
@@ -77,9 +67,8 @@ def _compiled(function: Callable[P, R], inline: Literal["never", "always"], coun
 def check_numba() -> None:
     """Raise UsageError, saying what to install, if nothing can be compiled. Commands ask before they make a file."""
     if numba is None:
-        _unavailable()
+        _missing()
 
 
-def _unavailable(*_arguments: object) -> NoReturn:
-    """Stands in for every compiled function where numba is absent."""
+def _missing(*_arguments: object) -> NoReturn:
     raise missing_extra("the plant", "numba", "plant")

@@ -8,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.attitude import (
-    ESTIMATE,
-    Estimator,
-    advance_estimate,
-    low_pass_transition,
-    tilt_from_accel,
-    wrapped,
-)
+from sitl_plant.physics.control import ESTIMATE, Estimator, advance_estimate, low_pass_transition, tilt_from_accel
+from sitl_plant.physics.dynamics import wrapped
 
 DT = 0.001
 

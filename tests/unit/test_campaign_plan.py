@@ -16,7 +16,7 @@ from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, LearnTask, bal
 from sitl_plant.campaign.runner import task_key
 from sitl_plant.campaign.worker import specimen
 from sitl_plant.physics.airframe import drone
-from sitl_plant.physics.injections import RotorDamage, SensorFault
+from sitl_plant.physics.faults import RotorDamage, SensorFault
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2, vehicle_named
 

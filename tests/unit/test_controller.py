@@ -8,7 +8,7 @@ from plant_cases import nominal_airframe
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import NO_PAYLOAD
-from sitl_plant.physics.controller import Controller, ControlState, control
+from sitl_plant.physics.control import Controller, ControlState, control
 from sitl_plant.physics.parameters import make_model
 from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN, Shape, path
 from sitl_plant.vehicle import allocation, qdrone2

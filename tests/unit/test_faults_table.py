@@ -24,7 +24,7 @@ PRINTED = {
 @pytest.mark.parametrize("code", PRINTED)
 def test_unbalance_is_what_the_thesis_prints(code: str) -> None:
     parts, printed = PRINTED[code]
-    assert parse_fault(code).unbalance_g_mm == pytest.approx(printed)
+    assert parse_fault(code).propeller.printed_g_mm == pytest.approx(printed)
     if code != "F2/SV3":  # the slip: its sum gives 2.970
         assert sum(mass * distance for mass, distance in parts) == pytest.approx(printed, abs=1e-9)
     else:
@@ -35,7 +35,7 @@ def test_all_nine_faults_exceed_the_balance_limit() -> None:
     """T 3.2.2: every fault is beyond the 0.18 g mm of G 6.3."""
     assert len(FAULTS) == 9
     assert [fault.code for fault in FAULTS] == list(PRINTED)
-    assert all(fault.unbalance_g_mm > 0.18 for fault in FAULTS)
+    assert all(fault.propeller.printed_g_mm > 0.18 for fault in FAULTS)
 
 
 def test_phenomenology_scales_only_the_fitted_terms() -> None:

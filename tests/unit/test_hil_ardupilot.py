@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavdiag.errors import LinkError
-from sitl_plant.config import PlantConfig, fault_injection
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
 from sitl_plant.hil.datagrams import Datagrams
 from sitl_plant.hil.outputs import output_map
 from sitl_plant.hil.simulation import HilPlan, Simulation
-from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.faults import Injection, fault_injection
+from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import vehicle_named
 
 OFF, HOVER, CLIMB = [1000] * 4, [1520] * 4, [1600] * 4

@@ -1,7 +1,6 @@
 """A payload taken up and dropped in flight: momentum by conservation laws, trim by paper, continuity by the markers."""
 
 import math
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -9,9 +8,8 @@ from plant_cases import fly, nominal_airframe, quaternion_rotation, quiet_airfra
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.loading import PickUp, reload
-from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model
+from sitl_plant.physics.airframe import Payload, PickUp
+from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import qdrone2
@@ -38,7 +36,7 @@ def test_two_payloads_are_point_masses_about_the_common_centre() -> None:
     np.testing.assert_allclose(body.inverse @ inertia, np.eye(3), atol=1e-12)
 
 
-def in_motion(before: Literal["own", "rest"]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def in_motion() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Momentum (3,) and angular momentum (3,) about the world's origin, of vehicle and payload, before and after."""
     airframe = nominal_airframe(qdrone2())
     model = make_model(airframe, Payload(), path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
@@ -49,7 +47,7 @@ def in_motion(before: Literal["own", "rest"]) -> tuple[FloatArray, FloatArray, F
     x[6:10] /= np.linalg.norm(x[6:10])
     R = quaternion_rotation(x[6:10])
     place = x[:3] + R @ np.array(BESIDE.position_m)
-    speed = x[3:6] + R @ np.cross(x[10:13], BESIDE.position_m) if before == "own" else np.zeros(3)
+    speed = x[3:6] + R @ np.cross(x[10:13], BESIDE.position_m)
 
     def of_vehicle(body_inertia: FloatArray, mass: float) -> tuple[FloatArray, FloatArray]:
         p = mass * x[3:6]
@@ -57,14 +55,13 @@ def in_motion(before: Literal["own", "rest"]) -> tuple[FloatArray, FloatArray, F
 
     p1, L1 = of_vehicle(model.body.inertia, model.body.mass)
     p1, L1 = p1 + BESIDE.mass_kg * speed, L1 + np.cross(place, BESIDE.mass_kg * speed)
-    after = reload(model, state, airframe, (Payload(), BESIDE), PickUp(BESIDE, 1.0, before=before))
+    after = reload(model, state, airframe, (Payload(), BESIDE))
     p2, L2 = of_vehicle(after.body.inertia, after.body.mass)
     return p1, L1, p2, L2
 
 
-@pytest.mark.parametrize("before", ["own", "rest"])
-def test_momentum_and_angular_momentum_are_kept(before: Literal["own", "rest"]) -> None:
-    p1, L1, p2, L2 = in_motion(before)
+def test_momentum_and_angular_momentum_are_kept() -> None:
+    p1, L1, p2, L2 = in_motion()
     np.testing.assert_allclose(p2, p1, atol=1e-12)
     np.testing.assert_allclose(L2, L1, atol=1e-12)
 
@@ -75,7 +72,7 @@ def test_dropping_undoes_a_pick_up_at_own_speed() -> None:
     state = initial_state(model, np.zeros(4))
     state.rigid[3:6], state.rigid[10:13] = (0.3, -0.2, 0.1), (1.0, -2.0, 0.5)
     rigid, wrench = state.rigid.copy(), state.wrench.copy()
-    loaded = reload(model, state, airframe, (Payload(), BESIDE), PickUp(BESIDE, 1.0))
+    loaded = reload(model, state, airframe, (Payload(), BESIDE))
     again = reload(loaded, state, airframe, (Payload(),))
     np.testing.assert_allclose(state.rigid, rigid, atol=1e-14)
     np.testing.assert_allclose(state.wrench, wrench, atol=1e-14)
@@ -102,16 +99,6 @@ def test_the_markers_do_not_jump_and_the_imu_feels_no_impact() -> None:
     shift = 0.2 / 1.704 * np.array(BESIDE.position_m)
     np.testing.assert_allclose(step, quaternion_rotation(samples.quaternion[2000]) @ shift, atol=2e-5)
     assert np.abs(np.diff(samples.gyro[1990:2010], axis=0)).max() < 0.01
-
-
-def test_a_payload_at_rest_jerks_the_vehicle_that_snatches_it() -> None:
-    """Above the centre's path at 0.5 m/s: m v is shared, and the arm of 5 cm pitches it down at the front."""
-    pickup = PickUp(Payload(0.2, (0.0, 0.0, 0.05)), 1.5, before="rest")
-    samples = fly(PlantConfig(airframe=quiet_airframe(), pickup=pickup), 1.6)
-    before, after = samples.velocity[1499], samples.velocity[1500]
-    assert after[0] == pytest.approx(before[0] * 1.504 / 1.704, abs=0.005)
-    kick = samples.omega[1500, 1] - samples.omega[1499, 1]
-    assert kick == pytest.approx(-0.05 * before[0] * (1.504 * 0.2 / 1.704) / (0.0104 + 0.05**2 * 0.1765), rel=0.05)
 
 
 @pytest.mark.parametrize("cuts", [(3000,), (1000, 1, 999, 1000), (7, 993, 1000, 500, 500)])

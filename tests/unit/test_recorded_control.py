@@ -10,7 +10,7 @@ import pytest
 import sitl_plant.vehicle as vehicle_module
 from mavdiag.errors import UsageError
 from sitl_plant.options import flight_plan
-from sitl_plant.physics.recorded_control import second_order, thrust_of, voltage_of
+from sitl_plant.physics.control import second_order, thrust_of, voltage_of
 from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
 
 VEHICLE = vehicle_named("qdrone2-recorded")

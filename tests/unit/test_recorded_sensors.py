@@ -6,8 +6,11 @@ from plant_cases import nominal_airframe
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import draw_airframe
-from sitl_plant.physics.injections import sensor_condition
-from sitl_plant.physics.recorded_sensors import (
+from sitl_plant.physics.faults import sensor_condition
+from sitl_plant.physics.parameters import specimen_of
+from sitl_plant.physics.rotors import RotorState
+from sitl_plant.physics.sensors import (
+    CHANNELS,
     HARMONICS,
     IMUS,
     TwinImu,
@@ -16,9 +19,6 @@ from sitl_plant.physics.recorded_sensors import (
     butterworth3,
     high_pass,
 )
-from sitl_plant.physics.recorded_set import specimen_of
-from sitl_plant.physics.rotors import RotorState
-from sitl_plant.physics.sensors import CHANNELS
 from sitl_plant.vehicle import vehicle_named
 
 VEHICLE = vehicle_named("qdrone2-recorded")

@@ -7,7 +7,7 @@ import pytest
 
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import GRAVITY, RIGID
-from sitl_plant.physics.injections import Injection, SensorFault, sensor_condition
+from sitl_plant.physics.faults import Injection, SensorFault, sensor_condition
 from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, SensorCondition, advance_imu, butterworth, feel
 
 HEALTHY = sensor_condition(())

@@ -9,12 +9,19 @@ from plant_cases import fly, quiet_airframe
 from scipy.stats import expon, kstest, uniform
 
 from mavdiag.errors import UsageError
-from sitl_plant.physics.airframe import NO_PAYLOAD, drone
+from sitl_plant.physics.air import dryden
+from sitl_plant.physics.airframe import (
+    CHARGE_USED_AH,
+    NO_PAYLOAD,
+    Wear,
+    drone,
+    in_session,
+    in_session_number,
+    with_propellers,
+)
 from sitl_plant.physics.parameters import make_model
-from sitl_plant.physics.sessions import CHARGE_USED_AH, Wear, in_session, in_session_number, with_propellers
 from sitl_plant.physics.streams import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.trajectory import Shape, path
-from sitl_plant.physics.turbulence import dryden
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import qdrone2
 
