@@ -65,7 +65,7 @@ from mavdiag.learning import LearnOptions, learn, rows_of
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
-from sitl_plant.campaign.conditions import CALM, built, parse_link
+from sitl_plant.campaign.plan import CALM, built, parse_link
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe
 from sitl_plant.physics.faults import Injection, RotorDamage

@@ -26,8 +26,6 @@ from sitl_plant.recording import record_flight
 from sitl_plant.stand_command import stand
 from sitl_plant.truth_file import TruthWriter, truth_file
 
-__all__ = ["app", "main", "record", "run"]
-
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
 app = commandline.application("Fly an emulated multirotor with propeller faults over MAVLink.", "sitl-plant")
@@ -114,7 +112,6 @@ def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None)
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
-    """Print the addresses of the vehicle: with port 0 nobody else knows them."""
     config = plan.config
     if as_json:
         line = json.dumps(

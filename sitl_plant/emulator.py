@@ -24,8 +24,6 @@ from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples, Renewal
 
-__all__ = ["FlightReport", "Link", "fly", "obey"]
-
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
 SLIP_S = 0.5  # later than this, the flight's clock is set back: the machine slept or is too slow
 SENDERS_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
@@ -38,9 +36,7 @@ _LATENESS_BINS = 5000  # to 0.5 s
 class FlightReport:
     """How a flight went on the wire.
 
-    received: messages.
     late_p50_ms, late_p99_ms, late_max_ms: how long after its time a tick went out.
-    slips: how often the clock was set back, see `SLIP_S`.
     """
 
     flown_s: float
@@ -48,11 +44,11 @@ class FlightReport:
     cpu_s: float
     messages: int
     dropped: int
-    received: int
+    received: int  # messages
     late_p50_ms: float
     late_p99_ms: float
     late_max_ms: float
-    slips: int
+    slips: int  # how often the clock was set back, see `SLIP_S`
 
 
 class Link:
@@ -168,7 +164,6 @@ class _Flight:
         return orders
 
     def _wait(self, due_s: float, t_ns: int) -> None:
-        """Serve the links until it is time. Waiting for descriptors counts in whole milliseconds; the rest is slept."""
         while (left_s := due_s - time.monotonic()) > 0.001:
             for endpoint in wait(self._endpoints, left_s - 0.001):
                 self._serve(self._endpoints.index(endpoint), t_ns)

@@ -19,8 +19,6 @@ from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
-__all__ = ["FlightPlan", "TruthFile", "VehicleName", "flight_plan", "parse_speed", "with_flight", "with_options"]
-
 VehicleName: TypeAlias = Annotated[
     str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"One of {', '.join(shipped_vehicles())}, or a file.")
 ]
@@ -35,16 +33,12 @@ _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What to fly and how to send it.
-
-    rate_hz: of set-point and IMU; the profile's own if none was asked for.
-    duration_s: of the flight; None if it was left open.
-    """
+    """What to fly and how to send it."""
 
     config: PlantConfig
     dialect: Dialect
-    rate_hz: float
-    duration_s: float | None = None
+    rate_hz: float  # of set-point and IMU; the profile's own if none was asked for
+    duration_s: float | None = None  # of the flight; None if it was left open
 
 
 def flight_plan(

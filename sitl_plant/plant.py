@@ -329,7 +329,6 @@ class Plant:
         self._changes.append(Change(self.t_ns, what))
 
     def _placed(self, injections: tuple[Injection, ...]) -> tuple[Injection, ...]:
-        """The injections with every angle drawn that was left open. Raises UsageError for a rotor that is not there."""
         for injection in injections:
             if injection.rotor not in range(1, self.rotors + 1):
                 raise UsageError(f"rotor must be 1 to {self.rotors}, not {injection.rotor}")
@@ -365,7 +364,6 @@ class Plant:
         return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
 
     def _renew_condition(self) -> None:
-        """Work out the condition at the present step and the step at which it changes next."""
         spans = [injection.span(STEP_S) for injection in self._injections]
         here = zip(self._injections, spans, strict=True)
         present = [injection for injection, (first, end) in here if first <= self._step < end]
@@ -382,7 +380,6 @@ class Plant:
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)
 
     def _load(self, pickup: PickUp, hangs: bool) -> None:
-        """Take the payload up or drop it, if that happens now."""
         if hangs != self._loaded:
             payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
             self._model = reload(self._model, self._state, self.airframe, payloads)

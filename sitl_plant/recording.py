@@ -12,8 +12,6 @@ from sitl_plant.autopilot.stream import Streamer
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
-__all__ = ["EPOCH_US", "record_flight", "recorded"]
-
 EPOCH_US = 1_767_225_600_000_000  # 2026-01-01T00:00:00Z: a fixed start, so that equal options give equal files
 BLOCK_STEPS = 1000
 

@@ -28,19 +28,6 @@ from mavdiag.units import G_MM_PER_KG_M, RPM
 from sitl_plant.physics.faults import FAULTS
 from sitl_plant.vehicle import qdrone2
 
-__all__ = [
-    "Bar",
-    "Peak",
-    "Propeller",
-    "Scale",
-    "Stand",
-    "StandReport",
-    "fit_scale",
-    "peak_of",
-    "stand_run",
-    "stand_test",
-]
-
 SLOWEST_RPM, FASTEST_RPM = 1000.0, 12_000.0  # of the QDrone 2's motors (our choice)
 PEAK_HALF_WIDTH_HZ = 1.0  # wider than the speed wanders (our choice)
 WANDER_CORNER_HZ = 0.2  # of the speed, first order (estimate)

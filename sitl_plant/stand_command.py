@@ -8,8 +8,6 @@ import typer
 
 from sitl_plant.stand import StandReport, stand_test
 
-__all__ = ["stand"]
-
 
 def stand(
     rpm: Annotated[float, typer.Option(help="Speed of the rotor; T's peak at 83.3 Hz is 5000 rpm.")] = 5000.0,

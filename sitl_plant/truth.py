@@ -16,8 +16,6 @@ from dataclasses import asdict
 from sitl_plant.physics.faults import Injection, SensorFault
 from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples, Renewal, SteadyWind
 
-__all__ = ["Truth"]
-
 STATE_EVERY_NS = 1_000_000_000
 
 
@@ -67,7 +65,6 @@ class Truth:
         return lines
 
     def _change(self, change: Change) -> list[str]:
-        """An injection is written when it begins."""
         match change.what:
             case Injection() as cause:
                 self._causes.append(cause)

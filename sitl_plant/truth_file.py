@@ -9,8 +9,6 @@ from mavdiag.errors import UsageError
 from sitl_plant.plant import Change, PlantConfig, PlantSamples
 from sitl_plant.truth import Truth
 
-__all__ = ["TruthWriter", "truth_file"]
-
 
 @contextmanager
 def truth_file(path: Path | None) -> Iterator[TextIO | None]:

@@ -326,7 +326,6 @@ class Vehicle:
     """A type of multirotor, as its file describes it.
 
     recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
-    hil: what an autopilot outside needs; None if none can fly it.
     """
 
     name: str
@@ -341,7 +340,7 @@ class Vehicle:
     spread: Spread
     wind: Wind
     recorded: RecordedSet | None = None
-    hil: Hil | None = None
+    hil: Hil | None = None  # what an autopilot outside needs; None if none can fly it
 
     @model_validator(mode="after")
     def _can_fly(self) -> Self:
@@ -423,7 +422,6 @@ def qdrone2() -> Vehicle:
 
 
 def _table(text: str, name: str) -> dict[str, Any]:
-    """The file with what it takes over from its base."""
     table = parse_toml(text, name)
     base = table.pop("base", None)
     if base is None:
@@ -443,7 +441,6 @@ def _parse(text: str, name: str) -> Vehicle:
 
 
 def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The base with a vehicle's own values in place of its; sections are merged, lists are replaced."""
     merged = {**base, **own}
     for name in base.keys() & own.keys():
         if isinstance(base[name], dict) and isinstance(own[name], dict):

@@ -25,8 +25,6 @@ from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
 
-__all__ = ["Action", "Autopilot", "Forward", "PlantOrder", "Reply"]
-
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
 VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_VERSION_TYPE_OFFICIAL
@@ -135,7 +133,6 @@ class Autopilot:
         return actions, orders
 
     def _links_towards(self, target: tuple[int, int]) -> list[int]:
-        """The links over which the components of an address send; 0 means any."""
         if target == self._identity:
             return []
         return sorted(
@@ -161,7 +158,6 @@ class Autopilot:
         return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
 
     def _request(self, link: int, order: Order) -> _Answer:
-        """REQUEST_MESSAGE: what is only told when asked, else a message of the schedule, once."""
         told: Mapping[int, Callable[[], _Answer]] = {
             MessageId.AUTOPILOT_VERSION: lambda: self._tell_version(link),
             MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
@@ -191,7 +187,6 @@ class Autopilot:
         return MavResult.ACCEPTED, [Reply(link, MessageId.MESSAGE_INTERVAL, (msgid, interval_us))]
 
     def _tell_modes(self, link: int, wanted: int) -> _Answer:
-        """AVAILABLE_MODES: one by its number from 1, or all of them for 0."""
         modes = self._firmware.modes
         told: list[Action] = [
             Reply(link, MessageId.AVAILABLE_MODES, (len(modes), number, 0, code.custom_mode, 0, code.name))
@@ -219,14 +214,12 @@ class Autopilot:
         return []
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:
-        """Whether a flight plan was taken."""
         plan = waypoints([order_of(frame) for frame in frames], self._firmware)
         if plan is not None:
             self._pilot.plan_mission(plan)
         return plan is not None
 
     def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """REQUEST_DATA_STREAM, which has no answer; start_stop 0 is silence, whatever the rate."""
         stream, rate_hz, start = (number(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
         streams = self._dialect.streams
         every = [msgid for messages in streams.values() for msgid in messages]
@@ -236,7 +229,6 @@ class Autopilot:
         return []
 
     def _ping(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """PING: a request has no target, and comes back to its sender with what it brought."""
         if optional(frame, "target_system"):
             return []
         brought = int(number(frame, "time_usec")), int(number(frame, "seq"))
@@ -254,5 +246,4 @@ def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
 
 
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
-    """COMMAND_ACK: command, result, progress, result_param2, target_system, target_component."""
     return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))

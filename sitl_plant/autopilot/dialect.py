@@ -19,8 +19,6 @@ from sitl_plant.autopilot.pilot import NOSE
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.vehicle import Vehicle, airframe_of
 
-__all__ = ["DIALECTS", "ESC_GROUP", "Dialect", "dialect_named"]
-
 ESC_GROUP = 4  # rotors in one message of their speeds
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
 OWN_PARAMETERS = (*FAULT_PARAMETERS, Parameter(NOSE, 1, Kind.INT8, (0, 1)))
@@ -30,32 +28,22 @@ OWN_PARAMETERS = (*FAULT_PARAMETERS, Parameter(NOSE, 1, Kind.INT8, (0, 1)))
 class Dialect:
     """What one kind of autopilot sends.
 
-    profile: units, filter and stamps.
-    custom_mode: flight mode in HEARTBEAT.
-    others: rates of the messages besides set-point and IMU [Hz].
-    ceiling_hz: the highest rate that is granted.
     unasked: rates of what the real autopilot sends on a fresh link [Hz].
-    whole_ms: intervals are cut to whole milliseconds.
-    attained_hz: a rate above this is granted, and comes at this one; None if every rate is met.
-    send_delay_s: longest time from the sample to its stamp, if messages are stamped when they are sent.
-    firmware: how it takes commands.
-    parameters: those of the autopilot besides its firmware's and the emulator's own.
     streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
-    sysid: system id of the vehicle, 1 to 255.
     """
 
-    profile: Profile
-    custom_mode: int
-    others: Mapping[int, float]
-    ceiling_hz: float
-    firmware: Firmware
-    send_delay_s: float = 0.0
-    parameters: tuple[Parameter, ...] = ()
+    profile: Profile  # units, filter and stamps
+    custom_mode: int  # flight mode in HEARTBEAT
+    others: Mapping[int, float]  # rates of the messages besides set-point and IMU [Hz]
+    ceiling_hz: float  # the highest rate that is granted
+    firmware: Firmware  # how it takes commands
+    send_delay_s: float = 0.0  # longest time from the sample to its stamp, if messages are stamped when they are sent
+    parameters: tuple[Parameter, ...] = ()  # those of the autopilot besides its firmware's and the emulator's own
     streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     unasked: Mapping[int, float] = field(default_factory=dict)
-    whole_ms: bool = False
-    attained_hz: float | None = None
-    sysid: int = 1
+    whole_ms: bool = False  # intervals are cut to whole milliseconds
+    attained_hz: float | None = None  # a rate above this is granted, and comes at this one; None if every rate is met
+    sysid: int = 1  # system id of the vehicle, 1 to 255
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
@@ -104,7 +92,6 @@ def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
 
 
 def _px4_rotors(vehicle: Vehicle) -> tuple[Parameter, ...]:
-    """CA_ROTORn of the rotors, in the vehicle's order."""
     rows = [_whole("CA_ROTOR_COUNT", len(vehicle.rotors), Kind.INT32)]
     moment = 1.0 / vehicle.propulsion.thrust_per_torque_1_m
     for n, rotor in enumerate(vehicle.rotors):
@@ -134,7 +121,6 @@ _STATE: dict[int, float] = {
 
 
 def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
-    """What a profile needs besides setpoint and IMU, and more at 50 Hz."""
     vibration: dict[int, float] = {MessageId.VIBRATION: 10.0} if profile.vibration else {}
     return {**_STATE, **vibration, **dict.fromkeys((profile.actuator, profile.rotor_speed, *more), 50.0)}
 

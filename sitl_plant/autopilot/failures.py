@@ -11,8 +11,6 @@ from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.parameters import Kind, Parameter, Parameters
 from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 
-__all__ = ["FAULT", "FAULT_PARAMETERS", "SEVERITY", "Failures"]
-
 FAULT, SEVERITY = "SIM_PROP_FAULT", "SIM_PROP_SEV"
 FAULT_PARAMETERS = (Parameter(FAULT, 0, Kind.INT8, (0, 3)), Parameter(SEVERITY, 1, Kind.INT8, (1, 3)))
 

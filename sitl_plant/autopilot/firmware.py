@@ -10,8 +10,6 @@ from enum import StrEnum
 from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.parameters import Encoding, Kind, Parameter
 
-__all__ = ["COPTER", "GENERIC", "PX4", "SPEED_MOST", "Firmware", "Mode", "ModeCode"]
-
 
 class Mode(StrEnum):
     """What the emulated vehicle does in a mode. There are no sticks: a manual mode holds the position."""
@@ -38,29 +36,21 @@ class ModeCode:
 class Firmware:
     """How an autopilot takes commands.
 
-    modes: the modes; the first with a `Mode` is the one that a command such as NAV_LAND brings.
-    encoding: of parameters.
-    amsl: the altitude of a COMMAND_LONG is above the sea, not above home.
-    takeoff: the mode during a take-off by command.
-    needs_guided: NAV_TAKEOFF is refused in another mode.
-    reposition: the mode in which DO_REPOSITION flies.
-    refused: the result of a command that the vehicle's state does not allow.
     speed, height, return_height: names of parameters; the unit of each is `unit` metres (per second).
-    parameters: its own that can be set.
     """
 
-    modes: tuple[ModeCode, ...]
-    encoding: Encoding
-    amsl: bool
-    takeoff: Mode
-    needs_guided: bool
-    reposition: Mode
-    refused: MavResult
+    modes: tuple[ModeCode, ...]  # the modes; the first with a `Mode` is the one that a command such as NAV_LAND brings
+    encoding: Encoding  # of parameters
+    amsl: bool  # the altitude of a COMMAND_LONG is above the sea, not above home
+    takeoff: Mode  # the mode during a take-off by command
+    needs_guided: bool  # NAV_TAKEOFF is refused in another mode
+    reposition: Mode  # the mode in which DO_REPOSITION flies
+    refused: MavResult  # the result of a command that the vehicle's state does not allow
     speed: str
     height: str
     return_height: str
     unit: float
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  # its own that can be set
 
     def code(self, custom_mode: int) -> ModeCode | None:
         """The mode of a number; None if there is none."""

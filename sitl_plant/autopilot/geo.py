@@ -6,8 +6,6 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["HOME_ALT_M", "HOME_LAT_DEG", "HOME_LON_DEG", "to_global", "to_local"]
-
 # PX4's home in simulation, near Zurich: the emulated vehicle flies indoors and could be anywhere.
 HOME_LAT_DEG, HOME_LON_DEG, HOME_ALT_M = 47.397742, 8.545594, 488.0
 EARTH_M = 6_371_000.0

@@ -11,8 +11,6 @@ from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.physics.sensors import butterworth
 from sitl_plant.plant import STEP_NS, PlantSamples
 
-__all__ = ["FilteredSamples", "ImuFilters"]
-
 # ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
 VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * G - 0.5
 
@@ -21,22 +19,14 @@ STEP_S = STEP_NS * 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredSamples:
-    """n steps as the autopilot sends them.
+    """n steps as the autopilot sends them."""
 
-    samples: what the plant gave.
-    stamp_ns: (n,) time that the messages carry.
-    gyro: (n, 3) after the autopilot's filter [rad/s].
-    accel: (n, 3) after the autopilot's filter [m/s^2].
-    vibration: (n, 3) level [m/s^2]; zero where the profile does not send it, and so are the clippings.
-    clippings: (n,) samples so far at the end of the accelerometer's range.
-    """
-
-    samples: PlantSamples
-    stamp_ns: IntArray
-    gyro: FloatArray
-    accel: FloatArray
-    vibration: FloatArray
-    clippings: IntArray
+    samples: PlantSamples  # what the plant gave
+    stamp_ns: IntArray  # (n,) time that the messages carry
+    gyro: FloatArray  # (n, 3) after the autopilot's filter [rad/s]
+    accel: FloatArray  # (n, 3) after the autopilot's filter [m/s^2]
+    vibration: FloatArray  # (n, 3) level [m/s^2]; zero where the profile does not send it, and so are the clippings
+    clippings: IntArray  # (n,) samples so far at the end of the accelerometer's range
 
 
 class _Filter:

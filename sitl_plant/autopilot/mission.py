@@ -11,8 +11,6 @@ from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.orders import order_of
 from sitl_plant.autopilot.wire import Action, Reply, number
 
-__all__ = ["Item", "Mission"]
-
 MISSION = 0  # MAV_MISSION_TYPE of the flight plan; 1 is the fence, 2 are rally points
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE, CANCELLED = 0, 1, 3, 4, 13, 15  # MAV_MISSION_RESULT
 ITEMS_MAX = 200
@@ -153,7 +151,6 @@ class Mission:
 
 
 def _item(frame: Frame) -> Item:
-    """As it was sent, with degrees as integers."""
     order = order_of(frame)
     x, y = (round((value or 0.0) * 1e7) for value in (order.x, order.y))
     flags = int(number(frame, "current")), int(number(frame, "autocontinue"))

@@ -11,8 +11,6 @@ from sitl_plant.autopilot.geo import HOME_ALT_M, to_local
 from sitl_plant.autopilot.pilot import Pilot, Waypoint
 from sitl_plant.autopilot.wire import number, optional
 
-__all__ = ["ORDERS", "Order", "follow_set_point", "order_of", "waypoints"]
-
 ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
 LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
 NOT_SET = 0x7FFFFFFF  # of the integers x and y
@@ -26,14 +24,12 @@ _INTEGERS = (MessageId.COMMAND_INT, MessageId.MISSION_ITEM_INT, MessageId.SET_PO
 class Order:
     """A MAV_CMD with its parameters; None for one that is not given.
 
-    frame: MAV_FRAME; None for COMMAND_LONG, which has none.
-    param: the first four.
     x, y: degrees. z: metres.
     """
 
     command: int
-    frame: int | None
-    param: tuple[float | None, float | None, float | None, float | None]
+    frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which has none
+    param: tuple[float | None, float | None, float | None, float | None]  # the first four
     x: float | None
     y: float | None
     z: float | None

@@ -13,8 +13,6 @@ from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.wire import Action, Reply, number, text
 
-__all__ = ["Encoding", "Kind", "Parameter", "Parameters"]
-
 
 class Encoding(StrEnum):
     """How an integer travels in a float field."""

@@ -29,8 +29,6 @@ from sitl_plant.physics.trajectory import (
 )
 from sitl_plant.plant import STEP_NS, PlantSamples
 
-__all__ = ["NOSE", "Pilot", "Waypoint"]
-
 ACCEPT_M, SETTLE_S, LATE_S = 0.3, 0.5, 10.0  # a waypoint is reached: so near, so long after the line ends; or so late
 REACH_M, LOWEST_M = 500.0, 0.3  # from home to a waypoint, and above the ground
 TURN_RAD_S = 1.0
@@ -44,21 +42,14 @@ Place = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Something to do in flight.
+    """Something to do in flight."""
 
-    place: where to go, world NED [m]; None stays. lands: goes down there until the motors stop.
-    yaw: of the nose; None leaves it to `NOSE`.
-    speed: on the way [m/s]; None for the parameter's.
-    wait_s: at its end.
-    item: of the mission, to report it; None for another order.
-    """
-
-    place: Place | None = None
-    yaw: float | None = None
-    speed: float | None = None
-    wait_s: float = 0.0
-    lands: bool = False
-    item: int | None = None
+    place: Place | None = None  # where to go, world NED [m]; None stays
+    yaw: float | None = None  # of the nose; None leaves it to `NOSE`
+    speed: float | None = None  # on the way [m/s]; None for the parameter's
+    wait_s: float = 0.0  # at its end
+    lands: bool = False  # goes down there until the motors stop
+    item: int | None = None  # of the mission, to report it; None for another order
 
     @property
     def passes(self) -> bool:
@@ -67,7 +58,6 @@ class Waypoint:
 
 
 def _far(place: Place) -> bool:
-    """Whether a place is out of reach."""
     return max(abs(place[0]), abs(place[1]), -place[2]) > REACH_M or place[2] > -LOWEST_M
 
 
@@ -245,7 +235,6 @@ class Pilot:
         return self._parameters.value(name) * self._firmware.unit
 
     def _way_of(self, mode: Mode) -> list[Waypoint]:
-        """What a mode does with a vehicle in flight."""
         if mode is Mode.LAND:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
@@ -270,7 +259,6 @@ class Pilot:
             self._reached.append(done.item)
 
     def _next(self) -> None:
-        """Begin the next waypoint; without one, hold."""
         while self._plan and self._plan[0].passes:
             self._finish(self._plan.popleft())
         if not self._plan:
@@ -294,7 +282,6 @@ class Pilot:
         return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self._position, self._leg.end) < ACCEPT_M)
 
     def _led(self) -> tuple[float, ...]:
-        """The reference now: position, velocity, yaw, yaw rate, motors."""
         out = np.zeros(REFERENCE)
         follow(self._leg, self._now_s, out)
         return tuple(out.tolist())

@@ -14,8 +14,6 @@ from mavdiag.units import NS_PER_MS, NS_PER_US
 from sitl_plant.autopilot.geo import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG, to_global
 from sitl_plant.autopilot.imu_filters import FilteredSamples
 
-__all__ = ["POSITIONS", "integers", "remaining"]
-
 CAPACITY_AH = 3.7  # of the QDrone 2's battery: 4S, 3700 mAh (Quanser, QDrone 2 data sheet)
 CELLS = 4
 FIX_3D, SATELLITES = 3, 12  # GPS_RAW_INT: what ground stations ask for before they call a vehicle ready

@@ -8,8 +8,6 @@ import numpy as np
 from mavdiag.link.messages import MavResult
 from mavdiag.telemetry import IntArray
 
-__all__ = ["DEFAULT_INTERVAL", "NEVER", "Schedule"]
-
 DEFAULT_INTERVAL, NEVER = 0, -1  # what SET_MESSAGE_INTERVAL means by these two intervals
 
 _NO_ROWS = np.empty(0, dtype=np.int64)

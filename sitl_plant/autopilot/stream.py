@@ -23,8 +23,6 @@ from sitl_plant.autopilot.imu_filters import FilteredSamples
 from sitl_plant.autopilot.positions import POSITIONS, integers, remaining
 from sitl_plant.autopilot.schedule import Schedule
 
-__all__ = ["Message", "Streamer", "records"]
-
 Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
 Record: TypeAlias = NDArray[Any]
@@ -42,15 +40,11 @@ SERVOS = 8  # outputs of SERVO_OUTPUT_RAW beside each other; the other eight are
 
 
 class Message(NamedTuple):
-    """A message to be sent.
+    """A message to be sent."""
 
-    t_ns: flight time.
-    payload: with all its zeros, as `Encoder.encode_payload` takes it.
-    """
-
-    t_ns: int
+    t_ns: int  # flight time
     msgid: int
-    payload: bytes
+    payload: bytes  # with all its zeros, as `Encoder.encode_payload` takes it
 
 
 class Streamer:
@@ -100,7 +94,6 @@ def _boot_us(filtered: FilteredSamples, rows: IntArray) -> IntArray:
 
 
 def _quaternion(angles: FloatArray) -> FloatArray:
-    """(n, 4) w, x, y, z, body to world, from (n, 3) roll, pitch, yaw in the order z-y-x."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
     return np.column_stack(
         [
@@ -113,7 +106,6 @@ def _quaternion(angles: FloatArray) -> FloatArray:
 
 
 def _groups(values: FloatArray | IntArray) -> Any:
-    """(n, r) as (n g, 4): the rotors four by four, zeros where there is none."""
     n, rotors = values.shape
     groups = -(-rotors // ESC_GROUP)
     padded = np.zeros((n, groups * ESC_GROUP), dtype=values.dtype)
@@ -193,7 +185,6 @@ def _attitude_quaternion(filtered: FilteredSamples, rows: IntArray, dialect: Dia
 
 
 def _local_position(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    """The true position: motion capture gives it to a fraction of a millimetre."""
     return {
         "time_boot_ms": _boot_ms(filtered, rows),
         "x": filtered.samples.position[rows],
@@ -219,7 +210,6 @@ def _actuator_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect
 
 
 def _reported(filtered: FilteredSamples, rows: IntArray) -> FloatArray:
-    """Rotor speeds by the motors' telemetry; zero before its first frame."""
     return np.nan_to_num(filtered.samples.esc_speed[rows], nan=0.0)
 
 
@@ -235,7 +225,6 @@ def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> 
 
 
 def _esc_telemetry(first: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    """Four rotors from `first` on; the places of rotors that are not there stay zero."""
     rpm = integers(_reported(filtered, rows)[:, first : first + ESC_GROUP] / RPM, 17)
     volts = integers(100.0 * filtered.samples.battery_v[rows], 17)
     return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}

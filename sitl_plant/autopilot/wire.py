@@ -9,8 +9,6 @@ from mavdiag.errors import UsageError
 from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.layout import Argument
 
-__all__ = ["Action", "Forward", "Reply", "number", "optional", "target", "text"]
-
 
 @dataclass(frozen=True, slots=True)
 class Reply:

@@ -5,22 +5,18 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from mavdiag.errors import UsageError
-from sitl_plant.campaign.levels import with_conditions
-from sitl_plant.campaign.plan import PRESETS, Design, make_plan
+from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
 from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
 if TYPE_CHECKING:
-    from sitl_plant.campaign.runner import Results
     from sitl_plant.campaign.summary import Summary
-    from sitl_plant.campaign.worker import FlightResult
-
-__all__ = ["campaign"]
+    from sitl_plant.campaign.worker import FlightResult, Results
 
 
 def campaign(
@@ -61,18 +57,10 @@ def campaign(
 
     Every airframe is drawn afresh and judged by a baseline learnt from its own healthy flights.
     """
-    base = PRESETS[preset]
-    design = replace(
-        base,
-        vehicle=vehicle_from(vehicle),
-        seed=seed,
-        learn=base.learn if learn is None else learn,
-        flights=base.flights if flights is None else flights,
-        hours=base.hours if hours is None else hours,
-        airframes=base.airframes if airframes is None else airframes,
-        learn_flights=base.learn_flights if learn_flights is None else learn_flights,
-        duration_s=base.duration_s if duration is None else duration,
-    )
+    given = {"learn": learn, "flights": flights, "hours": hours, "airframes": airframes}
+    given |= {"learn_flights": learn_flights, "duration_s": duration}
+    asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    design = replace(PRESETS[preset], vehicle=vehicle_from(vehicle), seed=seed, **asked)
     summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
     text = json.dumps(asdict(summary))
     if summary_file is not None:
@@ -82,7 +70,7 @@ def campaign(
     if as_json:
         typer.echo(text)
     else:
-        from sitl_plant.campaign.tables import print_summary
+        from sitl_plant.campaign.summary import print_summary
 
         print_summary(summary)
 
@@ -91,9 +79,10 @@ def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
 ) -> "Summary":
     # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+    from mavdiag.archive.cluster import dask_executor
     from mavdiag.archive.tables import check_parquet
-    from sitl_plant.campaign.runner import Journal, dask_executor, local_executor, run_campaign
     from sitl_plant.campaign.summary import summarise
+    from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
     from sitl_plant.physics.jit import check_numba
 
     plan = make_plan(design)
@@ -117,7 +106,6 @@ def _run(
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each stage on stderr, with the time left."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -134,7 +122,6 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _write_parquet(path: Path, results: "Results") -> None:
-    """One row a flight; the monitors' alarms as a column each."""
     from pyarrow import Table
     from pyarrow.parquet import write_table
 

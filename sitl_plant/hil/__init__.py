@@ -9,5 +9,3 @@ instruments   what compass, barometer and GPS show
 command       the commands `serve-ardupilot`, `serve-px4` and `serve-hil` (edge)
 serve         their loops (edge); `datagrams` has the socket
 """
-
-__all__: list[str] = []

@@ -30,8 +30,6 @@ from sitl_plant.plant import PlantConfig
 from sitl_plant.truth_file import TruthWriter, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
-__all__ = ["HilOptions", "OnsetFrom", "hil_options", "serve_ardupilot", "serve_hil", "serve_px4"]
-
 _ROTOR = "Damaged rotor, as the vehicle's file counts."
 
 
@@ -202,7 +200,6 @@ def serve_hil(
 
 
 def _serve_mavlink(options: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
-    """hardware: a flight controller, which has a clock of its own."""
     if options.parameters_of:
         typer.echo(parameter_file(options.vehicle, options.parameters_of, hardware=hardware), nl=False)
         return

@@ -8,8 +8,6 @@ from mavdiag.errors import UsageError
 from mavdiag.link.ports import Kind, parse_address
 from mavdiag.link.ports.base import SocketAddress, link_error
 
-__all__ = ["Datagrams"]
-
 LONGEST = 2048
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["Fix", "Instruments", "fix_at"]
-
 HOME_DEG, HOME_M = (47.397742, 8.545594), 488.0
 FIELD_N = np.array([0.21523, 0.00771, 0.42741])  # gauss, NED
 EARTH_M = 6_371_000.0

@@ -10,21 +10,15 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.vehicle import Hil, HilPilot, Vehicle
 
-__all__ = ["AutopilotName", "OutputMap", "output_map", "pilot_of"]
-
 AutopilotName: TypeAlias = Literal["ardupilot", "px4"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputMap:
-    """Which output turns which rotor, n of them.
+    """Which output turns which rotor, n of them."""
 
-    places: (n,) for each rotor its output, from 0.
-    pwm_us: the pulses of duty 0 and 1.
-    """
-
-    places: IntArray
-    pwm_us: tuple[float, float]
+    places: IntArray  # (n,) for each rotor its output, from 0
+    pwm_us: tuple[float, float]  # the pulses of duty 0 and 1
 
     def from_pwm(self, pwm_us: Sequence[int]) -> FloatArray:
         """Duties (n,) of at least n pulses [us]; a pulse of 0, for an output that is off, is duty 0."""

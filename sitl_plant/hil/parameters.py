@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from sitl_plant.hil.outputs import AutopilotName, pilot_of
 from sitl_plant.vehicle import Vehicle
 
-__all__ = ["parameter_file"]
-
 FIRST_MOTOR = 101  # PX4's output function "Motor 1"
 INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
 
@@ -37,7 +35,6 @@ def _geometry(vehicle: Vehicle, rotors: tuple[int, ...]) -> Mapping[str, int | f
 
 
 def _functions(motors: int, hardware: bool) -> Mapping[str, int]:
-    """Which output carries which motor: the simulator's outputs, or those of a controller in HIL mode."""
     name = "HIL_ACT_FUNC" if hardware else "PWM_MAIN_FUNC"
     functions = {f"{name}{1 + motor}": FIRST_MOTOR + motor for motor in range(motors)}
     return {"SYS_HITL": 1, **functions} if hardware else functions

@@ -21,8 +21,6 @@ from sitl_plant.hil.outputs import OutputMap
 from sitl_plant.hil.simulation import Simulation
 from sitl_plant.plant import PlantSamples
 
-__all__ = ["WANTED", "Bridge"]
-
 WANTED = (MessageId.HIL_ACTUATOR_CONTROLS, MessageId.HEARTBEAT, MessageId.COMMAND_LONG)
 LOCKSTEP = 1
 IMU, COMPASS, BARO = 0b111_111, 0b111_000_000, 0b1101_000_000_000  # HIL_SENSOR_UPDATED_FLAGS

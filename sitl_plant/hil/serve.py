@@ -10,8 +10,6 @@ from sitl_plant.hil.datagrams import Datagrams
 from sitl_plant.hil.px4 import WANTED, Bridge
 from sitl_plant.hil.simulation import Simulation
 
-__all__ = ["serve_frames", "serve_json"]
-
 POLL_S = 0.2  # how often a signal is looked for
 PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
 SLIP_S = 0.1  # wall clock: what is later than this is not caught up

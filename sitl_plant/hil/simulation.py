@@ -11,22 +11,16 @@ from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.plant import Change, Plant, PlantConfig, PlantSamples
 
-__all__ = ["FLYING_M", "HilPlan", "Simulation", "Watch"]
-
 FLYING_M = 0.1  # height above the start at which a take-off counts (our choice)
 Watch = Callable[[PlantSamples, Sequence[Change]], None]
 
 
 @dataclass(frozen=True, slots=True)
 class HilPlan:
-    """What is to happen.
+    """What is to happen."""
 
-    config: vehicle, wind, payload, seed; it is flown from the ground, and its path is not used.
-    after_takeoff: causes whose onset counts from the take-off.
-    """
-
-    config: PlantConfig
-    after_takeoff: tuple[Injection, ...] = ()
+    config: PlantConfig  # vehicle, wind, payload, seed; it is flown from the ground, and its path is not used
+    after_takeoff: tuple[Injection, ...] = ()  # causes whose onset counts from the take-off
 
 
 class Simulation:

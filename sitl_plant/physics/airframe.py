@@ -62,22 +62,20 @@ class PickUp:
 class Airframe:
     """The true constants of one specimen, n rotors. Body FRD; the controller knows only the nominal ones.
 
-    inertia_kg_m2: (3,) about the centre of gravity. centre_of_gravity_m: (3,) from the geometric centre.
     thrust_coefficient_n_s2, motor_lag_s: (n,). unbalance_g_mm: (n, 2) in the rotor's own frame.
-    battery_gain: 1 is nominal. gyro_bias: (3,) rad/s. charge_used_ah: drawn from the battery before the flight.
     """
 
     name: str
     vehicle: Vehicle
-    inertia_kg_m2: FloatArray
-    centre_of_gravity_m: FloatArray
+    inertia_kg_m2: FloatArray  # (3,) about the centre of gravity
+    centre_of_gravity_m: FloatArray  # (3,) from the geometric centre
     thrust_coefficient_n_s2: FloatArray
     motor_lag_s: FloatArray
     unbalance_g_mm: FloatArray
     thrust_noise_rms: float
-    battery_gain: float
-    gyro_bias: FloatArray
-    charge_used_ah: float = 0.0
+    battery_gain: float  # 1 is nominal
+    gyro_bias: FloatArray  # (3,) rad/s
+    charge_used_ah: float = 0.0  # drawn from the battery before the flight
 
 
 def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: str = "drawn") -> Airframe:
@@ -118,14 +116,10 @@ def drone(vehicle: Vehicle, number: int) -> Airframe:
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """Blades that wear: each rotor's thrust coefficient falls in proportion to the hours flown.
+    """Blades that wear: each rotor's thrust coefficient falls in proportion to the hours flown."""
 
-    loss_per_h: share of thrust per hour of flight, one for each rotor.
-    hours: flown since the airframe was as drawn.
-    """
-
-    loss_per_h: tuple[float, ...]
-    hours: float = 0.0
+    loss_per_h: tuple[float, ...]  # share of thrust per hour of flight, one for each rotor
+    hours: float = 0.0  # flown since the airframe was as drawn
 
     def __post_init__(self) -> None:
         if not all(0.0 <= loss <= 1.0 for loss in self.loss_per_h) or not self.hours >= 0.0:

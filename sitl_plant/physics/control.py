@@ -167,7 +167,6 @@ def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
 
 @jit
 def _low_pass(value: FloatArray, slope: FloatArray, transition: Transition, target: FloatArray) -> None:
-    """One exact step of three second-order filters."""
     f11, f12, f21, f22 = transition
     for i in range(3):
         behind, rate = value[i] - target[i], slope[i]
@@ -286,7 +285,6 @@ def _outer_loop(
 
 @jit
 def _stand(state: ControlState, yaw: float, thrust: float, duty: float) -> None:
-    """On the ground: all motors idle, or off. The integrals wait."""
     for axis in range(3):
         state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
     state.setpoint[2] = yaw
@@ -365,7 +363,6 @@ def _pid(integral: FloatArray, loop: Loop, row: int, axis: int, error: float, sp
 
 @jit
 def _position(control: ControlState, state: LoopState, loop: Loop, pose: FloatArray, dt: float) -> None:
-    """Pose error to roll and pitch reference, thrust and yaw-rate reference."""
     c, s = math.cos(pose[3]), math.sin(pose[3])
     e_n, e_e, v_n, v_e = state.desired[0] - pose[0], state.desired[1] - pose[1], state.velocity[0], state.velocity[1]
     ahead = _pid(control.integral, loop, 0, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
@@ -380,7 +377,6 @@ def _position(control: ControlState, state: LoopState, loop: Loop, pose: FloatAr
 
 @jit
 def _attitude(control: ControlState, state: LoopState, loop: Loop, estimate: FloatArray) -> None:
-    """References to rate commands, torques and their limits."""
     for axis in range(3):
         rate = loop.yaw_rate * state.pid[3]
         if axis < 2:

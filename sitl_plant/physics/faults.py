@@ -76,7 +76,6 @@ class Injection:
     """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors.
 
     angle_rad: direction of the damage in the rotor's frame; None lets the plant draw it from its seed.
-    name: what the truth file calls it, as the code of a fault; None for a cause without a name.
     """
 
     cause: RotorDamage | SensorFault
@@ -84,7 +83,7 @@ class Injection:
     onset_s: float = 0.0
     end_s: float = math.inf
     angle_rad: float | None = None
-    name: str | None = None
+    name: str | None = None  # what the truth file calls it, as the code of a fault; None for a cause without a name
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.onset_s) and self.end_s > self.onset_s):

@@ -135,16 +135,13 @@ class Rows(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What one call flies: `steps` from step `first`; 0 is t = 0.
-
-    commands: (steps, n) duties, or (0, n) to let the controller fly. rows: filled from row 0.
-    """
+    """What one call flies: `steps` from step `first`; 0 is t = 0."""
 
     first: int
     steps: int
     noise: Noise
-    commands: FloatArray
-    rows: Rows
+    commands: FloatArray  # (steps, n) duties, or (0, n) to let the controller fly
+    rows: Rows  # filled from row 0
 
 
 class _Scratch(NamedTuple):
@@ -167,7 +164,6 @@ def _sense(
     step: int,
     scratch: _Scratch,
 ) -> None:
-    """Read the IMU, or both and the motors' telemetry, and receive what the cameras saw."""
     derivative(state.rigid, state.wrench, STAGES - 1, model.body, model.ground, state.wind, scratch.work, 0)
     if own is None:
         felt = scratch.truth[0]
@@ -190,7 +186,6 @@ def _sense(
 def _decide(
     state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int, scratch: _Scratch
 ) -> None:
-    """Estimate the attitude; then take the given motor commands, or pass the controller once if there are none."""
     reading, pose, dt = state.imu.reading, state.mocap.pose, model.dt
     if own is None:
         advance_estimate(state.estimate, state.accel_filtered, model.estimator, reading, pose[3], dt)
@@ -211,7 +206,6 @@ def _decide(
 
 @jit
 def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
-    """Take the duties of one row of commands. Nobody commands an attitude."""
     state.motors[0] = DISARMED
     for i in range(len(state.duty)):
         state.duty[i] = commands[row, i]
@@ -249,7 +243,6 @@ def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
 
 @inline
 def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
-    """Write what is known at this instant into one row."""
     _copy(state.control.setpoint, rows.setpoint, row)
     _copy(state.control.rate, rows.rate_setpoint, row)
     _copy(state.imu.reading, rows.imu, row)
@@ -284,7 +277,6 @@ def _command(
 
 @inline
 def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: _Scratch) -> None:
-    """Advance wind, noise, rotors, body and battery by one step under the speeds in scratch.command."""
     advance_wind(state.wind, model.air, noise.wind, row)
     advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
     advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
@@ -321,7 +313,6 @@ Fly: TypeAlias = Callable[[Block, Model, Recorded | None, Condition, SensorCondi
 
 
 def _compiled_for(digest: int) -> Fly:
-    """The loop for these sources: numba's cache key holds the digest, because the loop closes over it."""
 
     @cached
     def fly(

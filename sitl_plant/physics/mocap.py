@@ -87,7 +87,6 @@ def _horn_matrix(S: FloatArray, K: FloatArray) -> None:
 
 @jit
 def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
-    """Unit eigenvector of the largest eigenvalue of the traceless symmetric K (changed in place) into q."""
     # Characteristic polynomial L^4 + c2 L^2 + c1 L + c0, by traces of powers and the determinant.
     trace2 = trace3 = c0 = 0.0
     for a in range(4):
@@ -117,7 +116,6 @@ def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
 
 @jit
 def _cofactor(M: FloatArray, row: int, column: int) -> float:
-    """Signed 3 × 3 minor of a 4 × 4 matrix."""
     i, j, k = (row + 1) & 3, (row + 2) & 3, (row + 3) & 3  # modulo 4
     a, b, c = (column + 1) & 3, (column + 2) & 3, (column + 3) & 3
     # The cyclic order of three indices is an even permutation of the sorted one, so the minor keeps its sign.

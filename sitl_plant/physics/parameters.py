@@ -115,7 +115,6 @@ def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, Flo
 
 
 def _decay(corner_hz: float) -> float:
-    """exp(-2 pi f dt): what a first-order filter or an Ornstein-Uhlenbeck process keeps over one step."""
     return math.exp(-2.0 * math.pi * corner_hz * STEP_S)
 
 
@@ -164,7 +163,6 @@ def _battery(airframe: Airframe) -> Battery:
 
 
 def _imu(airframe: Airframe, centre_of_gravity: FloatArray) -> Imu:
-    """White noise of one-sided density D has rms D sqrt(f_s / 2) per sample."""
     imu = airframe.vehicle.imu
     per_sample = math.sqrt(0.5 / STEP_S)
     return Imu(
@@ -360,7 +358,6 @@ def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -
 
 
 def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: float) -> TwinImu:
-    """Both IMUs of a specimen in one flight. session: factor of the line."""
     sensors, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
     body, propulsion, chip = airframe.vehicle.body, airframe.vehicle.propulsion, airframe.vehicle.imu
     hover = math.sqrt(GRAVITY * body.mass_kg / len(airframe.vehicle.rotors) / propulsion.thrust_coefficient_n_s2)
@@ -393,7 +390,6 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: floa
 
 
 def _broad_kept(filters: FloatArray, shape: Biquad, dt: float, held: int) -> float:
-    """Share of unit white noise, rms, that is left between 50 and 100 Hz behind high-pass, low-pass and hold."""
     frequency_hz = np.linspace(*BAND_HZ, 101)
     gain = gain_of(shape, frequency_hz, dt) * _kept(filters, frequency_hz, dt, held)
     return math.sqrt(float(np.mean(gain**2)) * 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0]))
@@ -432,7 +428,6 @@ def _loop(vehicle: Vehicle, recorded: RecordedSet) -> Loop:
 
 
 def _initial(loop: Loop, recorded: RecordedSet, state: State, delay: int) -> tuple[TwinImuState, LoopState, FloatArray]:
-    """At rest on the ground, or in the trim of hover: the thrust that carries the weight is less than the trim."""
     n = len(state.control.duty)
     reading, angle, queue = np.zeros((IMUS, CHANNELS)), np.zeros((IMUS, 3)), np.zeros((delay + 1, n))
     reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]

@@ -96,16 +96,13 @@ class TwinImu(NamedTuple):
 
 
 class TwinImuState(NamedTuple):
-    """Memory of high-pass (2, 6, 2) and low-pass (2, 6, 3), drift of IMU 0 (6,), latest readings (2, 6).
-
-    turns: (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2.
-    """
+    """Memory of high-pass (2, 6, 2) and low-pass (2, 6, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
 
     shaped: FloatArray
     memory: FloatArray
     drifted: FloatArray
     reading: FloatArray
-    turns: FloatArray
+    turns: FloatArray  # (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2
 
 
 def butterworth(corner_hz: float, dt_s: float) -> Biquad:
@@ -219,7 +216,6 @@ def advance_imu(
 
 @jit
 def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
-    """Write what the lines of each rotor follow into state.turns; returns the mean of (w / w_hover)^2."""
     mean, n = 0.0, len(rotors.speed)
     for r in range(n):
         power = (rotors.speed[r] / imu.hover) ** 2
@@ -232,7 +228,6 @@ def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
 
 @jit
 def _vibration(state: TwinImuState, imu: TwinImu, k: int, i: int, white: float, power: float) -> float:
-    """Line and broad part of channel i of IMU k. power: mean of (w / w_hover)^2."""
     value = imu.broad[k, i] * biquad(state.shaped[k, i], imu.shape, white) * power
     for h in range(HARMONICS):
         for r in range(state.turns.shape[1]):

@@ -207,7 +207,6 @@ def follow(leg: Leg, t: float, out: FloatArray) -> None:
 
 @jit
 def _vertical(path: Path, t: float, out: FloatArray) -> None:
-    """Height and motors of a flight from the ground: disarmed, idle, climb, path, descent, idle, disarmed."""
     if t < path.lift:
         out[2], out[8] = 0.0, DISARMED if t < path.arm else IDLE
     elif t < path.lift + path.altitude / CLIMB_M_S:
@@ -246,7 +245,6 @@ def _nose(path: Path, u: float, v: float, t: float) -> tuple[float, float]:
 
 @jit
 def _along(path: Path, t: float) -> tuple[float, float, float, float]:
-    """x, y, dx/dt, dy/dt on the unturned path."""
     if path.shape == SQUARE:
         return _square(path.size, path.speed, t)
     radius = 0.5 * path.size
