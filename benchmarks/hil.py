@@ -29,8 +29,7 @@ from mavdiag.link.samples import joined
 from mavdiag.telemetry import Log, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, telemetry_digest
 from sitl_plant.hil.ardupilot import Lockstep
-from sitl_plant.hil.outputs import output_map
-from sitl_plant.hil.simulation import HilPlan, Simulation
+from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
 from sitl_plant.physics.faults import FAULTS, Injection, fault_injection
 from sitl_plant.plant import PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, qdrone2

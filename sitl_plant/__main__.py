@@ -18,13 +18,12 @@ from mavdiag.errors import UsageError
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
-from sitl_plant.emulator import FlightReport, Link, fly
+from sitl_plant.emulator import FlightReport, Link, fly, record_flight
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
-from sitl_plant.recording import record_flight
-from sitl_plant.stand_command import stand
-from sitl_plant.truth_file import TruthWriter, truth_file
+from sitl_plant.stand import stand
+from sitl_plant.truth import TruthWriter, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 

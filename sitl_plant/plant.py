@@ -40,9 +40,8 @@ CHANGES_MAX = 1000  # changes kept for who takes them
 class PlantConfig:
     """One flight. Raises UsageError if it cannot be.
 
-    rotor: the damaged one, numbered as in the vehicle's file; T Eq 2.2-2.4 has 1 rear right, 2 front right,
-        3 rear left, 4 front left.
-    start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
+    rotor: the damaged one, numbered as in the vehicle's file; T Eq 2.2-2.4 has 1 rear right, 2 front right, 3 rear
+    left, 4 front left. start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
     """
 
     drone: int = 1  # 1 (aged), 2, 3 (new)

@@ -15,11 +15,14 @@ is proportional to unbalance, and that s takes one back to the other. T's Fig 3.
 others, which no linear stand gives from the unbalances of T Table 3.2; it is not reproduced.
 """
 
+import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
@@ -193,3 +196,39 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
         for (name, known), peak in zip(mounted, peaks, strict=True)
     )
     return StandReport(speed_rpm, scale, bars)
+
+
+def stand(
+    rpm: Annotated[float, typer.Option(help="Speed of the rotor; T's peak at 83.3 Hz is 5000 rpm.")] = 5000.0,
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Run twelve propellers on an emulated flight stand and estimate their unbalance from the vibration.
+
+    Mass, stiffness and noise of the stand are estimates: the scale is a number of this stand, not of T's.
+    """
+    report = stand_test(rpm, seed)
+    if as_json:
+        typer.echo(json.dumps(asdict(report)))
+    else:
+        _print(report)
+
+
+def _print(report: StandReport) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"flight stand at {report.speed_rpm:g} rpm, {report.speed_rpm / 60:.1f} Hz")
+    for heading in ("propeller", "peak Hz", "x m/s²", "y m/s²", "z m/s²", "weighed g mm", "estimated g mm"):
+        table.add_column(heading, justify="right")
+    for bar in report.bars:
+        axes = (f"{amplitude:.3f}" for amplitude in bar.peak.amplitude_m_s2)
+        known, estimated = f"{bar.known_g_mm:.2f}", f"{bar.estimated_g_mm:.2f}"
+        table.add_row(bar.name, f"{bar.peak.frequency_hz:.1f}", *axes, known, estimated)
+    console = Console()
+    console.print(table)
+    scale = report.scale
+    console.print(
+        f"scale {scale.g_mm_per_m_s2:.3f} ± {scale.standard_error:.3f} g mm per m/s² along y, R² {scale.r2:.4f}; "
+        "mass and stiffness of the stand are estimates"
+    )

@@ -4,8 +4,13 @@ Sans-I/O: frames in; replies, forwards and orders for the plant out. Routing fol
 documentation, "MAVLink Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an
 address goes to the link over which that component sends; nothing goes back where it came from, and nothing that claims
 to come from the autopilot itself is believed.
+
+MAV_CMD_INJECT_FAILURE damages motors. While the parameter `SIM_PROP_FAULT` is 1 to 3, every failure but OK is a damaged
+propeller of the thesis: F1 to F3, with the severity `SIM_PROP_SEV`, SV1 to SV3. At 0, OFF stops the motor and SLOW lets
+it turn at nine tenths of its speed.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from enum import IntFlag
@@ -13,15 +18,13 @@ from typing import TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot.dialect import Dialect
-from sitl_plant.autopilot.failures import Failures
+from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Firmware, Mode, Parameters
 from sitl_plant.autopilot.mission import Mission
-from sitl_plant.autopilot.orders import ORDERS, Order, follow_set_point, order_of, waypoints
-from sitl_plant.autopilot.parameters import Encoding, Parameters
-from sitl_plant.autopilot.pilot import Pilot
+from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.wire import Action, Forward, Reply, number, optional, target
-from sitl_plant.physics.faults import Injection
+from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
+from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of, target
+from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
 
@@ -32,6 +35,18 @@ PROTOCOL = 200  # PROTOCOL_VERSION: MAVLink 2.0
 UID = 0x51D205E
 STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
 NONE = float("nan")
+ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
+LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
+FORCE = 21196  # COMPONENT_ARM_DISARM.param2: whatever the state is
+NO_POSITION, NO_VELOCITY, NO_YAW = 0b111, 0b111_000, 1 << 10  # POSITION_TARGET_TYPEMASK
+SYSTEM_MOTOR = 101  # FAILURE_UNIT
+OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
+SLOW_SHARE = 0.9  # of the commanded speed (our choice)
+
+_MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
+    OFF: ("motor off", RotorDamage(speed_factor=0.0)),
+    SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE)),
+}
 
 
 class _Capability(IntFlag):
@@ -163,10 +178,7 @@ class Autopilot:
             MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
             MessageId.MESSAGE_INTERVAL: lambda: self._tell_interval(link, order.whole(2)),
             MessageId.AVAILABLE_MODES: lambda: self._tell_modes(link, order.whole(2)),
-            MessageId.MISSION_CURRENT: lambda: (
-                MavResult.ACCEPTED,
-                [self._mission.current(link, self._pilot.first)],
-            ),
+            MessageId.MISSION_CURRENT: lambda: (MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]),
         }
         if order.whole(1) in told:
             return told[order.whole(1)]()
@@ -247,3 +259,160 @@ def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
 
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
     return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))
+
+
+class Failures:
+    """What was injected into a vehicle with so many rotors. phenomenology: as of the plant's configuration."""
+
+    def __init__(self, rotors: int, phenomenology: float) -> None:
+        self._rotors, self._phenomenology = rotors, phenomenology
+        self._present: dict[int, Injection] = {}
+
+    def inject(
+        self, parameters: Parameters, unit: int, kind: int, instance: float | None, mask: int
+    ) -> tuple[MavResult, list[Injection] | None]:
+        """The result of the command, and the causes that are there from now on; None if nothing changes.
+
+        instance: 0 for all motors, None for those of the mask.
+        """
+        if instance is None:
+            motors = [motor for motor in range(1, self._rotors + 1) if mask >> (motor - 1) & 1]
+        else:
+            motors = [int(instance)] if instance else list(range(1, self._rotors + 1))
+        fault = round(parameters.value(FAULT))
+        if unit != SYSTEM_MOTOR or (kind != OK and not fault and kind not in _MOTORS):
+            return MavResult.UNSUPPORTED, None
+        if not motors or not set(motors) <= set(range(1, self._rotors + 1)):
+            return MavResult.DENIED, None
+        for motor in motors:
+            self._present.pop(motor, None)
+            if kind != OK:
+                self._present[motor] = self._cause(motor, kind, fault, round(parameters.value(SEVERITY)))
+        return MavResult.ACCEPTED, list(self._present.values())
+
+    def _cause(self, motor: int, kind: int, fault: int, severity: int) -> Injection:
+        if fault:
+            return fault_injection(f"F{fault}/SV{severity}", motor, phenomenology=self._phenomenology)
+        name, damage = _MOTORS[kind]
+        return Injection(damage, motor, name=name)
+
+
+def _height(order: Order, amsl: bool) -> float | None:
+    """Above home; None if it is not given."""
+    if order.z is None:
+        return None
+    above_sea = amsl if order.frame is None else order.frame in ABOVE_SEA
+    return order.z - HOME_ALT_M if above_sea else order.z
+
+
+def _place(order: Order, firmware: Firmware, here: Place) -> Place | None:
+    """Where an order leads, world NED; the present place for what is not given. None for a frame not known here."""
+    if order.frame is not None and order.frame not in ABOVE_SEA + ABOVE_HOME:
+        return None
+    there = here[:2] if not order.x or not order.y else to_local(order.x, order.y)
+    # the altitude of DO_REPOSITION is above the sea wherever no frame says otherwise
+    height = _height(order, firmware.amsl or order.command == MavCmd.DO_REPOSITION)
+    return there[0], there[1], here[2] if height is None else -height
+
+
+def _reposition(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    place = _place(order, firmware, pilot.position)
+    speed = order.param[0] if (order.param[0] or -1.0) > 0.0 else None
+    return MavResult.DENIED if place is None else pilot.go(place, order.param[3], speed)
+
+
+def _take_off(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    height = _height(order, firmware.amsl)
+    return pilot.take_off(height if height is None or height > 0.0 else None)
+
+
+def _set_mode(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    main, sub = order.whole(2), order.whole(3)
+    packed = main << 16 | sub << 24
+    return pilot.set_mode(packed if firmware.code(packed) or sub else main)
+
+
+ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
+    MavCmd.COMPONENT_ARM_DISARM: lambda pilot, _, order: pilot.arm(order.whole(1) == 1, order.whole(2) == FORCE),
+    MavCmd.NAV_TAKEOFF: _take_off,
+    MavCmd.DO_REPOSITION: _reposition,
+    MavCmd.NAV_LAND: lambda pilot, firmware, order: pilot.do(Mode.LAND),
+    MavCmd.NAV_RETURN_TO_LAUNCH: lambda pilot, firmware, order: pilot.do(Mode.RTL),
+    MavCmd.NAV_LOITER_UNLIM: lambda pilot, firmware, order: pilot.do(Mode.HOLD),
+    MavCmd.MISSION_START: lambda pilot, firmware, order: pilot.do(Mode.MISSION),
+    MavCmd.DO_SET_MODE: _set_mode,
+    MavCmd.DO_CHANGE_SPEED: lambda pilot, firmware, order: pilot.set_speed(order.param[1] or 0.0),
+    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, firmware, order: (
+        pilot.arm(False, force=True) if order.whole(1) else MavResult.DENIED
+    ),
+    MavCmd.RUN_PREARM_CHECKS: lambda pilot, firmware, order: MavResult.ACCEPTED,
+}
+"""What the pilot does for each MAV_CMD."""
+
+_GOES = (MavCmd.NAV_WAYPOINT, MavCmd.NAV_TAKEOFF, MavCmd.NAV_LOITER_TIME, MavCmd.NAV_LOITER_UNLIM)
+
+
+def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ...] | None:
+    """What the items of a mission mean; None if one of them cannot be flown."""
+    plan: list[Waypoint] = []
+    here, speed = (0.0, 0.0, -1.0), None
+    for seq, order in enumerate(orders):
+        speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
+        # ArduPilot's item 0 is home, and is not flown
+        meant = (Waypoint(item=0),) if seq == 0 and firmware.needs_guided else _waypoint(seq, order, here, firmware)
+        if meant is None:
+            return None
+        plan += (replace(one, speed=speed) for one in meant)
+        here = next((one.place for one in reversed(meant) if one.place is not None), here)
+    return tuple(plan)
+
+
+def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[Waypoint, ...] | None:
+    """What a mission item means after a place; None for one that cannot be flown."""
+    if order.command in _GOES:
+        place = _place(order, firmware, here)
+        waits = order.param[0] or 0.0 if order.command != MavCmd.NAV_TAKEOFF else 0.0
+        yaw = None if order.param[3] is None or order.command == MavCmd.NAV_TAKEOFF else math.radians(order.param[3])
+        return None if place is None else (Waypoint(place, yaw, wait_s=waits, item=seq),)
+    if order.command == MavCmd.NAV_DELAY:
+        return (Waypoint(wait_s=max(order.param[0] or 0.0, 0.0), item=seq),)
+    if order.command == MavCmd.NAV_LAND:
+        place = _place(order, firmware, here)
+        above = () if place is None else (Waypoint((place[0], place[1], here[2]), item=seq),)
+        return (*above, Waypoint(lands=True, item=seq))
+    if order.command == MavCmd.NAV_RETURN_TO_LAUNCH:
+        return (Waypoint((0.0, 0.0, here[2]), item=seq), Waypoint(lands=True, item=seq))
+    return (Waypoint(item=seq),) if order.command > MavCmd.NAV_DELAY else None  # conditions and actions are passed over
+
+
+def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:
+    """Obey SET_POSITION_TARGET_LOCAL_NED or _GLOBAL_INT: its position, else its velocity."""
+    mask, kind = int(number(frame, "type_mask")), int(number(frame, "coordinate_frame"))
+    yaw = None if mask & NO_YAW else number(frame, "yaw")
+    turn = yaw_now if kind in (BODY_NED, BODY_OFFSET_NED) else 0.0
+    if not mask & NO_POSITION:
+        place = _set_place(pilot, frame, kind, turn)
+        if place is not None:
+            pilot.set_point(place, yaw)
+    elif not mask & NO_VELOCITY:
+        v_x, v_y, v_z = (number(frame, name) for name in ("vx", "vy", "vz"))
+        pilot.set_velocity((*_turned(v_x, v_y, turn), v_z), yaw)
+
+
+def _set_place(pilot: Pilot, frame: Frame, kind: int, turn: float) -> Place | None:
+    here = pilot.position
+    if frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT:
+        north, east = to_local(number(frame, "lat_int") * DEGREES, number(frame, "lon_int") * DEGREES)
+        return north, east, -(number(frame, "alt") - HOME_ALT_M * (kind in ABOVE_SEA))
+    x, y, z = (number(frame, name) for name in ("x", "y", "z"))
+    if kind == LOCAL_NED:
+        return x, y, z
+    if kind in (OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
+        ahead, right = _turned(x, y, turn)
+        return here[0] + ahead, here[1] + right, here[2] + z
+    return None
+
+
+def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y

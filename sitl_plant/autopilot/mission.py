@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
-from sitl_plant.autopilot.orders import order_of
-from sitl_plant.autopilot.wire import Action, Reply, number
+from sitl_plant.autopilot.wire import Action, Reply, number, order_of
 
 MISSION = 0  # MAV_MISSION_TYPE of the flight plan; 1 is the fence, 2 are rally points
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE, CANCELLED = 0, 1, 3, 4, 13, 15  # MAV_MISSION_RESULT

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.firmware import SPEED_MOST, Firmware, Mode
-from sitl_plant.autopilot.parameters import Parameters
+from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Firmware, Mode, Parameters
 from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.trajectory import (
     BELOW_M,
@@ -32,7 +31,7 @@ from sitl_plant.plant import STEP_NS, PlantSamples
 ACCEPT_M, SETTLE_S, LATE_S = 0.3, 0.5, 10.0  # a waypoint is reached: so near, so long after the line ends; or so late
 REACH_M, LOWEST_M = 500.0, 0.3  # from home to a waypoint, and above the ground
 TURN_RAD_S = 1.0
-NOSE, NOSE_FROM_M = "SIM_NOSE", 0.5  # parameter: 1 turns the nose along a line at least so long, 0 leaves it
+NOSE_FROM_M = 0.5  # the nose is turned along a line at least so long
 VELOCITY_S = 3.0  # a velocity set-point is obeyed so long (ArduPilot: GUID_TIMEOUT)
 LANDED_S = 2.0  # on the ground after a landing, before the motors disarm
 IDLE_S = 10.0  # armed on the ground without a take-off (ArduPilot: DISARM_DELAY)
@@ -64,8 +63,7 @@ def _far(place: Place) -> bool:
 class Pilot:
     """Flies one vehicle. commanded: it stands on the ground and waits; else it follows its own path and takes no order.
 
-    custom_mode: as HEARTBEAT says it.
-    first: the mission's item that is flown, or with which it begins.
+    custom_mode: as HEARTBEAT says it. first: the mission's item that is flown, or with which it begins.
     """
 
     def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
@@ -138,7 +136,7 @@ class Pilot:
         wrong_mode = self._firmware.needs_guided and self._mode is not Mode.GUIDED
         if not self._commanded or not self.armed or self._flies or wrong_mode:
             return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
-        height = self._unit(self._firmware.height) if height_m is None else height_m
+        height = self._unit(self._firmware.names[1]) if height_m is None else height_m
         place = (self._position[0], self._position[1], -height)
         if _far(place):
             return MavResult.DENIED
@@ -193,7 +191,7 @@ class Pilot:
 
     def set_speed(self, speed: float) -> MavResult:
         """Change the speed of lines to come [m/s]."""
-        taken = self._parameters.change(self._firmware.speed, speed / self._firmware.unit)
+        taken = self._parameters.change(self._firmware.names[0], speed / self._firmware.unit)
         return MavResult.ACCEPTED if taken else MavResult.DENIED
 
     def step(self, samples: PlantSamples) -> Leg | None:
@@ -239,7 +237,7 @@ class Pilot:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
             north, east, down = self._led()[:3]
-            down = min(down, -self._unit(self._firmware.return_height))
+            down = min(down, -self._unit(self._firmware.names[2]))
             return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
         return [Waypoint()]
 
@@ -273,7 +271,7 @@ class Pilot:
         if doing.lands:
             self._lead((here[0], here[1], BELOW_M), DESCENT_M_S, then=LANDING)
         else:
-            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.speed), doing.yaw)
+            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.names[0]), doing.yaw)
         turn_s = abs(self._leg.turn) / self._leg.turn_speed
         self._ends_s = self._now_s + max(math.dist(here, self._leg.end) / self._leg.speed, turn_s) + doing.wait_s
 

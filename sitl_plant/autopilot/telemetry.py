@@ -14,9 +14,8 @@ from mavdiag.link.samples import filled, joined, merged
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.imu_filters import ImuFilters
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.stream import records
+from sitl_plant.autopilot.stream import ImuFilters, records
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
 
 BLOCK_STEPS = 2000  # fastest: fewer calls, and arrays that still fit the allocator

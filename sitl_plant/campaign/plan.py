@@ -433,11 +433,7 @@ def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> Lea
     mixed = zip(
         *(
             balanced(levels, count, design.seed, f"learn {airframe} {name}")
-            for name, levels in (
-                ("manoeuvre", design.manoeuvre),
-                ("wind", design.wind),
-                ("payload", design.payload),
-            )
+            for name, levels in (("manoeuvre", design.manoeuvre), ("wind", design.wind), ("payload", design.payload))
         ),
         strict=True,
     )

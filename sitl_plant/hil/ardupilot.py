@@ -13,8 +13,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 from mavdiag.units import NS_PER_S
-from sitl_plant.hil.outputs import OutputMap
-from sitl_plant.hil.simulation import Simulation
+from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
 
 CHANNELS = {18458: 16, 29569: 32}  # by magic

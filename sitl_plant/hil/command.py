@@ -1,8 +1,11 @@
-"""The commands that put the plant under an autopilot outside (edge)."""
+"""The commands that put the plant under an autopilot outside, and their loops (edge).
+
+They receive, fly and answer, until a signal or the duration ends it.
+"""
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,22 +17,30 @@ import typer
 from mavdiag import commandline
 from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
-from mavdiag.link.ports import open_endpoint
+from mavdiag.link.codec import Decoder
+from mavdiag.link.ports import Endpoint, Kind, open_endpoint, parse_address
 from sitl_plant.hil.ardupilot import Lockstep
-from sitl_plant.hil.datagrams import Datagrams
-from sitl_plant.hil.outputs import AutopilotName, OutputMap, output_map
-from sitl_plant.hil.parameters import parameter_file
-from sitl_plant.hil.px4 import Bridge
-from sitl_plant.hil.serve import serve_frames, serve_json
-from sitl_plant.hil.simulation import FLYING_M, HilPlan, Simulation
+from sitl_plant.hil.px4 import WANTED, Bridge
+from sitl_plant.hil.simulation import (
+    FLYING_M,
+    AutopilotName,
+    HilPlan,
+    OutputMap,
+    Simulation,
+    output_map,
+    parameter_file,
+)
 from sitl_plant.options import STARTING, TruthFile, VehicleName, parse_speed, with_options
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.faults import fault_injection
 from sitl_plant.physics.jit import check_numba
 from sitl_plant.plant import PlantConfig
-from sitl_plant.truth_file import TruthWriter, truth_file
+from sitl_plant.truth import TruthWriter, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
+POLL_S = 0.2  # how often a signal is looked for
+PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
+SLIP_S = 0.1  # wall clock: what is later than this is not caught up
 _ROTOR = "Damaged rotor, as the vehicle's file counts."
 
 
@@ -153,8 +164,10 @@ def serve_ardupilot(
         typer.echo(parameter_file(options.vehicle, options.parameters_of), nl=False)
         return
     outputs = output_map(options.vehicle, "ardupilot")
+    if parse_address(listen).kind is not Kind.UDP_IN:
+        raise UsageError(f"{listen}: the autopilot sends to a UDP port: write udpin:HOST:PORT")
     with ExitStack() as stack:
-        port = stack.enter_context(Datagrams(listen))
+        port = stack.enter_context(open_endpoint(listen))
         simulation = stack.enter_context(options.simulation("ardupilot-json", 1000.0))
         stop = stack.enter_context(commandline.stop_signals())
         lockstep = Lockstep(simulation, outputs)
@@ -218,3 +231,83 @@ def _serve_mavlink(options: HilOptions, address: str, rate_hz: float, *, period_
         f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "
         f"{traffic.sent} messages sent, {traffic.dropped} dropped, {bridge.restarts} restarts of the autopilot"
     )
+
+
+def serve_json(
+    port: Endpoint,
+    lockstep: Lockstep,
+    simulation: Simulation,
+    *,
+    duration_s: float,
+    stop: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Answer ArduPilot until `duration_s` of flight or `stop`. say: is told of the first datagram that is no frame."""
+    while simulation.t_s < duration_s and not stop():
+        for (data, _), peer in zip(port.receive(POLL_S), port.sources, strict=True):
+            foreign = lockstep.counts.foreign
+            answer = lockstep.feed(data, peer, time.monotonic())
+            if answer is not None:
+                port.answer(answer, peer)
+            elif lockstep.counts.foreign == 1 > foreign:
+                say(f"ignored {len(data)} bytes that are no servo frame of ArduPilot, and shall ignore others silently")
+
+
+def serve_frames(
+    endpoint: Endpoint,
+    bridge: Bridge,
+    *,
+    period_s: float,
+    lockstep: bool,
+    duration_s: float,
+    stop: Callable[[], bool],
+    say: Callable[[str], None],
+) -> None:
+    """Fly PX4 over MAVLink until `duration_s` of flight or `stop`.
+
+    period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
+    lockstep: wait for the controls where they ask for it; else say if an autopilot is not in HIL mode.
+    """
+    decoder, pace, flying, told = Decoder(WANTED), _Pace(), False, False
+    feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
+    while bridge.simulation.t_s < duration_s and not stop():
+        flying = flying and endpoint.connected
+        waits = lockstep and bridge.lockstep and not bridge.answered
+        for data, host_ns in endpoint.receive(pace.left_s(waits) if flying else POLL_S):
+            for frame in feed(data, host_ns):
+                bridge.hear(frame)
+        if not flying and endpoint.connected:
+            if pace.begun:
+                bridge.restart()
+            flying = True
+            pace.begin()
+        if flying and not pace.left_s(lockstep and bridge.lockstep and not bridge.answered):
+            for message in bridge.advance():
+                endpoint.send(message)
+            pace.note_sent(period_s if lockstep and bridge.lockstep else bridge.period_s)
+        if not (lockstep or told) and bridge.in_hil is False:
+            told = True
+            say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
+
+
+class _Pace:
+    """When the next sensor message goes out."""
+
+    def __init__(self) -> None:
+        self.begun = False
+        self._sent_s = self._next_s = 0.0
+
+    def begin(self) -> None:
+        """The first goes out now."""
+        self.begun = True
+        self._sent_s = self._next_s = time.monotonic()
+
+    def left_s(self, waits: bool) -> float:
+        """How long until then, at most `POLL_S`. waits: for the answer to the last one, as long as patience goes."""
+        until_s = max(self._next_s, self._sent_s + PATIENCE_S) if waits else self._next_s
+        return min(POLL_S, max(0.0, until_s - time.monotonic()))
+
+    def note_sent(self, period_s: float) -> None:
+        """One has gone out; the next is due after `period_s`."""
+        self._sent_s = time.monotonic()
+        self._next_s = max(self._next_s + period_s, self._sent_s - SLIP_S)

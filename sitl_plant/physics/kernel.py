@@ -316,12 +316,7 @@ def _compiled_for(digest: int) -> Fly:
 
     @cached
     def fly(
-        block: Block,
-        model: Model,
-        own: Recorded | None,
-        condition: Condition,
-        sensors: SensorCondition,
-        state: State,
+        block: Block, model: Model, own: Recorded | None, condition: Condition, sensors: SensorCondition, state: State
     ) -> int:
         work, truth = np.empty((5, RIGID)), np.empty((IMUS, CHANNELS))
         scratch = _Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))

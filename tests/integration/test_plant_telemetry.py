@@ -13,10 +13,10 @@ from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
+from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
 from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.recording import recorded
 
 SECONDS = 3.0
 CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)

@@ -7,8 +7,7 @@ import pytest
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import UsageError
-from sitl_plant.hil.outputs import AutopilotName, output_map, pilot_of
-from sitl_plant.hil.parameters import parameter_file
+from sitl_plant.hil.simulation import AutopilotName, output_map, parameter_file, pilot_of
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, shipped_vehicles, vehicle_named
 
