@@ -24,6 +24,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from typer import Option
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
@@ -199,9 +200,9 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
 
 
 def stand(
-    rpm: Annotated[float, typer.Option(help="Speed of the rotor; T's peak at 83.3 Hz is 5000 rpm.")] = 5000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    rpm: Annotated[float, Option(help="Speed of the rotor; T's peak at 83.3 Hz is 5000 rpm.")] = 5000.0,
+    seed: Annotated[int, Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    as_json: Annotated[bool, Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Run twelve propellers on an emulated flight stand and estimate their unbalance from the vibration.
 
@@ -218,14 +219,13 @@ def _print(report: StandReport) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"flight stand at {report.speed_rpm:g} rpm, {report.speed_rpm / 60:.1f} Hz")
+    table, console = Table(title=f"flight stand at {report.speed_rpm:g} rpm, {report.speed_rpm / 60:.1f} Hz"), Console()
     for heading in ("propeller", "peak Hz", "x m/s²", "y m/s²", "z m/s²", "weighed g mm", "estimated g mm"):
         table.add_column(heading, justify="right")
     for bar in report.bars:
         axes = (f"{amplitude:.3f}" for amplitude in bar.peak.amplitude_m_s2)
-        known, estimated = f"{bar.known_g_mm:.2f}", f"{bar.estimated_g_mm:.2f}"
-        table.add_row(bar.name, f"{bar.peak.frequency_hz:.1f}", *axes, known, estimated)
-    console = Console()
+        masses = (f"{g_mm:.2f}" for g_mm in (bar.known_g_mm, bar.estimated_g_mm))
+        table.add_row(bar.name, f"{bar.peak.frequency_hz:.1f}", *axes, *masses)
     console.print(table)
     scale = report.scale
     console.print(

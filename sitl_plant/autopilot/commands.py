@@ -13,7 +13,6 @@ it turn at nine tenths of its speed.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from enum import IntFlag
 from typing import TypeAlias
 
 from mavdiag.link.codec import Frame
@@ -34,7 +33,6 @@ VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_
 PROTOCOL = 200  # PROTOCOL_VERSION: MAVLink 2.0
 UID = 0x51D205E
 STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
-NONE = float("nan")
 ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
 LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
 FORCE = 21196  # COMPONENT_ARM_DISARM.param2: whatever the state is
@@ -49,26 +47,9 @@ _MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
 }
 
 
-class _Capability(IntFlag):
-    """MAV_PROTOCOL_CAPABILITY: what the emulator does."""
-
-    PARAM_FLOAT = 1 << 1
-    MISSION_INT = 1 << 2
-    COMMAND_INT = 1 << 3
-    PARAM_ENCODE_BYTEWISE = 1 << 4
-    SET_POSITION_TARGET_LOCAL_NED = 1 << 7
-    SET_POSITION_TARGET_GLOBAL_INT = 1 << 8
-    FLIGHT_TERMINATION = 1 << 11
-    MAVLINK2 = 1 << 13
-    PARAM_ENCODE_C_CAST = 1 << 17
-
-
-_ALWAYS = _Capability.MAVLINK2 | _Capability.PARAM_FLOAT | _Capability.MISSION_INT | _Capability.COMMAND_INT
-_IN_COMMAND = (
-    _Capability.SET_POSITION_TARGET_LOCAL_NED
-    | _Capability.SET_POSITION_TARGET_GLOBAL_INT
-    | _Capability.FLIGHT_TERMINATION
-)
+# MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, MISSION_INT, COMMAND_INT; SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT,
+# FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
+ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17
 
 PlantOrder: TypeAlias = Leg | Injection | Renewal
 """What the plant is to do: be led, take a cause, be made as new."""
@@ -83,9 +64,9 @@ class Autopilot:
         self._identity = (sysid, int(Component.AUTOPILOT1))
         self._schedules, self._dialect, self._config = schedules, dialect, config
         vehicle, self._firmware = config.flown_vehicle, dialect.firmware
+        self._rotors, self._failures = len(vehicle.rotors), dict[int, Injection]()
         self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
         self._pilot = Pilot(dialect.firmware, self._parameters, dialect.custom_mode, config.commanded)
-        self._failures = Failures(len(vehicle.rotors), config.phenomenology)
         self._mission = Mission(self._plan, self._pilot.skip_to)
         self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
@@ -150,13 +131,9 @@ class Autopilot:
     def _links_towards(self, target: tuple[int, int]) -> list[int]:
         if target == self._identity:
             return []
-        return sorted(
-            {
-                link
-                for (sysid, compid), link in self._routes.items()
-                if target[0] in (0, sysid) and target[1] in (Component.ALL, compid)
-            }
-        )
+        system, component = target
+        routes = self._routes.items()
+        return sorted({to for (s, c), to in routes if system in (0, s) and component in (Component.ALL, c)})
 
     def _command(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         order = order_of(frame)
@@ -185,9 +162,8 @@ class Autopilot:
         return self._schedules[link].ask_once(order.whole(1)), []
 
     def _tell_version(self, link: int) -> _Answer:
-        bytewise = self._firmware.encoding is Encoding.BYTES
-        encoding = _Capability.PARAM_ENCODE_BYTEWISE if bytewise else _Capability.PARAM_ENCODE_C_CAST
-        can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else _Capability(0))
+        can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
+        can |= IN_COMMAND if self._config.commanded else 0
         fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
         return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
 
@@ -208,14 +184,29 @@ class Autopilot:
         return (MavResult.ACCEPTED if told else MavResult.DENIED), told
 
     def _inject(self, link: int, order: Order) -> _Answer:
+        """INJECT_FAILURE: unit, type, instance (0 is every motor; without one, those of the mask)."""
+        kind, mask, every = order.whole(2), order.whole(4), set(range(1, self._rotors + 1))
+        fault, severity = (round(self._parameters.value(name)) for name in (FAULT, SEVERITY))
+        if order.param[2] is None:
+            motors = {motor for motor in every if mask >> (motor - 1) & 1}
+        else:
+            motors = {order.whole(3)} if order.whole(3) else every
         if not self._parameters.value("SYS_FAILURE_EN", 1):
             return MavResult.DENIED, []
-        instance = None if order.param[2] is None else order.whole(3)
-        unit, kind, mask = order.whole(1), order.whole(2), order.whole(4)
-        result, present = self._failures.inject(self._parameters, unit, kind, instance, mask)
-        if present is not None:
-            self._orders += [Renewal.CLEAR, *present]
-        return result, []
+        if order.whole(1) != SYSTEM_MOTOR or (kind != OK and not fault and kind not in _MOTORS):
+            return MavResult.UNSUPPORTED, []
+        if not motors or not motors <= every:
+            return MavResult.DENIED, []
+        for motor in sorted(motors):
+            self._failures.pop(motor, None)
+            if kind != OK and fault:
+                scale = self._config.phenomenology
+                self._failures[motor] = fault_injection(f"F{fault}/SV{severity}", motor, phenomenology=scale)
+            elif kind != OK:
+                name, damage = _MOTORS[kind]
+                self._failures[motor] = Injection(damage, motor, name=name)
+        self._orders += [Renewal.CLEAR, *self._failures.values()]
+        return MavResult.ACCEPTED, []
 
     def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         result = self._pilot.set_mode(int(number(frame, "custom_mode")))
@@ -259,42 +250,6 @@ def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
 
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
     return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))
-
-
-class Failures:
-    """What was injected into a vehicle with so many rotors. phenomenology: as of the plant's configuration."""
-
-    def __init__(self, rotors: int, phenomenology: float) -> None:
-        self._rotors, self._phenomenology = rotors, phenomenology
-        self._present: dict[int, Injection] = {}
-
-    def inject(
-        self, parameters: Parameters, unit: int, kind: int, instance: float | None, mask: int
-    ) -> tuple[MavResult, list[Injection] | None]:
-        """The result of the command, and the causes that are there from now on; None if nothing changes.
-
-        instance: 0 for all motors, None for those of the mask.
-        """
-        if instance is None:
-            motors = [motor for motor in range(1, self._rotors + 1) if mask >> (motor - 1) & 1]
-        else:
-            motors = [int(instance)] if instance else list(range(1, self._rotors + 1))
-        fault = round(parameters.value(FAULT))
-        if unit != SYSTEM_MOTOR or (kind != OK and not fault and kind not in _MOTORS):
-            return MavResult.UNSUPPORTED, None
-        if not motors or not set(motors) <= set(range(1, self._rotors + 1)):
-            return MavResult.DENIED, None
-        for motor in motors:
-            self._present.pop(motor, None)
-            if kind != OK:
-                self._present[motor] = self._cause(motor, kind, fault, round(parameters.value(SEVERITY)))
-        return MavResult.ACCEPTED, list(self._present.values())
-
-    def _cause(self, motor: int, kind: int, fault: int, severity: int) -> Injection:
-        if fault:
-            return fault_injection(f"F{fault}/SV{severity}", motor, phenomenology=self._phenomenology)
-        name, damage = _MOTORS[kind]
-        return Injection(damage, motor, name=name)
 
 
 def _height(order: Order, amsl: bool) -> float | None:

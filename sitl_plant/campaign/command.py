@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
 
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
@@ -21,37 +22,33 @@ if TYPE_CHECKING:
 
 def campaign(
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
+        Path, Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
     ] = Path("campaign.jsonl"),
-    preset: Annotated[
-        Literal["quick", "full", "conditions"], typer.Option(help="Size and levels to start from.")
-    ] = "quick",
-    flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
-    hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
-    airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
+    preset: Annotated[Literal["quick", "full", "conditions"], Option(help="Size and levels to start from.")] = "quick",
+    flights: Annotated[int | None, Option(metavar="N", help="Flights with a cause.")] = None,
+    hours: Annotated[float | None, Option(metavar="H", help="Healthy flight.")] = None,
+    airframes: Annotated[int | None, Option(metavar="N", help="Specimens, every second one aged.")] = None,
     learn: Annotated[
         Literal["mixed", "square"] | None,
-        typer.Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
+        Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
     ] = None,
-    learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
+    learn_flights: Annotated[int | None, Option(metavar="N", help="Healthy flights for a baseline.")] = None,
+    duration: Annotated[float | None, Option(metavar="S", help="Length of each flight.")] = None,
     conditions: Annotated[
         list[str],
-        typer.Option(
+        Option(
             metavar="FACTOR=LEVEL,..",
             help="Levels of cause, rotor, phenomenology, condition, manoeuvre, wind, payload, link, loss; repeatable.",
         ),
     ] = [],  # noqa: B006  # typer copies its defaults
     vehicle: VehicleName = "qdrone2",
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 2,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew: empty the file of results first.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
-    summary_file: Annotated[Path | None, typer.Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
-    parquet: Annotated[
-        Path | None, typer.Option(metavar="FILE.parquet", help="Write the flights as a table, too.")
-    ] = None,
+    seed: Annotated[int, Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    workers: Annotated[int, Option(min=1, max=256, help="Processes on this machine.")] = 2,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
+    fresh: Annotated[bool, Option("--fresh", help="Start anew: empty the file of results first.")] = False,
+    as_json: Annotated[bool, Option("--json", help="Print the summary as one JSON object.")] = False,
+    summary_file: Annotated[Path | None, Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
+    parquet: Annotated[Path | None, Option(metavar="FILE.parquet", help="Write the flights as a table, too.")] = None,
 ) -> None:
     """Fly many airframes healthy, damaged and otherwise wrong; learn from each, judge each, and count.
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
+from typer import Option
 
 from mavdiag import commandline
 from mavdiag.commands.progress import working
@@ -30,7 +31,21 @@ from sitl_plant.hil.simulation import (
     output_map,
     parameter_file,
 )
-from sitl_plant.options import STARTING, TruthFile, VehicleName, parse_speed, with_options
+from sitl_plant.options import (
+    STARTING,
+    W20,
+    Drone,
+    FaultCode,
+    Onset,
+    PayloadKg,
+    Phenomenology,
+    TruthFile,
+    VehicleName,
+    Wind,
+    check_times,
+    parse_speed,
+    with_options,
+)
 from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.faults import fault_injection
 from sitl_plant.physics.jit import check_numba
@@ -40,8 +55,8 @@ from sitl_plant.vehicle import Vehicle, vehicle_from
 
 POLL_S = 0.2  # how often a signal is looked for
 PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
+_PRINTED = "Print the parameter file to load into the autopilot, and end."
 SLIP_S = 0.1  # wall clock: what is later than this is not caught up
-_ROTOR = "Damaged rotor, as the vehicle's file counts."
 
 
 class OnsetFrom(StrEnum):
@@ -74,52 +89,42 @@ class HilOptions:
 
     def announce(self, autopilot: str, address: str, outputs: OutputMap) -> None:
         """One line: who may connect where, and what will happen."""
-        what = f"{self.fault} on rotor {self.rotor} (motor {outputs.motor(self.rotor)})" if self.fault else "healthy"
-        when = self.fault and f" {self.onset_text}"
-        typer.echo(f"{self.vehicle.name} stands ready, {what}{when}; waiting for {autopilot} on {address}")
-
-    @property
-    def onset_text(self) -> str:
-        """When the fault begins, in words."""
-        if self.plan.after_takeoff:
-            return f"{self.plan.after_takeoff[0].onset_s:g} s after the take-off"
-        return f"{self.plan.config.onset_s:g} s after the start"
+        what, later = "healthy", self.plan.after_takeoff
+        if self.fault:
+            when = (
+                f"{later[0].onset_s:g} s after the take-off"
+                if later
+                else f"{self.plan.config.onset_s:g} s after the start"
+            )
+            what = f"{self.fault} on rotor {self.rotor} (motor {outputs.motor(self.rotor)}) {when}"
+        typer.echo(f"{self.vehicle.name} stands ready, {what}; waiting for {autopilot} on {address}")
 
 
 def hil_options(
     vehicle: VehicleName = "qdrone2",
-    drone: Annotated[int, typer.Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")] = 1,
-    fault: Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")] = None,
-    rotor: Annotated[int, typer.Option(help=_ROTOR)] = 1,
-    onset: Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")] = 0.0,
+    drone: Drone = 1,
+    fault: FaultCode = None,
+    rotor: Annotated[int, Option(help="Damaged rotor, as the vehicle's file counts.")] = 1,
+    onset: Onset = 0.0,
     onset_from: Annotated[
-        OnsetFrom, typer.Option(help=f"Count --onset from the first {FLYING_M:g} m of height, or from the start.")
+        OnsetFrom, Option(help=f"Count --onset from the first {FLYING_M:g} m of height, or from the start.")
     ] = OnsetFrom.TAKEOFF,
-    phenomenology: Annotated[
-        float, typer.Option(help="Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1.")
-    ] = 1.0,
-    wind: Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")] = 0.0,
-    turbulence: Annotated[
-        float, typer.Option(metavar="W20", help="Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s].")
-    ] = 0.0,
-    payload: Annotated[float, typer.Option(metavar="KG", help="Point mass below the body.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Equal seeds and equal commands give equal flights.")] = 0,
+    phenomenology: Phenomenology = 1.0,
+    wind: Wind = 0.0,
+    turbulence: W20 = 0.0,
+    payload: PayloadKg = 0.0,
+    seed: Annotated[int, Option(help="Equal seeds and equal commands give equal flights.")] = 0,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
+        float | None, Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
     ] = None,
     truth: TruthFile = None,
     print_parameters: Annotated[
         str | None,
-        typer.Option(metavar="ardupilot|px4", help="Print the parameter file to load into the autopilot, and end."),
+        Option(metavar="ardupilot|px4", help=_PRINTED),
     ] = None,
 ) -> HilOptions:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    if duration is not None and not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
-    if not (math.isfinite(onset) and onset >= 0.0):
-        raise UsageError(f"--onset must be zero or more, not {onset:g}")
-    if fault is None and onset > 0.0:
-        raise UsageError("--onset needs a fault: add --fault F2/SV2")
+    check_times(fault, onset, duration)
     wanted = next((name for name in get_args(AutopilotName) if name == print_parameters), None)
     if wanted != print_parameters:
         raise UsageError(f"no parameters for {print_parameters!r}: give ardupilot or px4")
@@ -153,7 +158,7 @@ def _say(line: str) -> None:
 def serve_ardupilot(
     options: HilOptions,
     listen: Annotated[
-        str, typer.Option(metavar="udpin:HOST:PORT", help="Where ArduPilot (--model JSON:HOST) sends its frames.")
+        str, Option(metavar="udpin:HOST:PORT", help="Where ArduPilot (--model JSON:HOST) sends its frames.")
     ] = "udpin:127.0.0.1:9002",
 ) -> None:
     """Be the JSON physics of ArduPilot, until the duration is over, SIGINT or SIGTERM. Exit code 0, or 2 for an error.
@@ -182,17 +187,17 @@ def serve_ardupilot(
     )
 
 
-Rate = Annotated[float, typer.Option(metavar="HZ", min=50.0, max=1000.0, help="Rate of HIL_SENSOR.")]
+Rate = Annotated[float, Option(metavar="HZ", min=50.0, max=1000.0, help="Rate of HIL_SENSOR.")]
 
 
 @with_options(hil_options)
 def serve_px4(
     options: HilOptions,
     listen: Annotated[
-        str, typer.Option(metavar="tcpin:HOST:PORT", help="Where PX4 in simulation connects to.")
+        str, Option(metavar="tcpin:HOST:PORT", help="Where PX4 in simulation connects to.")
     ] = "tcpin:127.0.0.1:4560",
     rate: Rate = 250.0,
-    speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second, if PX4 keeps step.")] = "1",
+    speed: Annotated[str, Option(metavar="X|max", help="Flight seconds a second, if PX4 keeps step.")] = "1",
 ) -> None:
     """Be the simulator of PX4, until the duration is over, SIGINT or SIGTERM. Exit code 0, or 2 for an error.
 
