@@ -24,7 +24,7 @@ from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
 from sitl_plant.stand import stand
-from sitl_plant.truth import TruthWriter, truth_file
+from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
@@ -107,8 +107,8 @@ def record(
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
-def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> TruthWriter:
-    return TruthWriter(file, plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
+def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Truth:
+    return Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns, file)
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:

@@ -24,15 +24,41 @@ STATE_EVERY_NS = 1_000_000_000
 
 
 class Truth:
-    """From samples to lines. started_unix_ns: wall clock at flight time 0; None if the flight was not in real time."""
+    """From samples to lines, in a file if there is one.
 
-    def __init__(self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None) -> None:
-        self._config, self._link, self._started_unix_ns = (
-            config,
-            {"profile": profile, "rate_hz": rate_hz},
-            started_unix_ns,
-        )
-        self._causes = list(config.all_injections()[:1]) if config.fault else []
+    started_unix_ns: wall clock at flight time 0; None if the flight was not in real time. A block that begins before
+    the one before it is of a new flight, and gets a first line of its own.
+    """
+
+    def __init__(
+        self,
+        config: PlantConfig,
+        profile: str,
+        rate_hz: float,
+        started_unix_ns: int | None,
+        file: TextIO | None = None,
+    ) -> None:
+        self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, 0
+        self._link = {"profile": profile, "rate_hz": rate_hz}
+        self._begin()
+
+    def _begin(self) -> None:
+        self._causes = list(self._config.all_injections()[:1]) if self._config.fault else []
+        self._tell([self.head()])
+
+    def _tell(self, lines: list[str]) -> None:
+        """So that a reader sees them at once."""
+        if self._file is not None and lines:
+            self._file.write("\n".join(lines) + "\n")
+            self._file.flush()
+
+    def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
+        """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
+        if self._file is not None:
+            if int(samples.t_ns[0]) < self._t_ns:
+                self._begin()
+            self._t_ns = int(samples.t_ns[-1])
+            self._tell(self.step(samples, changes))
 
     def head(self) -> str:
         """The first line."""
@@ -100,33 +126,3 @@ def truth_file(path: Path | None) -> Iterator[TextIO | None]:
         raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
     with file:
         yield file
-
-
-class TruthWriter:
-    """Writes each block's lines so that a reader sees them at once; nothing without a file.
-
-    A block that begins before the one before it is of a new flight, and gets a first line of its own.
-    """
-
-    def __init__(
-        self, file: TextIO | None, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None
-    ) -> None:
-        self._file = file
-        self._start = (config, profile, rate_hz, started_unix_ns)
-        self._truth = Truth(*self._start)
-        if file is not None:
-            file.write(self._truth.head() + "\n")
-        self._t_ns = 0
-
-    def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
-        """The lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
-        if self._file is None:
-            return
-        if int(samples.t_ns[0]) < self._t_ns:
-            self._truth = Truth(*self._start)
-            self._file.write(self._truth.head() + "\n")
-        self._t_ns = int(samples.t_ns[-1])
-        lines = self._truth.step(samples, changes)
-        if lines:
-            self._file.write("\n".join(lines) + "\n")
-            self._file.flush()

@@ -8,13 +8,13 @@ lines of other campaigns, or of another version, stay in the file and are not co
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -140,7 +140,6 @@ class FlightResult:
 
 
 Line: TypeAlias = LearnResult | FlightResult
-Made = TypeVar("Made", LearnResult, FlightResult)
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
@@ -366,8 +365,8 @@ class Journal:
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
-        self._path = path
-        self.known: dict[str, Line] = {}
+        self.learnt: dict[str, LearnResult] = {}
+        self.flights: dict[str, FlightResult] = {}
         self.unread = 0
         try:
             text = "" if fresh or not path.exists() else path.read_text(encoding="utf-8")
@@ -376,23 +375,32 @@ class Journal:
             raise UsageError(f"cannot use {path} for results ({error}); choose another --output") from error
         for row in text.splitlines():
             try:
-                line = _LINE.validate_json(row)
+                self._take(_LINE.validate_json(row))
             except ValidationError:
                 self.unread += 1
-                continue
-            self.known[line.key] = line
         if text and not text.endswith("\n"):
             self._file.write("\n")
 
+    @property
+    def known(self) -> frozenset[str]:
+        """The keys of all results."""
+        return frozenset(self.learnt) | frozenset(self.flights)
+
     def add(self, line: Line) -> None:
         """Keep a result, on disk at once."""
-        self.known[line.key] = line
+        self._take(line)
         self._file.write(json.dumps(asdict(line)) + "\n")
         self._file.flush()
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _take(self, line: Line) -> None:
+        if isinstance(line, LearnResult):
+            self.learnt[line.key] = line
+        else:
+            self.flights[line.key] = line
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,56 +436,26 @@ def run_campaign(
     The results do not depend on the executor; only the order of the lines in the file does.
     """
     seed = plan.design.seed
-    learning = {task_key(seed, task): task for task in plan.learning}
+    learning = {task: task_key(seed, task) for task in plan.learning}
     flights = {task_key(seed, task): task for task in plan.flights}
-    reused = len((learning.keys() | flights.keys()) & journal.known.keys())
+    reused = len({*learning.values(), *flights} & journal.known)
     others = len(journal.known) - reused + journal.unread
 
-    def learn_jobs() -> Iterator[Callable[[], LearnResult]]:
-        for key, task in learning.items():
-            if key not in journal.known:
-                yield partial(learn_task, key, seed, task)
+    def work(stage: str, jobs: Mapping[str, Callable[[], Line]]) -> None:
+        """Hand out only so many jobs at a time: memory does not grow with the plan."""
+        left = [job for key, job in jobs.items() if key not in journal.known][::-1]
+        done, waiting = len(jobs) - len(left), set[Future[Line]]()
+        progress(stage, done, len(jobs))
+        while left or waiting:
+            while left and len(waiting) < executor.in_flight:
+                waiting.add(executor.pool.submit(left.pop()))
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for line in sorted((future.result() for future in finished), key=lambda line: line.key):
+                journal.add(line)
+                done += 1
+                progress(stage, done, len(jobs))
 
-    def flight_jobs() -> Iterator[Callable[[], FlightResult]]:
-        for key, task in flights.items():
-            if key not in journal.known:
-                learnt = _known(journal, task_key(seed, task.learnt), LearnResult)
-                yield partial(fly_task, key, seed, task, learnt)
-
-    for stage, keys, jobs in (("learning", learning, learn_jobs()), ("flying", flights, flight_jobs())):
-        done = len(keys.keys() & journal.known.keys())
-        progress(stage, done, len(keys))
-        for line in _as_completed(executor, jobs):
-            journal.add(line)
-            done += 1
-            progress(stage, done, len(keys))
-    return Results(
-        plan,
-        tuple(_known(journal, key, LearnResult) for key in learning),
-        tuple(_known(journal, key, FlightResult) for key in flights),
-        reused,
-        others,
-    )
-
-
-def _known(journal: Journal, key: str, kind: type[Made]) -> Made:
-    line = journal.known[key]
-    if not isinstance(line, kind):
-        raise UsageError(f"result {key} is of another kind; start anew with --fresh")
-    return line
-
-
-def _as_completed(executor: TaskExecutor, jobs: Iterable[Callable[[], Line]]) -> Iterator[Line]:
-    waiting: set[Future[Line]] = set()
-    for job in jobs:
-        waiting.add(executor.pool.submit(job))
-        if len(waiting) >= executor.in_flight:
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            yield from _lines(done)
-    while waiting:
-        done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-        yield from _lines(done)
-
-
-def _lines(done: set[Future[Line]]) -> list[Line]:
-    return sorted((future.result() for future in done), key=lambda line: line.key)
+    work("learning", {key: partial(learn_task, key, seed, task) for task, key in learning.items()})
+    learnt = {task: journal.learnt[key] for task, key in learning.items()}
+    work("flying", {key: partial(fly_task, key, seed, task, learnt[task.learnt]) for key, task in flights.items()})
+    return Results(plan, tuple(learnt.values()), tuple(journal.flights[key] for key in flights), reused, others)

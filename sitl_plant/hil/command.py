@@ -50,7 +50,7 @@ from sitl_plant.physics.airframe import Payload
 from sitl_plant.physics.faults import fault_injection
 from sitl_plant.physics.jit import check_numba
 from sitl_plant.plant import PlantConfig
-from sitl_plant.truth import TruthWriter, truth_file
+from sitl_plant.truth import Truth, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
 POLL_S = 0.2  # how often a signal is looked for
@@ -84,7 +84,7 @@ class HilOptions:
         check_numba()
         with truth_file(self.truth) as lines:
             with working(STARTING):
-                simulation = Simulation(self.plan, TruthWriter(lines, self.plan.config, name, rate_hz, None).write)
+                simulation = Simulation(self.plan, Truth(self.plan.config, name, rate_hz, None, lines).write)
             yield simulation
 
     def announce(self, autopilot: str, address: str, outputs: OutputMap) -> None:
