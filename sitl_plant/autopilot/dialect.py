@@ -156,7 +156,9 @@ class Firmware:
     needs_guided: bool  # NAV_TAKEOFF is refused in another mode
     reposition: Mode  # the mode in which DO_REPOSITION flies
     refused: MavResult  # the result of a command that the vehicle's state does not allow
-    names: tuple[str, str, str]  # of the parameters for speed, height of a take-off, height of a return
+    speed: str  # name of a parameter, as of the next two: height of a take-off, height of a return
+    height: str
+    return_height: str
     unit: float  # of these parameters, in metres (per second)
     parameters: tuple[Parameter, ...]  # its own that can be set
 
@@ -208,7 +210,9 @@ COPTER = Firmware(
     needs_guided=True,
     reposition=Mode.GUIDED,
     refused=MavResult.FAILED,
-    names=("WPNAV_SPEED", "PILOT_TKOFF_ALT", "RTL_ALT"),
+    speed="WPNAV_SPEED",
+    height="PILOT_TKOFF_ALT",
+    return_height="RTL_ALT",
     unit=_CM,
     parameters=(
         Parameter("WPNAV_SPEED", 100.0, Kind.REAL32, (10.0, SPEED_MOST / _CM)),
@@ -224,7 +228,9 @@ PX4 = Firmware(
     needs_guided=False,
     reposition=Mode.HOLD,
     refused=MavResult.TEMPORARILY_REJECTED,
-    names=("MPC_XY_CRUISE", "MIS_TAKEOFF_ALT", "RTL_RETURN_ALT"),
+    speed="MPC_XY_CRUISE",
+    height="MIS_TAKEOFF_ALT",
+    return_height="RTL_RETURN_ALT",
     unit=1.0,
     parameters=(
         Parameter("MPC_XY_CRUISE", 1.0, Kind.REAL32, (0.1, SPEED_MOST)),

@@ -136,7 +136,7 @@ class Pilot:
         wrong_mode = self._firmware.needs_guided and self._mode is not Mode.GUIDED
         if not self._commanded or not self.armed or self._flies or wrong_mode:
             return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
-        height = self._unit(self._firmware.names[1]) if height_m is None else height_m
+        height = self._unit(self._firmware.height) if height_m is None else height_m
         place = (self._position[0], self._position[1], -height)
         if _far(place):
             return MavResult.DENIED
@@ -191,7 +191,7 @@ class Pilot:
 
     def set_speed(self, speed: float) -> MavResult:
         """Change the speed of lines to come [m/s]."""
-        taken = self._parameters.change(self._firmware.names[0], speed / self._firmware.unit)
+        taken = self._parameters.change(self._firmware.speed, speed / self._firmware.unit)
         return MavResult.ACCEPTED if taken else MavResult.DENIED
 
     def step(self, samples: PlantSamples) -> Leg | None:
@@ -237,7 +237,7 @@ class Pilot:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
             north, east, down = self._led()[:3]
-            down = min(down, -self._unit(self._firmware.names[2]))
+            down = min(down, -self._unit(self._firmware.return_height))
             return [Waypoint((north, east, down)), Waypoint((0.0, 0.0, down)), Waypoint(lands=True)]
         return [Waypoint()]
 
@@ -271,7 +271,7 @@ class Pilot:
         if doing.lands:
             self._lead((here[0], here[1], BELOW_M), DESCENT_M_S, then=LANDING)
         else:
-            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.names[0]), doing.yaw)
+            self._lead(doing.place or here, doing.speed or self._unit(self._firmware.speed), doing.yaw)
         turn_s = abs(self._leg.turn) / self._leg.turn_speed
         self._ends_s = self._now_s + max(math.dist(here, self._leg.end) / self._leg.speed, turn_s) + doing.wait_s
 

@@ -388,7 +388,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
     }
     rotors = design.rotor or tuple(range(1, len(design.vehicle.rotors) + 1))
     causes = [HEALTHY] * count if kind == "healthy" else column("cause", design.cause)
-    columns = zip(
+    levels = zip(
         causes,
         _within(causes, rotors, design.seed, f"{part} rotor"),
         _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
@@ -401,6 +401,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
         _sessions(airframes) if condition.another_day else [0] * count,
         strict=True,
     )
+    columns = enumerate(levels)
     return [
         FlightTask(
             index=index,
@@ -413,9 +414,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
             duration_s=condition.duration_s or design.duration_s,
             session=session,
         )
-        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in enumerate(
-            columns
-        )
+        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in columns
     ]
 
 
@@ -429,6 +428,7 @@ def _sessions(airframes: Sequence[int]) -> list[int]:
 
 
 def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> LearnTask:
+    """Half of the flights, and the first, are T's square in calm air: it excites the model."""
     count = design.learn_flights
     mixed = zip(
         *(
@@ -478,6 +478,7 @@ def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequ
 
 
 def _flown(conditions: Conditions) -> dict[str, Any]:
+    """What the stream follows from. Calm flights keep the streams that they had before there were conditions."""
     row = asdict(conditions)
     if conditions.condition == CALM:
         del row["condition"]
@@ -512,9 +513,8 @@ def with_conditions(design: Design, filters: Sequence[str]) -> Design:
             case number if number in RANGES:
                 changed[factor] = _numbers(factor, wanted, *RANGES[number])
             case other:
-                raise UsageError(
-                    f"no factor {other!r}: give cause, rotor, manoeuvre, condition, link, {', '.join(RANGES)}"
-                )
+                known = "cause, rotor, manoeuvre, condition, link"
+                raise UsageError(f"no factor {other!r}: give {known}, {', '.join(RANGES)}")
     return replace(design, **changed)
 
 

@@ -65,8 +65,11 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
 
     wind_N: (3,) mean wind, world NED [m/s]. turbulent: the gusts are given, and the vehicle file's are left out.
     """
-    vehicle, soft = airframe.vehicle, airframe.vehicle.imu.mount
+    vehicle, imu, control = airframe.vehicle, airframe.vehicle.imu, airframe.vehicle.control
     body, centre_of_gravity = body_with_payload(airframe, payload)
+    noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
+    bias = np.concatenate([airframe.gyro_bias, np.zeros(3)])
+    gyro, accel_gain = low_pass_transition(control.gyro_filter_hz, STEP_S), 1.0 - _decay(control.accel_filter_hz)
     return Model(
         dt=STEP_S,
         body=body,
@@ -74,14 +77,10 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         rotors=_rotors(airframe, centre_of_gravity),
         battery=_battery(airframe),
         air=air_of(vehicle, wind_N, turbulent),
-        imu=_imu(airframe, centre_of_gravity),
-        mount=RIGID_MOUNT if soft is None else mode(soft.resonance_hz, soft.damping_ratio, STEP_S),
+        imu=Imu(np.asarray(imu.position_m) - centre_of_gravity, bias, noise, butterworth(imu.filter_hz, STEP_S)),
+        mount=mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else RIGID_MOUNT,
         mocap=_mocap(vehicle, centre_of_gravity),
-        estimator=Estimator(
-            gyro_filter=low_pass_transition(vehicle.control.gyro_filter_hz, STEP_S),
-            accel_gain=1.0 - _decay(vehicle.control.accel_filter_hz),
-            correction=STEP_S / vehicle.control.complementary_s,
-        ),
+        estimator=Estimator(gyro, accel_gain, STEP_S / control.complementary_s),
         controller=_controller(vehicle),
         path=path,
     )
@@ -89,11 +88,10 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
 
 def air_of(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
     """The wind, with arguments as those of `make_model`."""
-    return Air(
-        mean=wind_N,
-        gust_rms=1.0 if turbulent else float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
-        decay=0.0 if turbulent else _decay(vehicle.wind.gust_corner_hz),
-    )
+    if turbulent:
+        return Air(wind_N, 1.0, 0.0)
+    wind = vehicle.wind
+    return Air(wind_N, float(wind.gust_intensity * np.linalg.norm(wind_N)), _decay(wind.gust_corner_hz))
 
 
 def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, FloatArray]:
@@ -162,17 +160,6 @@ def _battery(airframe: Airframe) -> Battery:
     )
 
 
-def _imu(airframe: Airframe, centre_of_gravity: FloatArray) -> Imu:
-    imu = airframe.vehicle.imu
-    per_sample = math.sqrt(0.5 / STEP_S)
-    return Imu(
-        position=np.asarray(imu.position_m) - centre_of_gravity,
-        bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
-        noise=per_sample * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3),
-        filter=butterworth(imu.filter_hz, STEP_S),
-    )
-
-
 def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
     mocap = vehicle.mocap
     period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
@@ -232,34 +219,22 @@ def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0
     reading[5] = -GRAVITY
     estimate = np.zeros(ESTIMATE)
     estimate[2] = start[6]
-    markers = len(model.mocap.markers)
+    markers, latency, z = len(model.mocap.markers), model.mocap.latency, np.zeros
+    pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
+    integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
+    thrust, motors, seen = np.array([lift, 0.0, 0.0, 0.0]), np.array([start[8]]), z(markers, dtype=np.int64)
     return State(
         rigid=rigid,
         wrench=wrench,
         wind=model.air.mean.copy(),
         battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
-        rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, lift / n)),
-        imu=ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), reading),
-        mount=np.zeros((CHANNELS, 2)),
-        mocap=MocapState(
-            queue=np.full((model.mocap.latency + 1, 4), np.nan),
-            pose=np.array([*start[:3], start[6]]),
-            velocity=np.zeros(3),
-            received=np.full(1, np.nan),
-            seen=np.zeros((markers, 3)),
-            visible=np.zeros(markers, dtype=np.int64),
-            fit=np.zeros(RIGID),
-        ),
+        rotors=RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
+        imu=ImuState(z((CHANNELS, 2)), z(CHANNELS), reading),
+        mount=z((CHANNELS, 2)),
+        mocap=MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=ControlState(
-            integral=np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0]),
-            setpoint=np.zeros(3),
-            rate=np.zeros(3),
-            wrench=np.array([lift, 0.0, 0.0, 0.0]),
-            duty=np.zeros(n),
-            motors=np.array([start[8]]),
-        ),
+        control=ControlState(integral, z(3), z(3), thrust, z(n), motors),
     )
 
 
@@ -304,15 +279,10 @@ def recorded_set(
     loop, delay = _loop(vehicle, recorded), round(motors.command_delay_s / dt)
     lift = motors.thrust_over_command * airframe.battery_gain / vehicle.propulsion.thrust_coefficient_n_s2
     imu_state, loop_state, queue = _initial(loop, recorded, state, delay)
+    rate, accel, velocity = (second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
     own = Recorded(
         imus=_imus(airframe, recorded, model, scale),
-        feedback=Feedback(
-            rate=second_order(*filters.rate, dt),
-            accel=second_order(*filters.accel, dt),
-            velocity=second_order(*filters.velocity, dt),
-            correction_p=filters.complementary_p,
-            correction_i=filters.complementary_i,
-        ),
+        feedback=Feedback(rate, accel, velocity, filters.complementary_p, filters.complementary_i),
         loop=loop,
         squared_per_thrust=lift,
         esc_period=max(1, round(recorded.esc.frame_s / dt)),
@@ -439,21 +409,7 @@ def _initial(loop: Loop, recorded: RecordedSet, state: State, delay: int) -> tup
         queue[:] = voltage_of(loop.thrust_map, thrust / n) / state.battery[0]
     shaped, memory = np.zeros((IMUS, CHANNELS, 2)), np.zeros((IMUS, CHANNELS, 3))
     imus = TwinImuState(shaped, memory, np.zeros(CHANNELS), reading.copy(), np.zeros((HARMONICS, n, 2)))
-    rate, acceleration, slope = np.zeros((3, IMUS, 3))
-    return (
-        imus,
-        LoopState(
-            angle=angle,
-            rate=rate,
-            acceleration=acceleration,
-            accel=reading[:, 3:].copy(),
-            accel_slope=slope,
-            correction=np.zeros((IMUS, 2)),
-            seen=state.mocap.pose.copy(),
-            velocity=np.zeros(4),
-            asked=np.zeros(3),
-            pid=np.zeros(4),
-            desired=state.mocap.pose.copy(),
-        ),
-        queue,
-    )
+    pose, accel, z = state.mocap.pose, reading[:, 3:].copy(), np.zeros
+    rates, slope, correction = (z((IMUS, 3)), z((IMUS, 3))), z((IMUS, 3)), z((IMUS, 2))
+    loops = LoopState(angle, *rates, accel, slope, correction, pose.copy(), z(4), z(3), z(4), pose.copy())
+    return imus, loops, queue
