@@ -86,7 +86,10 @@ class Autopilot:
             **dict.fromkeys(self._mission.handled, self._mission.step),
         }
         self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
-            MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
+            MavCmd.SET_MESSAGE_INTERVAL: lambda link, order: (
+                self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0),
+                [],
+            ),
             MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
             MavCmd.REQUEST_MESSAGE: self._request,
             MavCmd.REQUEST_PROTOCOL_VERSION: lambda link, order: self._tell_protocol(link),
@@ -110,7 +113,8 @@ class Autopilot:
         meant = target(frame)
         actions: list[Action] = [Forward(to, frame) for to in self._links_towards(meant) if to != link]
         if meant[0] in (0, self._identity[0]) and meant[1] in (Component.ALL, self._identity[1]):
-            actions += self._handlers.get(frame.msgid, _ignore)(link, frame, now_ns)
+            handler = self._handlers.get(frame.msgid)
+            actions += handler(link, frame, now_ns) if handler else []
         return actions
 
     def watch(self, samples: PlantSamples) -> tuple[list[Action], list[PlantOrder]]:
@@ -145,9 +149,6 @@ class Autopilot:
         else:
             result = MavResult.UNSUPPORTED
         return [_ack(link, frame, order.command, result), *replies]
-
-    def _set_interval(self, link: int, order: Order) -> _Answer:
-        return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
 
     def _request(self, link: int, order: Order) -> _Answer:
         told: Mapping[int, Callable[[], _Answer]] = {
@@ -242,10 +243,6 @@ class Autopilot:
         if number(frame, "tc1"):
             return []
         return [Reply(link, MessageId.TIMESYNC, (now_ns, int(number(frame, "ts1"))))]
-
-
-def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
-    return []
 
 
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:

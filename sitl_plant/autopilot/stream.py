@@ -104,11 +104,6 @@ def _first_order(corner_hz: float) -> _Filter:
     return _Filter(np.array([alpha]), np.array([1.0, alpha - 1.0]))
 
 
-def _second_order(corner_hz: float) -> _Filter:
-    b0, b1, b2, a1, a2 = butterworth(corner_hz, STEP_S)
-    return _Filter(np.array([b0, b1, b2]), np.array([1.0, a1, a2]))
-
-
 class ImuFilters:
     """From samples to what is sent, block by block. Equal seeds give equal stamps; how time is cut does not matter.
 
@@ -117,7 +112,10 @@ class ImuFilters:
     """
 
     def __init__(self, dialect: Dialect, seed: int) -> None:
-        self._imu_filter = _second_order(corner_hz) if (corner_hz := dialect.profile.imu_corner_hz) else None
+        corner_hz, self._imu_filter = dialect.profile.imu_corner_hz, None
+        if corner_hz:
+            b0, b1, b2, a1, a2 = butterworth(corner_hz, STEP_S)
+            self._imu_filter = _Filter(np.array([b0, b1, b2]), np.array([1.0, a1, a2]))
         self._vibration = dialect.profile.vibration
         self._floor, self._level = _first_order(VIBE_FLOOR_HZ), _first_order(VIBE_HZ)
         self._clippings = 0

@@ -48,24 +48,6 @@ class _Due(NamedTuple):
     next_s: float = 0.0
 
 
-class Instruments:
-    """Readings with noise; equal seeds and equal calls give equal readings."""
-
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng([seed, 0x1175])
-
-    def compass(self, quaternion: FloatArray) -> FloatArray:
-        """The field (3,) in body axes [gauss]; quaternion: (4,) body to world, w first."""
-        w, v = quaternion[0], quaternion[1:]
-        turned = FIELD_N - 2.0 * w * np.cross(v, FIELD_N) + 2.0 * np.cross(v, np.cross(v, FIELD_N))
-        return np.asarray(turned + COMPASS_RMS * self._rng.standard_normal(3))
-
-    def pressure_hpa(self, altitude_m: float) -> float:
-        """Static pressure by the standard atmosphere (ISO 2533)."""
-        true = SEA_HPA * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588)
-        return true + PRESSURE_RMS_HPA * float(self._rng.standard_normal())
-
-
 class Bridge:
     """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR.
 
@@ -79,7 +61,7 @@ class Bridge:
         self._outputs = outputs
         self.period_s = 1.0 / rate_hz
         self._encoder = Encoder(SYSID, COMPID)
-        self._instruments = Instruments(simulation.config.seed)
+        self._noise = np.random.default_rng([simulation.config.seed, 0x1175])
         self.controls = self.restarts = 0
         self._begin()
 
@@ -135,9 +117,12 @@ class Bridge:
     def _sensor(self, row: PlantSamples) -> bytes:
         updated, field, pressure, altitude_m = IMU, [0.0, 0.0, 0.0], 0.0, float(to_global(row.position)[0, 2])
         if self._is_due("compass"):
-            updated, field = updated | COMPASS, self._instruments.compass(row.quaternion[0]).tolist()
+            w, v = row.quaternion[0, 0], row.quaternion[0, 1:]
+            turned = FIELD_N - 2.0 * w * np.cross(v, FIELD_N) + 2.0 * np.cross(v, np.cross(v, FIELD_N))
+            updated, field = updated | COMPASS, (turned + COMPASS_RMS * self._noise.standard_normal(3)).tolist()
         if self._is_due("baro"):
-            updated, pressure = updated | BARO, self._instruments.pressure_hpa(altitude_m)
+            true = SEA_HPA * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588)  # standard atmosphere (ISO 2533)
+            updated, pressure = updated | BARO, true + PRESSURE_RMS_HPA * float(self._noise.standard_normal())
         motion = (*row.accel[0].tolist(), *row.gyro[0].tolist())
         air = (pressure, 0.0, altitude_m, TEMPERATURE_C)
         return self._encoder.encode(MessageId.HIL_SENSOR, _micros(row), *motion, *field, *air, updated, 0)

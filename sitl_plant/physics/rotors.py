@@ -118,7 +118,9 @@ def advance_rotors(
             # theta = theta_0 + integral of w, with w = w_cmd + excess exp(-t / lag)
             theta = azimuth + command[i] * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
             lift = rotors.thrust_coefficient[i] * speed * speed * noise
-            thrust = _lagged(state.thrust[i], lift * gain, condition.thrust_lag[i], 0.5 * stage * dt)
+            thrust, slow = lift * gain, condition.thrust_lag[i]
+            if slow > 0.0:
+                thrust += (state.thrust[i] - thrust) * math.exp(-0.5 * stage * dt / slow)
             _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
@@ -127,11 +129,6 @@ def advance_rotors(
         elif not 0.0 <= theta < 2.0 * math.pi:
             theta %= 2.0 * math.pi
         state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta, thrust
-
-
-@jit
-def _lagged(before: float, target: float, lag: float, span: float) -> float:
-    return target if lag <= 0.0 else target + (before - target) * math.exp(-span / lag)
 
 
 @jit
