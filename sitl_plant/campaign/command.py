@@ -1,8 +1,7 @@
 """`sitl-plant campaign`: a Monte Carlo study of the diagnosis, as tables, JSON and Parquet (edge)."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer import Option
 
+from mavdiag.commands.progress import Shown, shown
 from mavdiag.errors import UsageError
 from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
 from sitl_plant.options import VehicleName
@@ -88,7 +88,15 @@ def _run(
     if scheduler is None:
         check_numba()
     chosen = dask_executor(scheduler) if scheduler is not None else local_executor(workers)
-    with chosen as executor, closing(Journal(output, fresh)) as journal, _progress() as report:
+    stages: dict[str, Shown] = {}
+    with chosen as executor, closing(Journal(output, fresh)) as journal, ExitStack() as bars:
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage in stages:
+                stages[stage].add(1.0)
+            else:
+                stages[stage] = bars.enter_context(shown(stage, (1.0,) * (total - done)))
+
         results = run_campaign(plan, journal, executor, report)
     if results.reused or results.others:
         typer.echo(
@@ -99,23 +107,6 @@ def _run(
     if parquet is not None:
         _write_parquet(parquet, results)
     return summarise(results)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        bars = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in bars:
-                bars[stage] = progress.add_task(stage, total=total, completed=done)
-            progress.update(bars[stage], completed=done)
-
-        yield report
 
 
 def _write_parquet(path: Path, results: "Results") -> None:

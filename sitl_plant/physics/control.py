@@ -198,8 +198,11 @@ def advance_estimate(
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
     """
-    _low_pass(estimate[3:6], estimate[6:9], estimator.gyro_filter, reading[:3])
+    f11, f12, f21, f22 = estimator.gyro_filter
     for i in range(3):
+        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
+        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
+        estimate[6 + i] = f21 * behind + f22 * slope
         accel_filtered[i] += estimator.accel_gain * (reading[3 + i] - accel_filtered[i])
     phi_acc, theta_acc = tilt_from_accel(accel_filtered[0], accel_filtered[1], accel_filtered[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]

@@ -217,28 +217,28 @@ def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int, at: int = 0) -> None:
-    """rows[row, at:] = source; a plain loop, because slice assignment is slow in compiled code."""
+def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
+    """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
-        rows[row, at + i] = source[i]
+        rows[row, i] = source[i]
 
 
 @jit
 def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
-    loop, control = own.loop_state, state.control
+    loop, reading = own.loop_state, own.imu_state.reading
     for k in range(IMUS):
-        _copy(loop.angle[k], log, row, 3 * k)
-        _copy(loop.rate[k], log, row, 6 + 3 * k)
-        _copy(loop.acceleration[k], log, row, 12 + 3 * k)
-        _copy(own.imu_state.reading[k, :3], log, row, 18 + 3 * k)
-        _copy(own.imu_state.reading[k, 3:], log, row, 24 + 3 * k)
-    _copy(loop.asked, log, row, 30)
-    _copy(control.wrench[1:], log, row, 33)
-    log[row, 36] = control.wrench[0]
-    _copy(loop.pid, log, row, 37)
-    _copy(loop.desired, log, row, 41)
-    _copy(state.mocap.pose, log, row, 45)
-    _copy(own.esc, log, row, LOG)
+        for axis in range(3):
+            at = 3 * k + axis
+            log[row, at], log[row, 6 + at] = loop.angle[k, axis], loop.rate[k, axis]
+            log[row, 12 + at] = loop.acceleration[k, axis]
+            log[row, 18 + at], log[row, 24 + at] = reading[k, axis], reading[k, 3 + axis]
+    for axis in range(3):
+        log[row, 30 + axis], log[row, 33 + axis] = loop.asked[axis], state.control.wrench[1 + axis]
+    log[row, 36] = state.control.wrench[0]
+    for i in range(4):
+        log[row, 37 + i], log[row, 41 + i], log[row, 45 + i] = loop.pid[i], loop.desired[i], state.mocap.pose[i]
+    for i in range(len(own.esc)):
+        log[row, LOG + i] = own.esc[i]
 
 
 @inline

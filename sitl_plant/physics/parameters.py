@@ -407,7 +407,7 @@ def _initial(loop: Loop, recorded: RecordedSet, state: State, delay: int) -> tup
         state.control.integral[2] = loop.trim - thrust  # down is positive
         state.control.wrench[0] = thrust
         queue[:] = voltage_of(loop.thrust_map, thrust / n) / state.battery[0]
-    shaped, memory = np.zeros((IMUS, CHANNELS, 2)), np.zeros((IMUS, CHANNELS, 3))
+    shaped, memory = np.zeros((IMUS * CHANNELS, 2)), np.zeros((IMUS * CHANNELS, 3))
     imus = TwinImuState(shaped, memory, np.zeros(CHANNELS), reading.copy(), np.zeros((HARMONICS, n, 2)))
     pose, accel, z = state.mocap.pose, reading[:, 3:].copy(), np.zeros
     rates, slope, correction = (z((IMUS, 3)), z((IMUS, 3))), z((IMUS, 3)), z((IMUS, 2))

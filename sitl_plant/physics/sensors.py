@@ -96,7 +96,7 @@ class TwinImu(NamedTuple):
 
 
 class TwinImuState(NamedTuple):
-    """Memory of high-pass (2, 6, 2) and low-pass (2, 6, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
+    """Memory of high-pass (12, 2) and low-pass (12, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
 
     shaped: FloatArray
     memory: FloatArray
@@ -167,12 +167,12 @@ def isolating_hz(line_hz: float, share: float, damping: float, dt_s: float) -> f
 
 
 @jit
-def biquad(memory: FloatArray, section: Biquad, value: float) -> float:
-    """One step of a section in transposed direct form II. memory: (2,)."""
+def biquad(memory: FloatArray, row: int, at: int, section: Biquad, value: float) -> float:
+    """One step of a section in transposed direct form II. memory: (n, m), of which two columns from `at` are used."""
     b0, b1, b2, a1, a2 = section
-    result = b0 * value + memory[0]
-    memory[0] = b1 * value - a1 * result + memory[1]
-    memory[1] = b2 * value - a2 * result
+    result = b0 * value + memory[row, at]
+    memory[row, at] = b1 * value - a1 * result + memory[row, at + 1]
+    memory[row, at + 1] = b2 * value - a2 * result
     return float(result)
 
 
@@ -199,7 +199,7 @@ def advance_mount(memory: FloatArray, mount: Mount, felt: FloatArray) -> None:
     if mount.soft:
         for i in range(len(felt)):
             if i != YAW_RATE:
-                felt[i] = biquad(memory[i], mount.filter, felt[i])
+                felt[i] = biquad(memory, i, 0, mount.filter, felt[i])
 
 
 @jit
@@ -211,7 +211,7 @@ def advance_imu(
         state.drifted[i] += condition.drift[i] * dt
         noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i]) * normals[row, i]
         value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
-        state.reading[i] = biquad(state.memory[i], imu.filter, value)
+        state.reading[i] = biquad(state.memory, i, 0, imu.filter, value)
 
 
 @jit
@@ -228,7 +228,7 @@ def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
 
 @jit
 def _vibration(state: TwinImuState, imu: TwinImu, k: int, i: int, white: float, power: float) -> float:
-    value = imu.broad[k, i] * biquad(state.shaped[k, i], imu.shape, white) * power
+    value = imu.broad[k, i] * biquad(state.shaped, CHANNELS * k + i, 0, imu.shape, white) * power
     for h in range(HARMONICS):
         for r in range(state.turns.shape[1]):
             value += imu.line[k, i, h, r, 0] * state.turns[h, r, 0] + imu.line[k, i, h, r, 1] * state.turns[h, r, 1]
@@ -254,17 +254,18 @@ def advance_imus(
     power = _turn(state, imu, rotors)
     for k in range(IMUS):
         for i in range(CHANNELS):
-            at = 2 * CHANNELS * k + i
-            value, noise, low = truth[k, i], imu.white[k, i], imu.filters[i]
+            at, j, low = 2 * CHANNELS * k + i, CHANNELS * k + i, imu.filters
+            value, noise = truth[k, i], imu.white[k, i]
             if k == 0:
                 state.drifted[i] += condition.drift[i] * dt
                 value = condition.scale[i] * value + condition.offset[i] + state.drifted[i]
                 noise = math.sqrt(noise * noise + condition.noise[i] * condition.noise[i])
             value += imu.bias[k, i] + noise * normals[row, at]
             value += _vibration(state, imu, k, i, normals[row, at + CHANNELS], power)
-            middle = low[0] * value + state.memory[k, i, 0]
-            state.memory[k, i, 0] = low[0] * value - low[1] * middle
-            result = biquad(state.memory[k, i, 1:], (low[2], low[3], low[4], low[5], low[6]), middle)
+            middle = low[i, 0] * value + state.memory[j, 0]
+            state.memory[j, 0] = low[i, 0] * value - low[i, 1] * middle
+            section = (low[i, 2], low[i, 3], low[i, 4], low[i, 5], low[i, 6])
+            result = biquad(state.memory, j, 1, section, middle)
             if i >= 3 or step % imu.gyro_period == 0:
                 held = min(max(result, -imu.span[i]), imu.span[i])
                 state.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])

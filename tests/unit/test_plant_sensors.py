@@ -206,7 +206,7 @@ def plain() -> TwinImu:
 
 def read_sensors(truth: FloatArray) -> FloatArray:
     """Readings (n, 2, 6) while both IMUs feel truth (n,) on every channel."""
-    shapes = (IMUS, CHANNELS, 2), (IMUS, CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
+    shapes = (IMUS * CHANNELS, 2), (IMUS * CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
     state = TwinImuState(*(np.zeros(shape) for shape in shapes))
     still, imu, healthy = RotorState(*(np.zeros(4) for _ in range(5))), plain(), sensor_condition(())
     out, normals = np.empty((len(truth), IMUS, CHANNELS)), np.zeros((1, 24))
