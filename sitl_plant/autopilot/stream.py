@@ -29,7 +29,7 @@ from sitl_plant.physics.trajectory import FLYING
 from sitl_plant.plant import STEP_NS, PlantSamples
 
 Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
-Columns: TypeAlias = Mapping[str, Any]
+Columns: TypeAlias = Mapping[str, Column]
 Record: TypeAlias = NDArray[Any]
 
 STANDBY, ACTIVE = 3, 4  # MAV_STATE
