@@ -22,7 +22,7 @@ from mavdiag.learning import airborne, front_for
 from mavdiag.rows.front import Front, Rows
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import LinkSpec
-from sitl_plant.campaign.causes import injections_of
+from sitl_plant.campaign.plan import injections_of
 from sitl_plant.campaign.worker import specimen
 from sitl_plant.physics.airframe import draw_airframe
 from sitl_plant.physics.faults import FAULTS

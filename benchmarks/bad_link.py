@@ -22,9 +22,9 @@ from mavdiag.link.shim import Impairment, Shim
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
+from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
-from sitl_plant.recording import recorded
 
 BAD = Impairment(loss=0.05, jitter_s=0.010, reorder=3, duplicate=0.01)
 FAULTS = tuple(f"F{kind}/SV{severity}" for kind in (1, 2, 3) for severity in (1, 2, 3))

@@ -24,7 +24,7 @@ from teaching_guards import Session, session_of
 from mavdiag.errors import MavdiagError
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
-from sitl_plant.campaign.causes import injections_of
+from sitl_plant.campaign.plan import injections_of
 from sitl_plant.physics.faults import FAULTS
 from sitl_plant.vehicle import airframe_of
 

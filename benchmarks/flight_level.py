@@ -52,8 +52,7 @@ from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import BUDGET_PER_HOUR, threshold_of
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.worker import CREATED, specimen
-from sitl_plant.physics.airframe import Airframe
-from sitl_plant.physics.sessions import in_session, with_propellers
+from sitl_plant.physics.airframe import Airframe, in_session, with_propellers
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 

@@ -28,13 +28,10 @@ from mavdiag.learning import LearnOptions, learn
 from mavdiag.link.samples import joined
 from mavdiag.telemetry import Log, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, telemetry_digest
-from sitl_plant.config import PlantConfig, fault_injection
 from sitl_plant.hil.ardupilot import Lockstep
-from sitl_plant.hil.outputs import output_map
-from sitl_plant.hil.simulation import HilPlan, Simulation
-from sitl_plant.physics.faults import FAULTS
-from sitl_plant.physics.injections import Injection
-from sitl_plant.plant import PlantSamples
+from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
+from sitl_plant.physics.faults import FAULTS, Injection, fault_injection
+from sitl_plant.plant import PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, qdrone2
 
 BLOCK = 1000  # frames

@@ -29,10 +29,8 @@ from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
 from sitl_plant.campaign.worker import CREATED, specimen
-from sitl_plant.physics.airframe import Airframe
-from sitl_plant.physics.faults import parse_fault
-from sitl_plant.physics.injections import Injection, RotorDamage
-from sitl_plant.physics.sessions import in_session
+from sitl_plant.physics.airframe import Airframe, in_session
+from sitl_plant.physics.faults import Injection, RotorDamage, parse_fault
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 

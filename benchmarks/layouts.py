@@ -24,7 +24,7 @@ from mavdiag.learning import front_for, rows_of
 from mavdiag.logs import read_log
 from mavdiag.telemetry import FloatArray, Log, Series, Signal, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
-from sitl_plant.physics.injections import Injection, RotorDamage
+from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, vehicle_named
 

@@ -65,12 +65,12 @@ from mavdiag.learning import LearnOptions, learn, rows_of
 from mavdiag.telemetry import FloatArray, Log
 from mavdiag.units import G_MM_PER_KG_M, NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import flight_telemetry, telemetry_digest
-from sitl_plant.campaign.conditions import CALM, built, parse_link
+from sitl_plant.campaign.plan import CALM, built, parse_link
 from sitl_plant.campaign.worker import CREATED, specimen
 from sitl_plant.physics.airframe import Airframe
-from sitl_plant.physics.injections import Injection, RotorDamage
-from sitl_plant.physics.mount import mode, transmissibility
+from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.physics.parameters import STEP_S
+from sitl_plant.physics.sensors import gain_of, mode
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 
@@ -173,7 +173,8 @@ def line_limits(setup: Setup, airframe: Airframe, baseline: Baseline) -> tuple[f
     line_hz = known.hover_rad_s / (2 * math.pi)
     passed = 1 / math.sqrt(1 + (line_hz / imu.filter_hz) ** 4)
     if imu.mount is not None:
-        passed *= transmissibility(mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S), line_hz, STEP_S)
+        mount = mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S)
+        passed *= float(gain_of(mount.filter, line_hz, STEP_S))
     per_g_mm = passed * known.hover_rad_s**2 / (G_MM_PER_KG_M * vehicle.body.mass_kg)
     variance = imu.accel_noise_density**2 * min(FILTER_NOISE * imu.filter_hz, 0.5 / STEP_S) + MG_M_S2**2 / 12
     sensor = variance / (rate_hz / 2)

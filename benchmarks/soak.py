@@ -39,9 +39,9 @@ from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.telemetry import Instant, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S
 from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
-from sitl_plant.recording import recorded
 
 HEALTHY_S, FAULTY_S, ONSET_S, PAUSE_S = 120.0, 14.0, 8.0, 1.5
 TICK_S = 0.04

@@ -22,11 +22,10 @@ from mavdiag.logs.part import between
 from mavdiag.telemetry import Log, Signal
 from mavdiag.units import NS_PER_S
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
-from sitl_plant.campaign.causes import injections_of
-from sitl_plant.campaign.conditions import MANOEUVRES, Conditions
+from sitl_plant.campaign.plan import MANOEUVRES, Conditions, injections_of
 from sitl_plant.campaign.worker import PAYLOAD_BELOW_M, PAYLOAD_OFFSET_M, specimen
 from sitl_plant.physics.airframe import Airframe, Payload
-from sitl_plant.physics.injections import Injection
+from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import airframe_of, qdrone2
 

@@ -12,10 +12,9 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from sitl_plant.campaign.causes import CAUSES, Group
-from sitl_plant.campaign.plan import Design, make_plan
-from sitl_plant.campaign.runner import Journal, local_executor, run_campaign
+from sitl_plant.campaign.plan import CAUSES, Design, Group, make_plan
 from sitl_plant.campaign.summary import Summary, summarise
+from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
 from sitl_plant.vehicle import vehicle_named
 
 VEHICLES = ("qdrone2", "quad-plus", "hexa-x", "hexa-plus", "octo-x")

@@ -18,8 +18,8 @@ from mavdiag.report.residuals import residual_picture
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
-from sitl_plant.campaign.causes import injections_of
-from sitl_plant.physics.injections import Injection
+from sitl_plant.campaign.plan import injections_of
+from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 
 LINK = LinkSpec("qdrone2", 400.0)

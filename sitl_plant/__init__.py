@@ -8,5 +8,3 @@ Flight dynamics, control, sensors and propeller faults:
 
 `sitl_plant.plant` has the one class to use, `Plant`.
 """
-
-__all__: list[str] = []

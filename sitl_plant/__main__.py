@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, NoReturn, TextIO
 
 import typer
+from typer import Option
 
 from mavdiag import commandline
 from mavdiag.commands.progress import working
@@ -18,15 +19,12 @@ from mavdiag.errors import UsageError
 from mavdiag.link.keys import open_signing
 from mavdiag.link.ports import open_endpoint
 from sitl_plant.campaign.command import campaign
-from sitl_plant.emulator import FlightReport, Link, fly
+from sitl_plant.emulator import FlightReport, Link, fly, record_flight
 from sitl_plant.hil.command import serve_ardupilot, serve_hil, serve_px4
 from sitl_plant.options import STARTING, FlightPlan, TruthFile, parse_speed, with_flight
 from sitl_plant.plant import Plant, PlantSamples
-from sitl_plant.recording import record_flight
-from sitl_plant.stand_command import stand
-from sitl_plant.truth_file import TruthWriter, truth_file
-
-__all__ = ["app", "main", "record", "run"]
+from sitl_plant.stand import stand
+from sitl_plant.truth import Truth, truth_file
 
 RECORD_S = 60.0  # a recorded flight, unless --duration says otherwise
 
@@ -44,20 +42,20 @@ def run(
     plan: FlightPlan,
     out: Annotated[
         list[str],
-        typer.Option(
+        Option(
             metavar="ENDPOINT",
             help="udpout:H:P, udpin:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD; repeat it for several links.",
         ),
     ] = ["udpout:127.0.0.1:14550"],  # noqa: B006  # typer copies its defaults
-    speed: Annotated[str, typer.Option(metavar="X|max", help="Flight seconds a second.")] = "1",
+    speed: Annotated[str, Option(metavar="X|max", help="Flight seconds a second.")] = "1",
     fresh: Annotated[
-        bool, typer.Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
+        bool, Option("--fresh-link", help="Send unasked only what the real autopilot of the profile does.")
     ] = False,
     truth: TruthFile = None,
     signing_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+        Path | None, Option(metavar="FILE", help="Key of MAVLink 2 signing: sign, and refuse what is not signed.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
+    as_json: Annotated[bool, Option("--json", help="Print start and end as JSON lines on stdout.")] = False,
 ) -> None:
     """Fly in real time until the duration is over, or until SIGINT or SIGTERM. Exit code 0, or 2 for an error."""
     pace = parse_speed(speed)
@@ -90,8 +88,8 @@ def run(
 @with_flight
 def record(
     plan: FlightPlan,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
-    flights: Annotated[int, typer.Option(help="Record so many flights, to FILE-000.tlog and on, seed by seed.")] = 1,
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.tlog", help="File to write.")],
+    flights: Annotated[int, Option(help="Record so many flights, to FILE-000.tlog and on, seed by seed.")] = 1,
     truth: TruthFile = None,
 ) -> None:
     """Fly as fast as it goes into a .tlog file. The same options give the same file, bit for bit."""
@@ -109,12 +107,11 @@ def record(
         typer.echo(f"{path}: {duration:g} s of flight, {messages} messages")
 
 
-def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> TruthWriter:
-    return TruthWriter(file, plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns)
+def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None) -> Truth:
+    return Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns, file)
 
 
 def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
-    """Print the addresses of the vehicle: with port 0 nobody else knows them."""
     config = plan.config
     if as_json:
         line = json.dumps(

@@ -1,4 +1,5 @@
 """The run loop (edge): fly in real time, send each message when its time has come, receive and answer in between.
+Or a flight as a .tlog file, as fast as it goes.
 
 The plant is computed a short block ahead; within a block messages go out in ticks, never before their time. So a
 message is late by at most one tick and by what the machine adds, and the report says how much that was.
@@ -6,26 +7,29 @@ message is late by at most one tick and by what the machine adds, and the report
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.ports import Endpoint, wait
 from mavdiag.link.signing import Signing
-from sitl_plant.autopilot.commands import Autopilot, Forward, PlantOrder, Reply
+from mavdiag.logs.tlog import tlog_record
+from sitl_plant.autopilot.commands import Autopilot, PlantOrder
 from sitl_plant.autopilot.dialect import Dialect
-from sitl_plant.autopilot.imu_filters import FilteredSamples, ImuFilters
-from sitl_plant.autopilot.stream import Message, Streamer
-from sitl_plant.changes import Renewal
-from sitl_plant.physics.injections import Injection
+from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, Streamer
+from sitl_plant.autopilot.wire import Forward, Reply
+from sitl_plant.options import FlightPlan
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import STEP_NS, Plant, PlantSamples
+from sitl_plant.plant import STEP_NS, Plant, PlantSamples, Renewal
 
-__all__ = ["FlightReport", "Link", "fly", "obey"]
-
+EPOCH_US = 1_767_225_600_000_000  # of records, 2026-01-01T00:00:00Z: equal options give equal files
+RECORD_STEPS = 1000
 BLOCK_S, TICK_S = 0.020, 0.002  # wall clock: how far ahead the plant is computed, how often messages go out
 SLIP_S = 0.5  # later than this, the flight's clock is set back: the machine slept or is too slow
 SENDERS_MAX = 32  # senders whose messages are passed on by one link, each with its own sequence numbers
@@ -36,23 +40,18 @@ _LATENESS_BINS = 5000  # to 0.5 s
 
 @dataclass(frozen=True, slots=True)
 class FlightReport:
-    """How a flight went on the wire.
-
-    received: messages.
-    late_p50_ms, late_p99_ms, late_max_ms: how long after its time a tick went out.
-    slips: how often the clock was set back, see `SLIP_S`.
-    """
+    """How a flight went on the wire. late_p50_ms, late_p99_ms, late_max_ms: how long after its time a tick went out."""
 
     flown_s: float
     wall_s: float
     cpu_s: float
     messages: int
     dropped: int
-    received: int
+    received: int  # messages
     late_p50_ms: float
     late_p99_ms: float
     late_max_ms: float
-    slips: int
+    slips: int  # how often the clock was set back, see `SLIP_S`
 
 
 class Link:
@@ -168,7 +167,6 @@ class _Flight:
         return orders
 
     def _wait(self, due_s: float, t_ns: int) -> None:
-        """Serve the links until it is time. Waiting for descriptors counts in whole milliseconds; the rest is slept."""
         while (left_s := due_s - time.monotonic()) > 0.001:
             for endpoint in wait(self._endpoints, left_s - 0.001):
                 self._serve(self._endpoints.index(endpoint), t_ns)
@@ -236,3 +234,30 @@ def fly(
         late_max_ms=1e3 * clock.late_max_s,
         slips=clock.slips,
     )
+
+
+def recorded(plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> Iterator[tuple[int, bytes]]:
+    """Every frame of a flight in order, with its flight time [ns]. watch: is shown every block's truth."""
+    plant, filters = Plant(plan.config), ImuFilters(plan.dialect, plan.config.seed)
+    schedule = plan.dialect.schedule(plan.rate_hz, plant.rotors)
+    streamer, encoder = Streamer(plan.dialect, schedule), Encoder(plan.dialect.sysid, Component.AUTOPILOT1)
+    left = max(1, round(duration_s * 1e9 / STEP_NS))
+    while left > 0:
+        samples = plant.advance(min(RECORD_STEPS, left))
+        left -= len(samples)
+        watch(samples)
+        for t_ns, msgid, payload in streamer.step(filters.step(samples)):
+            yield t_ns, encoder.encode_payload(msgid, payload)
+
+
+def record_flight(path: Path, plan: FlightPlan, duration_s: float, watch: Callable[[PlantSamples], None]) -> int:
+    """Write a flight to a .tlog file; returns its message count. Raises UsageError if the file cannot be written."""
+    messages = 0
+    try:
+        with path.open("wb") as file:
+            for t_ns, frame in recorded(plan, duration_s, watch):
+                file.write(tlog_record(EPOCH_US + t_ns // 1000, frame))
+                messages += 1
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}; choose another file") from error
+    return messages

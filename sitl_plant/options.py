@@ -8,102 +8,91 @@ from inspect import Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-import typer
+from typer import Option
 
 from mavdiag.errors import UsageError
 from sitl_plant.autopilot.dialect import DIALECTS, Dialect, dialect_named
-from sitl_plant.physics.airframe import Payload
+from sitl_plant.physics.airframe import Payload, PickUp, in_session_number
 from sitl_plant.physics.airframe import drone as specimen
-from sitl_plant.physics.jit import check_numba
-from sitl_plant.physics.loading import PickUp
-from sitl_plant.physics.sessions import in_session_number
 from sitl_plant.physics.trajectory import Nose, Shape
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import shipped_vehicles, vehicle_from
 
-__all__ = ["FlightPlan", "TruthFile", "VehicleName", "flight_plan", "parse_speed", "with_flight", "with_options"]
-
-VehicleName: TypeAlias = Annotated[
-    str, typer.Option("--vehicle", metavar="NAME|FILE.toml", help=f"One of {', '.join(shipped_vehicles())}, or a file.")
-]
-TruthFile: TypeAlias = Annotated[
-    Path | None, typer.Option(metavar="FILE.jsonl", help="Write what really happened; it never goes over the link.")
-]
 STARTING = "starting the plant; the first start compiles it and takes up to a minute ..."
 PICKUP_BELOW_M = 0.05  # as the payload
 RECORDED = "qdrone2-recorded"
+_VEHICLES = f"One of {', '.join(shipped_vehicles())}, or a file."
 _ROTOR = "Damaged rotor, as the vehicle's file counts; qdrone2: 1 rear right, 2 front right, 3 rear left, 4 front left."
+_PHENOMENOLOGY = "Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1."
+_TURBULENCE = "Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s]."
+
+VehicleName: TypeAlias = Annotated[str, Option("--vehicle", metavar="NAME|FILE.toml", help=_VEHICLES)]
+Drone: TypeAlias = Annotated[int, Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")]
+FaultCode: TypeAlias = Annotated[str | None, Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")]
+Onset: TypeAlias = Annotated[float, Option(metavar="S", help="Flight time at which the fault begins.")]
+Phenomenology: TypeAlias = Annotated[float, Option(help=_PHENOMENOLOGY)]
+Wind: TypeAlias = Annotated[float, Option(metavar="M_S", help="Mean wind, with gusts.")]
+W20: TypeAlias = Annotated[float, Option(metavar="W20", help=_TURBULENCE)]
+PayloadKg: TypeAlias = Annotated[float, Option(metavar="KG", help="Point mass below the body.")]
+_TRUTH = "Write what really happened; it never goes over the link."
+TruthFile: TypeAlias = Annotated[Path | None, Option(metavar="FILE.jsonl", help=_TRUTH)]
 
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What to fly and how to send it.
-
-    rate_hz: of set-point and IMU; the profile's own if none was asked for.
-    duration_s: of the flight; None if it was left open.
-    """
+    """What to fly and how to send it."""
 
     config: PlantConfig
     dialect: Dialect
-    rate_hz: float
-    duration_s: float | None = None
+    rate_hz: float  # of set-point and IMU; the profile's own if none was asked for
+    duration_s: float | None = None  # of the flight; None if it was left open
 
 
 def flight_plan(
     vehicle: VehicleName = "qdrone2",
     as_recorded: Annotated[
-        bool, typer.Option("--as-recorded", help="Controller and sensors of the QDrone 2's public recordings.")
+        bool, Option("--as-recorded", help="Controller and sensors of the QDrone 2's public recordings.")
     ] = False,
-    drone: Annotated[int, typer.Option(help="Specimen of the vehicle: 1 (aged), 2 or 3 (new).")] = 1,
-    trajectory: Annotated[Shape, typer.Option(help="Path to fly.")] = Shape.SQUARE,
-    nose: Annotated[Nose, typer.Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
-    takeoff: Annotated[bool, typer.Option("--takeoff", help="Start disarmed on the ground; end there.")] = False,
-    fault: Annotated[str | None, typer.Option(metavar="CODE", help="Propeller fault, F1/SV1 to F3/SV3.")] = None,
-    rotor: Annotated[int, typer.Option(help=_ROTOR)] = 1,
-    onset: Annotated[float, typer.Option(metavar="S", help="Flight time at which the fault begins.")] = 0.0,
-    phenomenology: Annotated[
-        float, typer.Option(help="Scale of the fitted, non-physical part of the fault: 0, 0.5 or 1.")
-    ] = 1.0,
+    drone: Drone = 1,
+    trajectory: Annotated[Shape, Option(help="Path to fly.")] = Shape.SQUARE,
+    nose: Annotated[Nose, Option(help="Nose to one side, along the path, or turning steadily.")] = Nose.FIXED,
+    takeoff: Annotated[bool, Option("--takeoff", help="Start disarmed on the ground; end there.")] = False,
+    fault: FaultCode = None,
+    rotor: Annotated[int, Option(help=_ROTOR)] = 1,
+    onset: Onset = 0.0,
+    phenomenology: Phenomenology = 1.0,
     rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Rate of setpoint and IMU messages.  [default: the profile's]")
+        float | None, Option(metavar="HZ", help="Rate of setpoint and IMU messages.  [default: the profile's]")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Flight time.  [default: run until stopped, record 60 s]")
+        float | None, Option(metavar="S", help="Flight time.  [default: run until stopped, record 60 s]")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Equal seeds give equal flights, bit for bit.")] = 0,
-    wind: Annotated[float, typer.Option(metavar="M_S", help="Mean wind, with gusts.")] = 0.0,
-    turbulence: Annotated[
-        float, typer.Option(metavar="W20", help="Dryden turbulence of this wind at 20 ft, instead of the gusts [m/s].")
-    ] = 0.0,
-    payload: Annotated[float, typer.Option(metavar="KG", help="Point mass below the body.")] = 0.0,
-    pickup: Annotated[float, typer.Option(metavar="KG", help="Point mass taken up in flight.")] = 0.0,
-    pickup_at: Annotated[float, typer.Option(metavar="S", help="Flight time at which it is taken up.")] = 10.0,
-    pickup_beside: Annotated[float, typer.Option(metavar="MM", help="How far to the right it hangs.")] = 20.0,
+    seed: Annotated[int, Option(help="Equal seeds give equal flights, bit for bit.")] = 0,
+    wind: Wind = 0.0,
+    turbulence: W20 = 0.0,
+    payload: PayloadKg = 0.0,
+    pickup: Annotated[float, Option(metavar="KG", help="Point mass taken up in flight.")] = 0.0,
+    pickup_at: Annotated[float, Option(metavar="S", help="Flight time at which it is taken up.")] = 10.0,
+    pickup_beside: Annotated[float, Option(metavar="MM", help="How far to the right it hangs.")] = 20.0,
     drop_at: Annotated[
-        float | None, typer.Option(metavar="S", help="Flight time at which it is dropped.  [default: never]")
+        float | None, Option(metavar="S", help="Flight time at which it is dropped.  [default: never]")
     ] = None,
     outages: Annotated[
-        float, typer.Option(metavar="PER_MIN", help="How often motion capture is lost, for 0.3 to 2 s.")
+        float, Option(metavar="PER_MIN", help="How often motion capture is lost, for 0.3 to 2 s.")
     ] = 0.0,
     session: Annotated[
-        int, typer.Option(help="Day of the specimen: 0 as drawn; others have battery, trim and bias of their own.")
+        int, Option(help="Day of the specimen: 0 as drawn; others have battery, trim and bias of their own.")
     ] = 0,
     propellers: Annotated[
-        float, typer.Option(metavar="PERCENT", help="New healthy propellers, one set a session; thrust +- this.")
+        float, Option(metavar="PERCENT", help="New healthy propellers, one set a session; thrust +- this.")
     ] = 0.0,
-    profile: Annotated[str, typer.Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
-    system_id: Annotated[int, typer.Option(metavar="N", min=1, max=255, help="MAVLink system id of the vehicle.")] = 1,
+    profile: Annotated[str, Option(metavar="NAME", help=f"Link profile: {', '.join(DIALECTS)}.")] = "qdrone2",
+    system_id: Annotated[int, Option(metavar="N", min=1, max=255, help="MAVLink system id of the vehicle.")] = 1,
 ) -> FlightPlan:
-    """Check the options and put them together. Raises UsageError for what cannot be flown, or without numba."""
-    check_numba()
+    """Check the options and put them together. Raises UsageError for what cannot be flown."""
     dialect = replace(dialect_named(profile), sysid=system_id)
     rates = dialect.rates_hz(rate)
-    if fault is None and onset > 0.0:
-        raise UsageError("--onset needs a fault: add --fault F2/SV2")
-    if onset < 0.0:
-        raise UsageError(f"--onset must be zero or more, not {onset:g}")
-    if duration is not None and not duration > 0.0:
-        raise UsageError(f"duration must be positive, not {duration:g}")
+    check_times(fault, onset, duration)
     if as_recorded and vehicle not in ("qdrone2", RECORDED):
         raise UsageError(f"--as-recorded is the QDrone 2's: leave --vehicle {vehicle} out")
     commanded = trajectory is Shape.COMMANDED
@@ -132,6 +121,16 @@ def flight_plan(
         seed=seed,
     )
     return FlightPlan(config, dialect, rates[dialect.profile.imu], duration)
+
+
+def check_times(fault: str | None, onset_s: float, duration_s: float | None) -> None:
+    """Raise UsageError for an onset without a fault, or a time that cannot be."""
+    if duration_s is not None and not duration_s > 0.0:
+        raise UsageError(f"duration must be positive, not {duration_s:g}")
+    if not (math.isfinite(onset_s) and onset_s >= 0.0):
+        raise UsageError(f"--onset must be zero or more, not {onset_s:g}")
+    if fault is None and onset_s > 0.0:
+        raise UsageError("--onset needs a fault: add --fault F2/SV2")
 
 
 def with_options(plan: Callable[..., Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -11,27 +11,24 @@ flight takes effect with the next step.
 
 import math
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, IntArray
-from sitl_plant.changes import Change, Renewal, SteadyWind
-from sitl_plant.config import PlantConfig
-from sitl_plant.physics.airframe import Airframe, drone
-from sitl_plant.physics.attitude import ESTIMATE
+from sitl_plant.physics.air import Dryden, dryden
+from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, PickUp, Wear, drone
+from sitl_plant.physics.control import ESTIMATE
 from sitl_plant.physics.dynamics import RIGID
-from sitl_plant.physics.injections import NEVER, Injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import Model, Rows, fly
-from sitl_plant.physics.loading import PickUp, carried, reload
-from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model
-from sitl_plant.physics.recorded_log import RecordedLog
-from sitl_plant.physics.recorded_set import recorded_flight
-from sitl_plant.physics.streams import Streams
-from sitl_plant.physics.trajectory import Leg
-
-__all__ = ["STEP_NS", "Plant", "PlantConfig", "PlantSamples"]
+from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
+from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, fly
+from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
+from sitl_plant.physics.streams import MOST_OUTAGES_PER_MIN, Streams
+from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
+from sitl_plant.vehicle import Vehicle, qdrone2
 
 STEP_NS = round(STEP_S * 1e9)
 WEAR_STEPS = 1000  # wear is held for a second
@@ -39,50 +36,161 @@ SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, in
 CHANGES_MAX = 1000  # changes kept for who takes them
 
 
+@dataclass(frozen=True, slots=True)
+class PlantConfig:
+    """One flight. Raises UsageError if it cannot be.
+
+    rotor: the damaged one, numbered as in the vehicle's file; T Eq 2.2-2.4 has 1 rear right, 2 front right, 3 rear
+    left, 4 front left. start: "hover" in the air, where there is no ground; "ground" disarmed on the ground.
+    """
+
+    drone: int = 1  # 1 (aged), 2, 3 (new)
+    trajectory: str = "square"
+    speed_m_s: float = 0.5
+    size_m: float = 1.0
+    heading_rad: float = 0.0
+    nose: str = "fixed"  # along the heading; "path": along the path; "spin": turns steadily
+    altitude_m: float = 1.0
+    fault: str | None = None  # a code such as "F2/SV2"
+    rotor: int = 1
+    onset_s: float = 0.0  # flight time at which the fault begins; 0 for a fault from the start
+    phenomenology: float = 1.0  # scale of the fitted part of the fault, see `sitl_plant.physics.faults`
+    injections: tuple[Injection, ...] = ()  # other causes
+    wind_m_s: float = 0.0  # mean speed
+    wind_towards_rad: float = math.pi / 4  # where the wind blows to; 0 is north, pi/2 east
+    payload: Payload = NO_PAYLOAD
+    turbulence_m_s: float = 0.0  # wind W20 of Dryden turbulence, in place of the vehicle file's gusts; 0 for the latter
+    pickup: PickUp | None = None  # taken up, and perhaps dropped, in flight
+    outages_per_min: float = 0.0  # how often motion capture is lost for `streams.OUTAGE_S`
+    wear: Wear | None = None  # what the propellers lose with the hours
+    seed: int = 0
+    vehicle: Vehicle = field(default_factory=qdrone2, repr=False)  # the type of which drones 1 to 3 are specimens
+    airframe: Airframe | None = None  # another specimen instead
+    start: Literal["hover", "ground"] = "hover"
+    landed_s: float | None = None  # a flight from the ground is over, disarmed; None for never
+
+    def __post_init__(self) -> None:
+        if self.trajectory not in list(Shape):
+            raise UsageError(f"no trajectory {self.trajectory!r}: give one of {', '.join(Shape)}")
+        if self.nose not in list(Nose):
+            raise UsageError(f"no nose {self.nose!r}: give one of {', '.join(Nose)}")
+        self._check_ground()
+        for name in ("speed_m_s", "size_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise UsageError(f"{name} must be positive, not {value:g}")
+        for name in ("heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
+            if not math.isfinite(getattr(self, name)):
+                raise UsageError(f"{name} must be a finite number")
+        if self.outages_per_min and self.flown_vehicle.recorded is not None:
+            raise UsageError("the recorded QDrone 2 does not fly through outages of motion capture; leave them out")
+        if self.seed < 0:
+            raise UsageError(f"seed must be zero or more, not {self.seed}")
+        self.all_injections()  # refuses a fault that does not exist
+        self.gusts()
+        if not 0.0 <= self.outages_per_min <= MOST_OUTAGES_PER_MIN:
+            most = f"{MOST_OUTAGES_PER_MIN:g} times a minute"
+            raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
+        if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
+            raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
+
+    def _check_ground(self) -> None:
+        if self.commanded and (self.start != "ground" or self.landed_s is not None or self.flown_vehicle.recorded):
+            raise UsageError(
+                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
+            )
+        if self.start == "ground" and not self.altitude_m > 0.0:
+            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
+        flight = self.path()
+        if self.start == "ground" and flight.land < flight.start:
+            shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
+            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
+
+    def gusts(self) -> Dryden | None:
+        """The turbulence at the height of the path, None if it was not asked for."""
+        return dryden(self.turbulence_m_s, self.altitude_m, self.wind_m_s) if self.turbulence_m_s else None
+
+    def path(self) -> Path:
+        """What the controller follows."""
+        shape, form = Shape(self.trajectory), (self.size_m, self.speed_m_s, self.heading_rad, self.altitude_m)
+        land_s = math.inf if self.landed_s is None else self.landed_s - landing_time(self.altitude_m, shape)
+        recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
+        ground_s = (recorded.ground.arm_s, recorded.ground.lift_s) if recorded else (ARM_S, LIFT_S)
+        return path(shape, *form, Nose(self.nose), ground, land_s if ground else math.inf, ground_s)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the vehicle waits for commands, see `Plant.lead`."""
+        return self.trajectory == Shape.COMMANDED
+
+    @property
+    def flown_vehicle(self) -> Vehicle:
+        """The type of the specimen that flies."""
+        return self.vehicle if self.airframe is None else self.airframe.vehicle
+
+    def all_injections(self) -> tuple[Injection, ...]:
+        """The fault by code, if any, and the other injections."""
+        if self.fault is None:
+            return self.injections
+        return (fault_injection(self.fault, self.rotor, self.onset_s, self.phenomenology), *self.injections)
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyWind:
+    """A mean wind [m/s]. towards_rad: where it blows to; 0 is north, pi/2 east. Raises UsageError for no number."""
+
+    speed_m_s: float
+    towards_rad: float = math.pi / 4
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.speed_m_s) and math.isfinite(self.towards_rad)):
+            raise UsageError(f"a wind needs finite numbers, not {self.speed_m_s:g} m/s to {self.towards_rad:g} rad")
+
+    def vector(self) -> FloatArray:
+        """(3,) world NED [m/s]."""
+        return self.speed_m_s * np.array([math.cos(self.towards_rad), math.sin(self.towards_rad), 0.0])
+
+
+class Renewal(StrEnum):
+    """What is made as new."""
+
+    CLEAR = "clear"  # all causes are gone
+    BATTERY = "battery"  # a full battery
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
+
+    t_ns: int
+    what: Injection | SteadyWind | Renewal
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantSamples:
     """n steps of a flight at 1 kHz with r rotors; body FRD, world NED, SI units.
 
-    The set-points are those of the cascade, NaN where `Plant.drive` was given the commands.
-
-    t_ns: (n,) since the start.
-    setpoint: (n, 3) commanded roll, pitch, yaw [rad].
-    rate_setpoint: (n, 3) commanded body rates [rad/s].
-    thrust_setpoint: (n,) 0..1 of the thrust at full duty.
-    gyro: (n, 3) measured [rad/s].
-    accel: (n, 3) measured specific force, (0, 0, -9.81) at rest.
-    attitude: (n, 9) T's estimate (Eq 2.33).
-    duty: (n, r) 0..1, commanded.
-    battery_v: (n,) measured.
-    charge_ah: (n,) truth, drawn from the battery since it was full.
-    motors: (n,) 0 disarmed, 1 armed and idle, 2 flying.
-    quaternion: (n, 4) truth, body to world, w first.
-    position: (n, 3) truth, of the centre of gravity.
-    velocity: (n, 3) truth, of the centre of gravity.
-    omega: (n, 3) truth, body rates [rad/s].
-    rotor_speed: (n, r) truth [rad/s].
-    esc_speed: (n, r) as the motors' telemetry reports it [rad/s]: the truth, but for a vehicle as it was recorded.
-    log: (n, k) for `sitl_plant.physics.recorded_log.RecordedLog`; k is 0 for a vehicle that keeps none.
+    The set-points are those of the controller, NaN where `Plant.drive` was given the commands.
     """
 
-    t_ns: IntArray
-    setpoint: FloatArray
-    rate_setpoint: FloatArray
-    thrust_setpoint: FloatArray
-    gyro: FloatArray
-    accel: FloatArray
-    attitude: FloatArray
-    duty: FloatArray
-    battery_v: FloatArray
-    charge_ah: FloatArray
-    motors: IntArray
-    quaternion: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    omega: FloatArray
-    rotor_speed: FloatArray
-    esc_speed: FloatArray
-    log: FloatArray
+    t_ns: IntArray  # (n,) since the start
+    setpoint: FloatArray  # (n, 3) commanded roll, pitch, yaw [rad]
+    rate_setpoint: FloatArray  # (n, 3) commanded body rates [rad/s]
+    thrust_setpoint: FloatArray  # (n,) 0..1 of the thrust at full duty
+    gyro: FloatArray  # (n, 3) measured [rad/s]
+    accel: FloatArray  # (n, 3) measured specific force, (0, 0, -9.81) at rest
+    attitude: FloatArray  # (n, 9) T's estimate (Eq 2.33)
+    duty: FloatArray  # (n, r) 0..1, commanded
+    battery_v: FloatArray  # (n,) measured
+    charge_ah: FloatArray  # (n,) truth, drawn from the battery since it was full
+    motors: IntArray  # (n,) 0 disarmed, 1 armed and idle, 2 flying
+    quaternion: FloatArray  # (n, 4) truth, body to world, w first
+    position: FloatArray  # (n, 3) truth, of the centre of gravity
+    velocity: FloatArray  # (n, 3) truth, of the centre of gravity
+    omega: FloatArray  # (n, 3) truth, body rates [rad/s]
+    rotor_speed: FloatArray  # (n, r) truth [rad/s]
+    esc_speed: FloatArray  # (n, r) as the motors' telemetry reports it [rad/s]: the truth, but for a recorded set
+    log: FloatArray  # (n, k) for `RecordedLog`; k is 0 for a vehicle that keeps none
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -90,6 +198,36 @@ class PlantSamples:
     def rows(self, first: int, end: int) -> "PlantSamples":
         """The samples from `first` to before `end`."""
         return PlantSamples(*(getattr(self, column.name)[first:end] for column in fields(self)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedLog:
+    """What a vehicle as it was recorded knows at each of n steps, as its recordings name it; k is the IMU, 0 or 1.
+
+    DronePropA's matrices are in FLU; here everything is in FRD and NED.
+    """
+
+    angle: FloatArray  # (n, 2, 3) each IMU's estimate [rad]; its yaw is the gyro's integral and drifts
+    rate: FloatArray  # (n, 2, 3) filtered body rates [rad/s]
+    acceleration: FloatArray  # (n, 2, 3) and their slopes [rad/s^2]
+    gyro: FloatArray  # (n, 2, 3) raw readings, as the next
+    accel: FloatArray
+    torque_asked: FloatArray  # (n, 3) before the limit [N m]
+    torque: FloatArray  # (n, 3) after it
+    thrust: FloatArray  # (n,) commanded [N], trim included
+    pid: FloatArray  # (n, 4) roll and pitch before their limit [rad], thrust deviation [N], yaw-rate reference [rad/s]
+    desired: FloatArray  # (n, 4) set-point: north, east, down [m], yaw [rad]
+    pose: FloatArray  # (n, 4) cameras
+    esc: FloatArray  # (n, r) reported rotor speeds [rad/s], which read too high; NaN before the first telemetry frame
+
+    @staticmethod
+    def of(log: FloatArray) -> "RecordedLog":
+        """From `PlantSamples.log`. Raises UsageError where the vehicle keeps none."""
+        if log.shape[1] <= LOG:
+            raise UsageError("this vehicle keeps no such log: fly qdrone2-recorded, or one with a [recorded] table")
+        angle, rate, acceleration, gyro, accel = (log[:, at : at + 6].reshape(-1, 2, 3) for at in range(0, 30, 6))
+        torques, rest = (log[:, 30:33], log[:, 33:36], log[:, 36]), (log[:, 37:41], log[:, 41:45], log[:, 45:LOG])
+        return RecordedLog(angle, rate, acceleration, gyro, accel, *torques, *rest, log[:, LOG:])
 
 
 class Plant:
@@ -103,17 +241,20 @@ class Plant:
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
         gusts = config.gusts()
-        blown = None if gusts is None else (gusts, config.wind_towards_rad)
-        self._streams = Streams(config.seed, STEP_S, blown, config.outages_per_min)
+        blown, wind = gusts is not None, SteadyWind(config.wind_m_s, config.wind_towards_rad).vector()
+        self._streams = Streams(
+            config.seed, STEP_S, None if gusts is None else (gusts, config.wind_towards_rad), config.outages_per_min
+        )
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
         self._step = -SETTLING_STEPS
-        self._set_injections(_placed(config.all_injections(), rotors, self._streams.angle))
-        self._model = _model(config, self.airframe)
+        self._set_injections(self._placed(config.all_injections()))
+        self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, blown)
         self._loaded = False
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
-        self._recorded = recorded_flight(self.airframe, self._model, self._state, config.seed)
-        if self._recorded is not None:
-            self._model = self._recorded.model
+        self._own: Recorded | None = None
+        if self.airframe.vehicle.recorded is not None:
+            self._model, self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
+            self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         self.advance(SETTLING_STEPS)
 
@@ -123,7 +264,7 @@ class Plant:
         return self._step * STEP_NS
 
     def advance(self, steps: int) -> PlantSamples:
-        """Fly `steps` of 1 ms by the cascade and return what happened. Raises UsageError if it is negative."""
+        """Fly `steps` of 1 ms by the controller and return what happened. Raises UsageError if it is negative."""
         return self._run(steps, np.empty((0, self.rotors)))
 
     def drive(self, commands: FloatArray, steps: int) -> PlantSamples:
@@ -148,8 +289,7 @@ class Plant:
         now_s = self._step * STEP_S
         if injection.end_s <= now_s:
             raise UsageError(f"end_s must be later than the present {now_s:g} s, not {injection.end_s:g}")
-        coming = replace(injection, onset_s=max(injection.onset_s, now_s))
-        placed = _placed((coming,), self.rotors, self._streams.angle)
+        placed = self._placed((replace(injection, onset_s=max(injection.onset_s, now_s)),))
         self._set_injections((*self._injections, *placed))
         self._note(placed[0])
 
@@ -157,14 +297,14 @@ class Plant:
         """Take all causes away, those of the configuration too; what sensors drifted is taken back."""
         self._set_injections(())
         self._state.imu.drifted[:] = 0.0
-        if self._recorded is not None:
-            self._recorded.forget_drift()
+        if self._own is not None:
+            self._own.imu_state.drifted[:] = 0.0
         self._note(Renewal.CLEAR)
 
     def set_wind(self, wind: SteadyWind) -> None:
         """Let another mean wind blow, with gusts by the vehicle's file; turbulence that was asked for stays."""
-        air = air_of(self.airframe.vehicle, _blowing(wind), self.config.gusts() is not None)
-        self._set_model(self._model._replace(air=air))
+        air = air_of(self.airframe.vehicle, wind.vector(), self.config.gusts() is not None)
+        self._model = self._model._replace(air=air)
         self._note(wind)
 
     def renew_battery(self) -> None:
@@ -176,7 +316,7 @@ class Plant:
         """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
         if not self.config.commanded:
             raise UsageError(f"the path {self.config.trajectory} is followed without commands")
-        self._set_model(self._model._replace(path=self._model.path._replace(leg=leg)))
+        self._model = self._model._replace(path=self._model.path._replace(leg=leg))
 
     def take_changes(self) -> tuple[Change, ...]:
         """What was changed since the last call, for the truth file; of more than 1000 changes the last."""
@@ -187,95 +327,65 @@ class Plant:
     def _note(self, what: Injection | SteadyWind | Renewal) -> None:
         self._changes.append(Change(self.t_ns, what))
 
+    def _placed(self, injections: tuple[Injection, ...]) -> tuple[Injection, ...]:
+        for injection in injections:
+            if injection.rotor not in range(1, self.rotors + 1):
+                raise UsageError(f"rotor must be 1 to {self.rotors}, not {injection.rotor}")
+        drawn = self._streams.angle.uniform(0.0, 2.0 * np.pi, len(injections)).tolist()
+        return tuple(
+            injection if injection.angle_rad is not None else replace(injection, angle_rad=angle)
+            for injection, angle in zip(injections, drawn, strict=True)
+        )
+
     def _set_injections(self, injections: tuple[Injection, ...]) -> None:
         self._injections = injections
-        self._spans = [injection.span(STEP_S) for injection in injections]
         self._changes_at = self._step  # the condition is worked out before the next step
-
-    def _set_model(self, model: Model) -> None:
-        self._model = model
-        if self._recorded is not None:
-            self._recorded.model = model
 
     def _run(self, steps: int, commands: FloatArray) -> PlantSamples:
         if steps < 0:
             raise UsageError(f"cannot advance by {steps} steps")
-        rows, log = _empty_rows(steps, self.rotors), np.empty((steps, self._recorded.columns if self._recorded else 0))
-        done = 0
+        first, done, rows = self._step, 0, self._empty_rows(steps)
         while done < steps:
             if self._step >= self._changes_at:
                 self._renew_condition()
             count = min(steps - done, self._changes_at - self._step)
             part = rows if count == steps else Rows(*(column[done : done + count] for column in rows))
-            self._fly(count, commands[done : done + count], part, log[done : done + count])
+            noise = self._streams.draw(self._step, count, self._model)
+            block = Block(self._step, count, noise, commands[done : done + count], part)
+            fly(block, self._model, self._own, self._rotors, self._sensors, self._state)
+            self._step += count
             done += count
-        return _samples(rows, log, self._step - steps, self._model)
+        return _samples(rows, first, self._model)
 
-    def _fly(self, count: int, commands: FloatArray, rows: Rows, log: FloatArray) -> None:
-        """Fly `count` steps, over which the condition stays the same."""
-        noise, condition = self._streams.draw(self._step, count, self._model), (self._rotors, self._sensors)
-        if self._recorded is None:
-            fly(self._step, count, self._model, *condition, self._state, noise, commands, rows)
-        else:
-            self._recorded.fly(self._step, count, *condition, self._state, noise, commands, rows, log)
-        self._step += count
+    def _empty_rows(self, steps: int) -> Rows:
+        wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
+        wide |= {"rotor_speed": self.rotors, "duty": self.rotors, "log": 0 if self._own is None else LOG + self.rotors}
+        return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
 
     def _renew_condition(self) -> None:
-        """Work out the condition at the present step and the step at which it changes next."""
-        present = [
-            injection
-            for injection, (first, end) in zip(self._injections, self._spans, strict=True)
-            if first <= self._step < end
-        ]
+        spans = [injection.span(STEP_S) for injection in self._injections]
+        here = zip(self._injections, spans, strict=True)
+        present = [injection for injection, (first, end) in here if first <= self._step < end]
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
-        changes = [step for span in self._spans for step in span]
+        changes = [step for span in spans for step in span]
         if self.config.wear is not None:
             self._rotors.thrust_gain[:] *= self.config.wear.gain(self._step * STEP_S)
             changes.append(self._step + WEAR_STEPS)
         if self.config.pickup is not None:
-            changes += [NEVER if step is None else step for step in self.config.pickup.span(STEP_S)]
-            self._load(self.config.pickup)
+            first, end = self.config.pickup.span(STEP_S)
+            changes += [first, end]
+            self._load(self.config.pickup, first <= self._step < end)
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)
 
-    def _load(self, pickup: PickUp) -> None:
-        """Take the payload up or drop it, if that happens now."""
-        hangs = carried(pickup, self._step, STEP_S)
+    def _load(self, pickup: PickUp, hangs: bool) -> None:
         if hangs != self._loaded:
             payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
-            self._set_model(reload(self._model, self._state, self.airframe, payloads, pickup if hangs else None))
+            self._model = reload(self._model, self._state, self.airframe, payloads)
             self._loaded = hangs
 
 
-def _placed(injections: tuple[Injection, ...], rotors: int, rng: np.random.Generator) -> tuple[Injection, ...]:
-    """The injections with every angle drawn that was left open. Raises UsageError for a rotor that is not there."""
-    for injection in injections:
-        if injection.rotor not in range(1, rotors + 1):
-            raise UsageError(f"rotor must be 1 to {rotors}, not {injection.rotor}")
-    drawn = rng.uniform(0.0, 2.0 * np.pi, len(injections)).tolist()
-    return tuple(
-        injection if injection.angle_rad is not None else replace(injection, angle_rad=angle)
-        for injection, angle in zip(injections, drawn, strict=True)
-    )
-
-
-def _model(config: PlantConfig, airframe: Airframe) -> Model:
-    wind = _blowing(SteadyWind(config.wind_m_s, config.wind_towards_rad))
-    return make_model(airframe, config.payload, config.path(), wind, config.gusts() is not None)
-
-
-def _blowing(wind: SteadyWind) -> FloatArray:
-    """(3,) world NED [m/s]."""
-    return wind.speed_m_s * np.array([math.cos(wind.towards_rad), math.sin(wind.towards_rad), 0.0])
-
-
-def _empty_rows(steps: int, rotors: int) -> Rows:
-    wide = {"setpoint": 3, "rate_setpoint": 3, "imu": 6, "attitude": ESTIMATE, "rigid": RIGID}
-    wide |= {"rotor_speed": rotors, "duty": rotors}
-    return Rows(*(np.empty((steps, wide[name]) if name in wide else steps) for name in Rows._fields))
-
-
-def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamples:
+def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:
     full = model.controller.full_thrust * len(model.rotors.sign)
     return PlantSamples(
         t_ns=(first + np.arange(len(rows.thrust), dtype=np.int64)) * STEP_NS,
@@ -294,6 +404,6 @@ def _samples(rows: Rows, log: FloatArray, first: int, model: Model) -> PlantSamp
         velocity=rows.rigid[:, 3:6],
         omega=rows.rigid[:, 10:13],
         rotor_speed=rows.rotor_speed,
-        esc_speed=RecordedLog.of(log).esc if log.shape[1] else rows.rotor_speed,
-        log=log,
+        esc_speed=rows.log[:, LOG:] if rows.log.shape[1] else rows.rotor_speed,
+        log=rows.log,
     )

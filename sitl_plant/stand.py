@@ -15,31 +15,22 @@ is proportional to unbalance, and that s takes one back to the other. T's Fig 3.
 others, which no linear stand gives from the unbalances of T Table 3.2; it is not reproduced.
 """
 
+import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
+from typer import Option
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G_MM_PER_KG_M, RPM
 from sitl_plant.physics.faults import FAULTS
 from sitl_plant.vehicle import qdrone2
-
-__all__ = [
-    "Bar",
-    "Peak",
-    "Propeller",
-    "Scale",
-    "Stand",
-    "StandReport",
-    "fit_scale",
-    "peak_of",
-    "stand_run",
-    "stand_test",
-]
 
 SLOWEST_RPM, FASTEST_RPM = 1000.0, 12_000.0  # of the QDrone 2's motors (our choice)
 PEAK_HALF_WIDTH_HZ = 1.0  # wider than the speed wanders (our choice)
@@ -190,7 +181,7 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
 
     Every propeller has a residue of its own, up to what G 6.3 permits (T Eq 3.6), at an angle of its own.
     """
-    mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.unbalance_g_mm) for fault in FAULTS)]
+    mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.propeller.printed_g_mm) for fault in FAULTS)]
     permitted = qdrone2().propulsion.unbalance_max_g_mm
     peaks = []
     for (name, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):
@@ -206,3 +197,38 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
         for (name, known), peak in zip(mounted, peaks, strict=True)
     )
     return StandReport(speed_rpm, scale, bars)
+
+
+def stand(
+    rpm: Annotated[float, Option(help="Speed of the rotor; T's peak at 83.3 Hz is 5000 rpm.")] = 5000.0,
+    seed: Annotated[int, Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    as_json: Annotated[bool, Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Run twelve propellers on an emulated flight stand and estimate their unbalance from the vibration.
+
+    Mass, stiffness and noise of the stand are estimates: the scale is a number of this stand, not of T's.
+    """
+    report = stand_test(rpm, seed)
+    if as_json:
+        typer.echo(json.dumps(asdict(report)))
+    else:
+        _print(report)
+
+
+def _print(report: StandReport) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table, console = Table(title=f"flight stand at {report.speed_rpm:g} rpm, {report.speed_rpm / 60:.1f} Hz"), Console()
+    for heading in ("propeller", "peak Hz", "x m/s²", "y m/s²", "z m/s²", "weighed g mm", "estimated g mm"):
+        table.add_column(heading, justify="right")
+    for bar in report.bars:
+        axes = (f"{amplitude:.3f}" for amplitude in bar.peak.amplitude_m_s2)
+        masses = (f"{g_mm:.2f}" for g_mm in (bar.known_g_mm, bar.estimated_g_mm))
+        table.add_row(bar.name, f"{bar.peak.frequency_hz:.1f}", *axes, *masses)
+    console.print(table)
+    scale = report.scale
+    console.print(
+        f"scale {scale.g_mm_per_m_s2:.3f} ± {scale.standard_error:.3f} g mm per m/s² along y, R² {scale.r2:.4f}; "
+        "mass and stiffness of the stand are estimates"
+    )

@@ -1,4 +1,4 @@
-"""What really happened in a flight, as JSON lines: for judging a detector, never sent to it.
+"""What really happened in a flight, as JSON lines in a file (edge): for judging a detector, never sent to it.
 
 {"record": "flight", ...}     once: the configuration
 {"record": "state", ...}      every second of flight: truth, SI units, body FRD, world NED
@@ -10,53 +10,67 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
+from typing import TextIO
 
-from sitl_plant.changes import Change, Renewal, SteadyWind
-from sitl_plant.physics.injections import Injection, SensorFault
-from sitl_plant.plant import STEP_NS, PlantConfig, PlantSamples
-
-__all__ = ["Truth"]
+from mavdiag.errors import UsageError
+from sitl_plant.physics.faults import Injection, SensorFault
+from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples, Renewal, SteadyWind
 
 STATE_EVERY_NS = 1_000_000_000
 
 
 class Truth:
-    """From samples to lines. started_unix_ns: wall clock at flight time 0; None if the flight was not in real time."""
+    """From samples to lines, in a file if there is one.
 
-    def __init__(self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None) -> None:
-        self._config, self._profile, self._rate_hz = config, profile, rate_hz
-        self._started_unix_ns = started_unix_ns
-        self._causes = list(config.all_injections()[:1]) if config.fault else []
+    started_unix_ns: wall clock at flight time 0; None if the flight was not in real time. A block that begins before
+    the one before it is of a new flight, and gets a first line of its own.
+    """
+
+    def __init__(
+        self,
+        config: PlantConfig,
+        profile: str,
+        rate_hz: float,
+        started_unix_ns: int | None,
+        file: TextIO | None = None,
+    ) -> None:
+        self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, 0
+        self._link = {"profile": profile, "rate_hz": rate_hz}
+        self._begin()
+
+    def _begin(self) -> None:
+        self._causes = list(self._config.all_injections()[:1]) if self._config.fault else []
+        self._tell([self.head()])
+
+    def _tell(self, lines: list[str]) -> None:
+        """So that a reader sees them at once."""
+        if self._file is not None and lines:
+            self._file.write("\n".join(lines) + "\n")
+            self._file.flush()
+
+    def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
+        """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
+        if self._file is not None:
+            if int(samples.t_ns[0]) < self._t_ns:
+                self._begin()
+            self._t_ns = int(samples.t_ns[-1])
+            self._tell(self.step(samples, changes))
 
     def head(self) -> str:
         """The first line."""
         config = self._config
-        return json.dumps(
-            {
-                "record": "flight",
-                "vehicle": config.vehicle.name,
-                "drone": config.drone,
-                "trajectory": config.trajectory,
-                "nose": config.nose,
-                "start": config.start,
-                "fault": config.fault,
-                "rotor": config.rotor if config.fault else None,
-                "onset_s": config.onset_s if config.fault else None,
-                "phenomenology": config.phenomenology,
-                "seed": config.seed,
-                "wind_m_s": config.wind_m_s,
-                "payload_kg": config.payload.mass_kg,
-                "turbulence_m_s": config.turbulence_m_s,
-                "pickup_kg": config.pickup.payload.mass_kg if config.pickup else 0.0,
-                "pickup_s": config.pickup.at_s if config.pickup else None,
-                "outages_per_min": config.outages_per_min,
-                "profile": self._profile,
-                "rate_hz": self._rate_hz,
-                "started_unix_ns": self._started_unix_ns,
-            }
-        )
+        line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
+        line |= {name: getattr(config, name) for name in ("drone", "trajectory", "nose", "start", "fault")}
+        line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
+        line |= {name: getattr(config, name) for name in ("phenomenology", "seed", "wind_m_s")}
+        line |= {"payload_kg": config.payload.mass_kg, "turbulence_m_s": config.turbulence_m_s}
+        line |= {"pickup_kg": config.pickup.payload.mass_kg if config.pickup else 0.0}
+        line |= {"pickup_s": config.pickup.at_s if config.pickup else None, "outages_per_min": config.outages_per_min}
+        return json.dumps({**line, **self._link, "started_unix_ns": self._started_unix_ns})
 
     def step(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> list[str]:
         """The lines that fall into a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
@@ -68,7 +82,6 @@ class Truth:
         return lines
 
     def _change(self, change: Change) -> list[str]:
-        """An injection is written when it begins."""
         match change.what:
             case Injection() as cause:
                 self._causes.append(cause)
@@ -89,20 +102,27 @@ class Truth:
         return json.dumps({"record": record, "t_s": t_ns * 1e-9, **values, "unix_ns": unix_ns})
 
     def _state(self, samples: PlantSamples, row: int, t_ns: int) -> str:
-        return json.dumps(
-            {
-                "record": "state",
-                "t_s": t_ns * 1e-9,
-                "fault_present": any(_ns(one.onset_s) <= t_ns < _ns(one.end_s) for one in self._causes),
-                "position_m": samples.position[row].tolist(),
-                "velocity_m_s": samples.velocity[row].tolist(),
-                "quaternion": samples.quaternion[row].tolist(),
-                "omega_rad_s": samples.omega[row].tolist(),
-                "rotor_speed_rad_s": samples.rotor_speed[row].tolist(),
-                "battery_v": float(samples.battery_v[row]),
-            }
-        )
+        present = any(_ns(one.onset_s) <= t_ns < _ns(one.end_s) for one in self._causes)
+        columns = {"position_m": samples.position, "velocity_m_s": samples.velocity, "quaternion": samples.quaternion}
+        columns |= {"omega_rad_s": samples.omega, "rotor_speed_rad_s": samples.rotor_speed}
+        columns |= {"battery_v": samples.battery_v}
+        truth = {name: column[row].tolist() for name, column in columns.items()}
+        return json.dumps({"record": "state", "t_s": t_ns * 1e-9, "fault_present": present, **truth})
 
 
 def _ns(t_s: float) -> float:
     return round(t_s * 1e9) if math.isfinite(t_s) else t_s
+
+
+@contextmanager
+def truth_file(path: Path | None) -> Iterator[TextIO | None]:
+    """The open file, None for no file. Raises UsageError if it cannot be written."""
+    if path is None:
+        yield None
+        return
+    try:
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}; choose another --truth file") from error
+    with file:
+        yield file

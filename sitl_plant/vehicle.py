@@ -6,10 +6,12 @@ says is the *type*; one specimen of it is drawn in `sitl_plant.physics.airframe`
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -22,34 +24,18 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.storage import TOML_BYTES, parse_toml, read_text
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
-from sitl_plant.fields import STRICT, Finite, NotNegative, Positive, PositiveVector, Share, Vector
-from sitl_plant.vehicle_hil import Hil
-from sitl_plant.vehicle_recorded import Recorded
-
-__all__ = [
-    "Battery",
-    "Body",
-    "Control",
-    "Imu",
-    "LandingGear",
-    "MotionCapture",
-    "Piv",
-    "Propulsion",
-    "Rotor",
-    "SoftMount",
-    "Spread",
-    "Vehicle",
-    "Wind",
-    "airframe_of",
-    "allocation",
-    "load_vehicle",
-    "qdrone2",
-    "shipped_vehicles",
-    "vehicle_from",
-    "vehicle_named",
-]
 
 _FOLDER = resources.files("sitl_plant")
+STRICT: Literal["forbid"] = "forbid"  # a misspelt key in the file is an error, not a default
+
+Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share: TypeAlias = Annotated[float, Field(ge=0, lt=1)]
+Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+Vector: TypeAlias = tuple[Finite, Finite, Finite]
+PositiveVector: TypeAlias = tuple[Positive, Positive, Positive]
+Gain3: TypeAlias = tuple[NotNegative, NotNegative, NotNegative]
+Range: TypeAlias = tuple[Positive, Positive]
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
@@ -106,7 +92,7 @@ class Battery:
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class SoftMount:
-    """The mode between airframe and IMU, see `sitl_plant.physics.mount`."""
+    """The mode between airframe and IMU, see `sitl_plant.physics.sensors`."""
 
     resonance_hz: Positive
     damping_ratio: Positive
@@ -126,17 +112,11 @@ class Imu:
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class LandingGear:
-    """Where the vehicle stands, and how it gives way.
+    """Where the vehicle stands, and how it gives way."""
 
-    points_m: body FRD.
-    natural_hz: of the whole vehicle, bouncing on its gear.
-    damping_ratio: of that bounce; 1 is critical.
-    friction: coefficient on the ground.
-    """
-
-    points_m: Annotated[tuple[Vector, ...], Field(min_length=3)]
-    natural_hz: Positive
-    damping_ratio: NotNegative
+    points_m: Annotated[tuple[Vector, ...], Field(min_length=3)]  # body FRD
+    natural_hz: Positive  # of the whole vehicle, bouncing on its gear
+    damping_ratio: NotNegative  # of that bounce; 1 is critical
     friction: NotNegative
 
 
@@ -209,11 +189,143 @@ class Wind:
 
 
 @dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Gains:
+    """The manufacturer's cascade. pid rows are P, D, I; D acts on the measured rate."""
+
+    angle: Positive
+    rate_damping: NotNegative
+    yaw_rate: Positive
+    rate_limit_rad_s: Positive
+    torque_per_rate: PositiveVector
+    torque_per_acceleration: Gain3
+    torque_limit_n_m: PositiveVector
+    horizontal_pid: Gain3
+    altitude_pid: Gain3
+    yaw_pid: Gain3
+    trim_n: Positive
+    tilt_limit_rad: Positive
+    integral_limit: PositiveVector
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Feedback:
+    """Second-order filters, natural frequency [rad/s] and damping ratio, and the complementary filter's gains."""
+
+    rate: Range
+    accel: Range
+    velocity: Range
+    complementary_p: NotNegative
+    complementary_i: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Motors:
+    """Thrust of a rotor by motor voltage, F = a V^2 + b V + c, as the controller believes."""
+
+    thrust_map: tuple[Positive, NotNegative, Finite]
+    thrust_over_command: Positive  # what the rotor really lifts at that voltage
+    command_delay_s: NotNegative  # from the duty to the voltage
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Sensors:
+    """Both IMUs: IMU 0 is the one that a link carries."""
+
+    positions_m: tuple[Vector, Vector]
+    gyro_period_s: Positive
+    gyro_filter_hz: Positive
+    gyro_range_rad_s: Positive
+    gyro_lsb_rad_s: Positive
+    gyro_bias_rms_rad_s: NotNegative
+    accel_filter_hz: Positive
+    accel_range_m_s2: Positive
+    accel_lsb_m_s2: Positive
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Vibration:
+    """What the IMU's mount adds in hover. All levels are rms as recorded, behind filter and hold."""
+
+    gyro_line: Range  # lowest and highest of the roll gyro's line at one per revolution among specimens [rad/s]
+    gyro_broad: Range  # of its broad part, 50 to 100 Hz [rad/s]
+    gyro_axes: PositiveVector  # relative to roll
+    accel_axes: PositiveVector  # of the accelerometer's line [m/s^2]
+    accel_broad: NotNegative  # of all axes, 50 to 100 Hz [m/s^2]
+    broad_corner_hz: Positive  # the broad part is white above it
+    second_imu: Positive  # levels of IMU 1 relative to IMU 0
+    second_harmonic: NotNegative  # at two per revolution relative to one per revolution, before the filter
+    session_rms: NotNegative  # how much the line differs from flight to flight, of its logarithm
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Esc:
+    """Telemetry of the motors' controllers: one motor after the other, held until the next."""
+
+    frame_s: Positive  # from one motor to the next
+    over_read: Positive  # reported over true speed
+    first_s: NotNegative  # flight time of the first frame in a flight from the ground
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class GroundPhase:
+    """When the motors start and lift, and what they are commanded to lift in between."""
+
+    arm_s: Positive
+    lift_s: Positive
+    thrust_n: Positive
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Specimen:
+    """A drone whose levels are known, by the name of its airframe. gyro_bias_roll: of IMU 0 and 1 [rad/s]."""
+
+    name: str
+    gyro_line: Positive
+    gyro_broad: Positive
+    gyro_bias_roll: tuple[Finite, Finite]
+    second_harmonic: NotNegative
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class RecordedSet:
+    """In place of the thesis's cascade and IMU: controller, IMUs, motors and ESC telemetry of the recorded QDrone 2.
+
+    It flew the public recordings; every number and its source stand in `qdrone2-recorded.toml`.
+    """
+
+    gains: Gains
+    feedback: Feedback
+    motors: Motors
+    sensors: Sensors
+    vibration: Vibration
+    esc: Esc
+    ground: GroundPhase
+    specimens: Annotated[tuple[Specimen, ...], Field(max_length=100)] = ()
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class HilPilot:
+    """How one kind of autopilot flies the vehicle; rotors are counted from 1 as in the file."""
+
+    rotors: tuple[Annotated[int, Field(ge=1)], ...]  # which one turns at the autopilot's motor output 1, 2, and so on
+    # suggested for it, by their names; whole numbers are integer parameters
+    parameters: Mapping[str, int | float] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
+class Hil:
+    """Outputs of autopilots. pwm_us: the pulses of duty 0 and 1, linear between them."""
+
+    pwm_us: tuple[Positive, Positive]
+    ardupilot: HilPilot
+    px4: HilPilot
+
+
+@dataclass(frozen=True, slots=True, config={"extra": STRICT})
 class Vehicle:
     """A type of multirotor, as its file describes it.
 
     recorded: controller and sensors of its recordings, flown in place of the thesis's; None for the thesis's.
-    hil: what an autopilot outside needs; None if none can fly it.
     """
 
     name: str
@@ -227,8 +339,8 @@ class Vehicle:
     control: Control
     spread: Spread
     wind: Wind
-    recorded: Recorded | None = None
-    hil: Hil | None = None
+    recorded: RecordedSet | None = None
+    hil: Hil | None = None  # what an autopilot outside needs; None if none can fly it
 
     @model_validator(mode="after")
     def _can_fly(self) -> Self:
@@ -273,14 +385,7 @@ def allocation(vehicle: Vehicle) -> FloatArray:
     """
     hubs = np.array([rotor.position_m for rotor in vehicle.rotors])
     signs = np.array([rotor.sign for rotor in vehicle.rotors])
-    return np.vstack(
-        [
-            np.ones(len(hubs)),
-            -hubs[:, 1],
-            hubs[:, 0],
-            -signs / vehicle.propulsion.thrust_per_torque_1_m,
-        ]
-    )
+    return np.vstack([np.ones(len(hubs)), -hubs[:, 1], hubs[:, 0], -signs / vehicle.propulsion.thrust_per_torque_1_m])
 
 
 def load_vehicle(path: Path) -> Vehicle:
@@ -317,7 +422,6 @@ def qdrone2() -> Vehicle:
 
 
 def _table(text: str, name: str) -> dict[str, Any]:
-    """The file with what it takes over from its base."""
     table = parse_toml(text, name)
     base = table.pop("base", None)
     if base is None:
@@ -337,7 +441,6 @@ def _parse(text: str, name: str) -> Vehicle:
 
 
 def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """The base with a vehicle's own values in place of its; sections are merged, lists are replaced."""
     merged = {**base, **own}
     for name in base.keys() & own.keys():
         if isinstance(base[name], dict) and isinstance(own[name], dict):

@@ -4,8 +4,7 @@ from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MessageId
 from sitl_plant.autopilot.commands import Autopilot
-from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.firmware import Mode
+from sitl_plant.autopilot.dialect import Mode, dialect_named
 from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.emulator import obey
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples

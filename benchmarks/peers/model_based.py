@@ -9,12 +9,12 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import lfilter
 
 from mavdiag.identify import ArxModel, fit
+from mavdiag.jit import allocating
 from mavdiag.telemetry import FloatArray
 from peers.contender import Learner, Scored, Scorer
 from peers.flights import Flown
 from peers.torque import TorqueModel, blame, drive, fit_torque
 from peers.windows import mean_over
-from sitl_plant.physics.jit import allocating
 
 __all__ = ["bank_of_models", "fixed_threshold", "kalman", "sliding_mode"]
 

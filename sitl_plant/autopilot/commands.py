@@ -4,30 +4,28 @@ Sans-I/O: frames in; replies, forwards and orders for the plant out. Routing fol
 documentation, "MAVLink Routing in ArduPilot"): a broadcast goes to every other link that is in use; a message with an
 address goes to the link over which that component sends; nothing goes back where it came from, and nothing that claims
 to come from the autopilot itself is believed.
+
+MAV_CMD_INJECT_FAILURE damages motors. While the parameter `SIM_PROP_FAULT` is 1 to 3, every failure but OK is a damaged
+propeller of the thesis: F1 to F3, with the severity `SIM_PROP_SEV`, SV1 to SV3. At 0, OFF stops the motor and SLOW lets
+it turn at nine tenths of its speed.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from enum import IntFlag
 from typing import TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot.dialect import Dialect
-from sitl_plant.autopilot.failures import Failures
+from sitl_plant.autopilot.dialect import FAULT, SEVERITY, Dialect, Encoding, Firmware, Mode, Parameters
 from sitl_plant.autopilot.mission import Mission
-from sitl_plant.autopilot.orders import ORDERS, Order, follow_set_point, order_of, waypoints
-from sitl_plant.autopilot.parameters import Encoding, Parameters
-from sitl_plant.autopilot.pilot import Pilot
+from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.wire import Action, Forward, Reply, number, optional, target
-from sitl_plant.changes import Renewal
-from sitl_plant.config import PlantConfig
-from sitl_plant.physics.injections import Injection
+from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
+from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of, target
+from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import PlantSamples
-
-__all__ = ["Action", "Autopilot", "Forward", "PlantOrder", "Reply"]
+from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
 
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
@@ -35,29 +33,23 @@ VERSION = 4 << 24 | 255  # AUTOPILOT_VERSION.flight_sw_version: 4.0.0, FIRMWARE_
 PROTOCOL = 200  # PROTOCOL_VERSION: MAVLink 2.0
 UID = 0x51D205E
 STATUS_NS = 1_000_000_000  # MISSION_CURRENT goes out so often
-NONE = float("nan")
+ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6, 10, 11)  # MAV_FRAME: GLOBAL, GLOBAL_RELATIVE_ALT, terrain as relative; _INT
+LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
+FORCE = 21196  # COMPONENT_ARM_DISARM.param2: whatever the state is
+NO_POSITION, NO_VELOCITY, NO_YAW = 0b111, 0b111_000, 1 << 10  # POSITION_TARGET_TYPEMASK
+SYSTEM_MOTOR = 101  # FAILURE_UNIT
+OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
+SLOW_SHARE = 0.9  # of the commanded speed (our choice)
+
+_MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
+    OFF: ("motor off", RotorDamage(speed_factor=0.0)),
+    SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE)),
+}
 
 
-class _Capability(IntFlag):
-    """MAV_PROTOCOL_CAPABILITY: what the emulator does."""
-
-    PARAM_FLOAT = 1 << 1
-    MISSION_INT = 1 << 2
-    COMMAND_INT = 1 << 3
-    PARAM_ENCODE_BYTEWISE = 1 << 4
-    SET_POSITION_TARGET_LOCAL_NED = 1 << 7
-    SET_POSITION_TARGET_GLOBAL_INT = 1 << 8
-    FLIGHT_TERMINATION = 1 << 11
-    MAVLINK2 = 1 << 13
-    PARAM_ENCODE_C_CAST = 1 << 17
-
-
-_ALWAYS = _Capability.MAVLINK2 | _Capability.PARAM_FLOAT | _Capability.MISSION_INT | _Capability.COMMAND_INT
-_IN_COMMAND = (
-    _Capability.SET_POSITION_TARGET_LOCAL_NED
-    | _Capability.SET_POSITION_TARGET_GLOBAL_INT
-    | _Capability.FLIGHT_TERMINATION
-)
+# MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, MISSION_INT, COMMAND_INT; SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT,
+# FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
+ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17
 
 PlantOrder: TypeAlias = Leg | Injection | Renewal
 """What the plant is to do: be led, take a cause, be made as new."""
@@ -72,9 +64,9 @@ class Autopilot:
         self._identity = (sysid, int(Component.AUTOPILOT1))
         self._schedules, self._dialect, self._config = schedules, dialect, config
         vehicle, self._firmware = config.flown_vehicle, dialect.firmware
+        self._rotors, self._failures = len(vehicle.rotors), dict[int, Injection]()
         self._parameters = Parameters(dialect.parameters_of(vehicle), dialect.firmware.encoding)
         self._pilot = Pilot(dialect.firmware, self._parameters, dialect.custom_mode, config.commanded)
-        self._failures = Failures(len(vehicle.rotors), config.phenomenology)
         self._mission = Mission(self._plan, self._pilot.skip_to)
         self._orders: list[PlantOrder] = []
         self._routes: dict[tuple[int, int], int] = {}
@@ -94,7 +86,10 @@ class Autopilot:
             **dict.fromkeys(self._mission.handled, self._mission.step),
         }
         self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
-            MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
+            MavCmd.SET_MESSAGE_INTERVAL: lambda link, order: (
+                self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0),
+                [],
+            ),
             MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
             MavCmd.REQUEST_MESSAGE: self._request,
             MavCmd.REQUEST_PROTOCOL_VERSION: lambda link, order: self._tell_protocol(link),
@@ -118,7 +113,8 @@ class Autopilot:
         meant = target(frame)
         actions: list[Action] = [Forward(to, frame) for to in self._links_towards(meant) if to != link]
         if meant[0] in (0, self._identity[0]) and meant[1] in (Component.ALL, self._identity[1]):
-            actions += self._handlers.get(frame.msgid, _ignore)(link, frame, now_ns)
+            handler = self._handlers.get(frame.msgid)
+            actions += handler(link, frame, now_ns) if handler else []
         return actions
 
     def watch(self, samples: PlantSamples) -> tuple[list[Action], list[PlantOrder]]:
@@ -137,16 +133,11 @@ class Autopilot:
         return actions, orders
 
     def _links_towards(self, target: tuple[int, int]) -> list[int]:
-        """The links over which the components of an address send; 0 means any."""
         if target == self._identity:
             return []
-        return sorted(
-            {
-                link
-                for (sysid, compid), link in self._routes.items()
-                if target[0] in (0, sysid) and target[1] in (Component.ALL, compid)
-            }
-        )
+        system, component = target
+        routes = self._routes.items()
+        return sorted({to for (s, c), to in routes if system in (0, s) and component in (Component.ALL, c)})
 
     def _command(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         order = order_of(frame)
@@ -159,29 +150,21 @@ class Autopilot:
             result = MavResult.UNSUPPORTED
         return [_ack(link, frame, order.command, result), *replies]
 
-    def _set_interval(self, link: int, order: Order) -> _Answer:
-        return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
-
     def _request(self, link: int, order: Order) -> _Answer:
-        """REQUEST_MESSAGE: what is only told when asked, else a message of the schedule, once."""
         told: Mapping[int, Callable[[], _Answer]] = {
             MessageId.AUTOPILOT_VERSION: lambda: self._tell_version(link),
             MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
             MessageId.MESSAGE_INTERVAL: lambda: self._tell_interval(link, order.whole(2)),
             MessageId.AVAILABLE_MODES: lambda: self._tell_modes(link, order.whole(2)),
-            MessageId.MISSION_CURRENT: lambda: (
-                MavResult.ACCEPTED,
-                [self._mission.current(link, self._pilot.first)],
-            ),
+            MessageId.MISSION_CURRENT: lambda: (MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]),
         }
         if order.whole(1) in told:
             return told[order.whole(1)]()
         return self._schedules[link].ask_once(order.whole(1)), []
 
     def _tell_version(self, link: int) -> _Answer:
-        bytewise = self._firmware.encoding is Encoding.BYTES
-        encoding = _Capability.PARAM_ENCODE_BYTEWISE if bytewise else _Capability.PARAM_ENCODE_C_CAST
-        can = _ALWAYS | encoding | (_IN_COMMAND if self._config.commanded else _Capability(0))
+        can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
+        can |= IN_COMMAND if self._config.commanded else 0
         fields = (can, VERSION, VERSION, 0, 0, (0,) * 8, (0,) * 8, (0,) * 8, 0, 0, UID)
         return MavResult.ACCEPTED, [Reply(link, MessageId.AUTOPILOT_VERSION, fields)]
 
@@ -193,7 +176,6 @@ class Autopilot:
         return MavResult.ACCEPTED, [Reply(link, MessageId.MESSAGE_INTERVAL, (msgid, interval_us))]
 
     def _tell_modes(self, link: int, wanted: int) -> _Answer:
-        """AVAILABLE_MODES: one by its number from 1, or all of them for 0."""
         modes = self._firmware.modes
         told: list[Action] = [
             Reply(link, MessageId.AVAILABLE_MODES, (len(modes), number, 0, code.custom_mode, 0, code.name))
@@ -203,14 +185,29 @@ class Autopilot:
         return (MavResult.ACCEPTED if told else MavResult.DENIED), told
 
     def _inject(self, link: int, order: Order) -> _Answer:
+        """INJECT_FAILURE: unit, type, instance (0 is every motor; without one, those of the mask)."""
+        kind, mask, every = order.whole(2), order.whole(4), set(range(1, self._rotors + 1))
+        fault, severity = (round(self._parameters.value(name)) for name in (FAULT, SEVERITY))
+        if order.param[2] is None:
+            motors = {motor for motor in every if mask >> (motor - 1) & 1}
+        else:
+            motors = {order.whole(3)} if order.whole(3) else every
         if not self._parameters.value("SYS_FAILURE_EN", 1):
             return MavResult.DENIED, []
-        instance = None if order.param[2] is None else order.whole(3)
-        unit, kind, mask = order.whole(1), order.whole(2), order.whole(4)
-        result, present = self._failures.inject(self._parameters, unit, kind, instance, mask)
-        if present is not None:
-            self._orders += [Renewal.CLEAR, *present]
-        return result, []
+        if order.whole(1) != SYSTEM_MOTOR or (kind != OK and not fault and kind not in _MOTORS):
+            return MavResult.UNSUPPORTED, []
+        if not motors or not motors <= every:
+            return MavResult.DENIED, []
+        for motor in sorted(motors):
+            self._failures.pop(motor, None)
+            if kind != OK and fault:
+                scale = self._config.phenomenology
+                self._failures[motor] = fault_injection(f"F{fault}/SV{severity}", motor, phenomenology=scale)
+            elif kind != OK:
+                name, damage = _MOTORS[kind]
+                self._failures[motor] = Injection(damage, motor, name=name)
+        self._orders += [Renewal.CLEAR, *self._failures.values()]
+        return MavResult.ACCEPTED, []
 
     def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         result = self._pilot.set_mode(int(number(frame, "custom_mode")))
@@ -221,14 +218,12 @@ class Autopilot:
         return []
 
     def _plan(self, frames: tuple[Frame, ...]) -> bool:
-        """Whether a flight plan was taken."""
         plan = waypoints([order_of(frame) for frame in frames], self._firmware)
         if plan is not None:
             self._pilot.plan_mission(plan)
         return plan is not None
 
     def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """REQUEST_DATA_STREAM, which has no answer; start_stop 0 is silence, whatever the rate."""
         stream, rate_hz, start = (number(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
         streams = self._dialect.streams
         every = [msgid for messages in streams.values() for msgid in messages]
@@ -238,7 +233,6 @@ class Autopilot:
         return []
 
     def _ping(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        """PING: a request has no target, and comes back to its sender with what it brought."""
         if optional(frame, "target_system"):
             return []
         brought = int(number(frame, "time_usec")), int(number(frame, "seq"))
@@ -251,10 +245,126 @@ class Autopilot:
         return [Reply(link, MessageId.TIMESYNC, (now_ns, int(number(frame, "ts1"))))]
 
 
-def _ignore(link: int, frame: Frame, now_ns: int) -> list[Action]:
-    return []
-
-
 def _ack(link: int, frame: Frame, command: int, result: MavResult) -> Reply:
-    """COMMAND_ACK: command, result, progress, result_param2, target_system, target_component."""
     return Reply(link, MessageId.COMMAND_ACK, (command, result, 0, 0, frame.sysid, frame.compid))
+
+
+def _height(order: Order, amsl: bool) -> float | None:
+    """Above home; None if it is not given."""
+    if order.z is None:
+        return None
+    above_sea = amsl if order.frame is None else order.frame in ABOVE_SEA
+    return order.z - HOME_ALT_M if above_sea else order.z
+
+
+def _place(order: Order, firmware: Firmware, here: Place) -> Place | None:
+    """Where an order leads, world NED; the present place for what is not given. None for a frame not known here."""
+    if order.frame is not None and order.frame not in ABOVE_SEA + ABOVE_HOME:
+        return None
+    there = here[:2] if not order.x or not order.y else to_local(order.x, order.y)
+    # the altitude of DO_REPOSITION is above the sea wherever no frame says otherwise
+    height = _height(order, firmware.amsl or order.command == MavCmd.DO_REPOSITION)
+    return there[0], there[1], here[2] if height is None else -height
+
+
+def _reposition(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    place = _place(order, firmware, pilot.position)
+    speed = order.param[0] if (order.param[0] or -1.0) > 0.0 else None
+    return MavResult.DENIED if place is None else pilot.go(place, order.param[3], speed)
+
+
+def _take_off(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    height = _height(order, firmware.amsl)
+    return pilot.take_off(height if height is None or height > 0.0 else None)
+
+
+def _set_mode(pilot: Pilot, firmware: Firmware, order: Order) -> MavResult:
+    main, sub = order.whole(2), order.whole(3)
+    packed = main << 16 | sub << 24
+    return pilot.set_mode(packed if firmware.code(packed) or sub else main)
+
+
+ORDERS: Mapping[int, Callable[[Pilot, Firmware, Order], MavResult]] = {
+    MavCmd.COMPONENT_ARM_DISARM: lambda pilot, _, order: pilot.arm(order.whole(1) == 1, order.whole(2) == FORCE),
+    MavCmd.NAV_TAKEOFF: _take_off,
+    MavCmd.DO_REPOSITION: _reposition,
+    MavCmd.NAV_LAND: lambda pilot, firmware, order: pilot.do(Mode.LAND),
+    MavCmd.NAV_RETURN_TO_LAUNCH: lambda pilot, firmware, order: pilot.do(Mode.RTL),
+    MavCmd.NAV_LOITER_UNLIM: lambda pilot, firmware, order: pilot.do(Mode.HOLD),
+    MavCmd.MISSION_START: lambda pilot, firmware, order: pilot.do(Mode.MISSION),
+    MavCmd.DO_SET_MODE: _set_mode,
+    MavCmd.DO_CHANGE_SPEED: lambda pilot, firmware, order: pilot.set_speed(order.param[1] or 0.0),
+    MavCmd.DO_FLIGHTTERMINATION: lambda pilot, firmware, order: (
+        pilot.arm(False, force=True) if order.whole(1) else MavResult.DENIED
+    ),
+    MavCmd.RUN_PREARM_CHECKS: lambda pilot, firmware, order: MavResult.ACCEPTED,
+}
+"""What the pilot does for each MAV_CMD."""
+
+_GOES = (MavCmd.NAV_WAYPOINT, MavCmd.NAV_TAKEOFF, MavCmd.NAV_LOITER_TIME, MavCmd.NAV_LOITER_UNLIM)
+
+
+def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ...] | None:
+    """What the items of a mission mean; None if one of them cannot be flown."""
+    plan: list[Waypoint] = []
+    here, speed = (0.0, 0.0, -1.0), None
+    for seq, order in enumerate(orders):
+        speed = (order.param[1] or None) if order.command == MavCmd.DO_CHANGE_SPEED else speed
+        # ArduPilot's item 0 is home, and is not flown
+        meant = (Waypoint(item=0),) if seq == 0 and firmware.needs_guided else _waypoint(seq, order, here, firmware)
+        if meant is None:
+            return None
+        plan += (replace(one, speed=speed) for one in meant)
+        here = next((one.place for one in reversed(meant) if one.place is not None), here)
+    return tuple(plan)
+
+
+def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[Waypoint, ...] | None:
+    """What a mission item means after a place; None for one that cannot be flown."""
+    if order.command in _GOES:
+        place = _place(order, firmware, here)
+        waits = order.param[0] or 0.0 if order.command != MavCmd.NAV_TAKEOFF else 0.0
+        yaw = None if order.param[3] is None or order.command == MavCmd.NAV_TAKEOFF else math.radians(order.param[3])
+        return None if place is None else (Waypoint(place, yaw, wait_s=waits, item=seq),)
+    if order.command == MavCmd.NAV_DELAY:
+        return (Waypoint(wait_s=max(order.param[0] or 0.0, 0.0), item=seq),)
+    if order.command == MavCmd.NAV_LAND:
+        place = _place(order, firmware, here)
+        above = () if place is None else (Waypoint((place[0], place[1], here[2]), item=seq),)
+        return (*above, Waypoint(lands=True, item=seq))
+    if order.command == MavCmd.NAV_RETURN_TO_LAUNCH:
+        return (Waypoint((0.0, 0.0, here[2]), item=seq), Waypoint(lands=True, item=seq))
+    return (Waypoint(item=seq),) if order.command > MavCmd.NAV_DELAY else None  # conditions and actions are passed over
+
+
+def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:
+    """Obey SET_POSITION_TARGET_LOCAL_NED or _GLOBAL_INT: its position, else its velocity."""
+    mask, kind = int(number(frame, "type_mask")), int(number(frame, "coordinate_frame"))
+    yaw = None if mask & NO_YAW else number(frame, "yaw")
+    turn = yaw_now if kind in (BODY_NED, BODY_OFFSET_NED) else 0.0
+    if not mask & NO_POSITION:
+        place = _set_place(pilot, frame, kind, turn)
+        if place is not None:
+            pilot.set_point(place, yaw)
+    elif not mask & NO_VELOCITY:
+        v_x, v_y, v_z = (number(frame, name) for name in ("vx", "vy", "vz"))
+        pilot.set_velocity((*_turned(v_x, v_y, turn), v_z), yaw)
+
+
+def _set_place(pilot: Pilot, frame: Frame, kind: int, turn: float) -> Place | None:
+    here = pilot.position
+    if frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT:
+        north, east = to_local(number(frame, "lat_int") * DEGREES, number(frame, "lon_int") * DEGREES)
+        return north, east, -(number(frame, "alt") - HOME_ALT_M * (kind in ABOVE_SEA))
+    x, y, z = (number(frame, name) for name in ("x", "y", "z"))
+    if kind == LOCAL_NED:
+        return x, y, z
+    if kind in (OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
+        ahead, right = _turned(x, y, turn)
+        return here[0] + ahead, here[1] + right, here[2] + z
+    return None
+
+
+def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y

@@ -1,61 +1,276 @@
-"""How the emulated autopilots differ on the wire, beyond their link profile: one row each.
+"""How the emulated autopilots differ on the wire, beyond their link profile: modes, commands, parameters, one row each.
 
 Units, filter and stamps are those of `mavdiag.link.profiles`, so that what is sent is what is understood. Facts about
 ArduPilot Copter and PX4 were read in their sources and checked against their simulators (2026). Where the emulator
-departs from them, so that it is useful without being asked, the row says so.
+departs from them, so that it is useful without being asked, the row says so. custom_mode of ArduPilot is the number of
+a mode (AP_Mode); PX4 packs a main mode into byte 2 and a sub mode into byte 3 (px4_custom_mode.h).
+
+Parameters are listed, read and set by the MAVLink parameter protocol. A set is checked against type and range; the
+answer is always the value in force. PARAM_VALUE carries every value in a float field: PX4 puts the bytes of an integer
+there, ArduPilot its value.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum, StrEnum
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
-from mavdiag.link.messages import MessageId
+from mavdiag.link.codec import Frame
+from mavdiag.link.messages import MavResult, MessageId
 from mavdiag.link.profiles import PROFILES, Profile, Stamp, profile_named
-from sitl_plant.autopilot.failures import FAULT_PARAMETERS
-from sitl_plant.autopilot.firmware import COPTER, GENERIC, PX4, Firmware
-from sitl_plant.autopilot.parameters import Kind, Parameter
-from sitl_plant.autopilot.pilot import NOSE
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.wire import Action, Reply, number, text
 from sitl_plant.vehicle import Vehicle, airframe_of
-
-__all__ = ["DIALECTS", "ESC_GROUP", "Dialect", "dialect_named"]
 
 ESC_GROUP = 4  # rotors in one message of their speeds
 FRAME_CLASSES, FRAME_TYPES = {4: 1, 6: 2, 8: 3}, (0, 1)  # ArduPilot: quad, hexa, octa; plus, X
-OWN_PARAMETERS = (*FAULT_PARAMETERS, Parameter(NOSE, 1, Kind.INT8, (0, 1)))
+
+
+# Parameters of the emulator's own: the propeller that INJECT_FAILURE damages, and 1 to turn the nose along a line.
+FAULT, SEVERITY, NOSE = "SIM_PROP_FAULT", "SIM_PROP_SEV", "SIM_NOSE"
+
+
+class Encoding(StrEnum):
+    """How an integer travels in a float field."""
+
+    CAST = "cast"  # its value: ArduPilot
+    BYTES = "bytes"  # its four bytes: PX4
+    FLOAT = "float"  # not at all: every parameter is a float
+
+
+class Kind(IntEnum):
+    """MAV_PARAM_TYPE, as far as used."""
+
+    INT8 = 2
+    INT16 = 4
+    INT32 = 6
+    REAL32 = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter. span: the lowest and highest value that it may be set to; None if it cannot be set."""
+
+    name: str
+    value: float
+    kind: Kind = Kind.REAL32
+    span: tuple[float, float] | None = None
+
+
+class Parameters:
+    """The parameters of one vehicle."""
+
+    def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
+        kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
+        self._bytewise = encoding is Encoding.BYTES
+        self._rows = tuple(replace(row, kind=kind) if kind and row.kind is not Kind.REAL32 else row for row in rows)
+        self._given = tuple(rows)
+        self._index = {row.name: index for index, row in enumerate(rows)}
+        self._values = [row.value for row in rows]
+
+    def value(self, name: str, default: float = 0.0) -> float:
+        """The value in force; the default for a name that there is not."""
+        return self._values[self._index[name]] if name in self._index else default
+
+    def change(self, name: str, value: float) -> bool:
+        """Whether a value was taken: the name is known, can be set, and the value is within its span."""
+        span = self._rows[self._index[name]].span if name in self._index else None
+        if span is None or not span[0] <= value <= span[1]:
+            return False
+        whole = self._given[self._index[name]].kind is not Kind.REAL32
+        self._values[self._index[name]] = float(round(value)) if whole else value
+        return True
+
+    def all(self, link: int) -> list[Action]:
+        """The answer to PARAM_REQUEST_LIST."""
+        return [self._reply(link, index) for index in range(len(self._rows))]
+
+    def read(self, link: int, frame: Frame) -> list[Action]:
+        """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
+        index = int(number(frame, "param_index"))
+        if index < 0:
+            index = self._index.get(text(frame, "param_id"), -1)
+        return [self._reply(link, index)] if 0 <= index < len(self._rows) else []
+
+    def set(self, link: int, frame: Frame) -> list[Action]:
+        """The answer to PARAM_SET: the value in force; nothing for an unknown name."""
+        name = text(frame, "param_id")
+        if name not in self._index:
+            return []
+        row, asked = self._rows[self._index[name]], int(number(frame, "param_type"))
+        if not self._bytewise or asked == row.kind:
+            self.change(name, self._decoded(frame, row.kind))
+        return [self._reply(link, self._index[name])]
+
+    def _decoded(self, frame: Frame, kind: Kind) -> float:
+        if self._bytewise and kind is not Kind.REAL32:
+            (held,) = struct.unpack_from("<i", frame.payload)  # param_value is first on the wire
+            return float(held)
+        return number(frame, "param_value")
+
+    def _reply(self, link: int, index: int) -> Reply:
+        row, value = self._rows[index], self._values[index]
+        if self._bytewise and row.kind is not Kind.REAL32:
+            value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
+        return Reply(link, MessageId.PARAM_VALUE, (row.name, value, row.kind, len(self._rows), index))
+
+
+OWN_PARAMETERS = (
+    Parameter(FAULT, 0, Kind.INT8, (0, 3)),
+    Parameter(SEVERITY, 1, Kind.INT8, (1, 3)),
+    Parameter(NOSE, 1, Kind.INT8, (0, 1)),
+)
+
+
+class Mode(StrEnum):
+    """What the emulated vehicle does in a mode. There are no sticks: a manual mode holds the position."""
+
+    MANUAL = "manual"
+    HOLD = "hold"
+    GUIDED = "guided"
+    TAKEOFF = "takeoff"
+    LAND = "land"
+    RTL = "rtl"
+    MISSION = "mission"
+
+
+@dataclass(frozen=True, slots=True)
+class ModeCode:
+    """One flight mode. custom_mode: its number in HEARTBEAT."""
+
+    custom_mode: int
+    mode: Mode
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """How an autopilot takes commands."""
+
+    modes: tuple[ModeCode, ...]  # the modes; the first with a `Mode` is the one that a command such as NAV_LAND brings
+    encoding: Encoding  # of parameters
+    amsl: bool  # the altitude of a COMMAND_LONG is above the sea, not above home
+    takeoff: Mode  # the mode during a take-off by command
+    needs_guided: bool  # NAV_TAKEOFF is refused in another mode
+    reposition: Mode  # the mode in which DO_REPOSITION flies
+    refused: MavResult  # the result of a command that the vehicle's state does not allow
+    speed: str  # name of a parameter, as of the next two: height of a take-off, height of a return
+    height: str
+    return_height: str
+    unit: float  # of these parameters, in metres (per second)
+    parameters: tuple[Parameter, ...]  # its own that can be set
+
+    def code(self, custom_mode: int) -> ModeCode | None:
+        """The mode of a number; None if there is none."""
+        return next((code for code in self.modes if code.custom_mode == custom_mode), None)
+
+    def shown(self, mode: Mode) -> int:
+        """The custom_mode of what the vehicle does."""
+        return next(code.custom_mode for code in self.modes if code.mode is mode)
+
+
+def _px4(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+_COPTER_MODES = (
+    ModeCode(4, Mode.GUIDED, "GUIDED"),
+    ModeCode(5, Mode.HOLD, "LOITER"),
+    ModeCode(0, Mode.MANUAL, "STABILIZE"),
+    ModeCode(2, Mode.MANUAL, "ALT_HOLD"),
+    ModeCode(3, Mode.MISSION, "AUTO"),
+    ModeCode(6, Mode.RTL, "RTL"),
+    ModeCode(9, Mode.LAND, "LAND"),
+    ModeCode(16, Mode.HOLD, "POSHOLD"),
+    ModeCode(17, Mode.HOLD, "BRAKE"),
+)
+_PX4_MODES = (
+    ModeCode(_px4(4, 3), Mode.HOLD, "Hold"),
+    ModeCode(_px4(6), Mode.GUIDED, "Offboard"),
+    ModeCode(_px4(1), Mode.MANUAL, "Manual"),
+    ModeCode(_px4(2), Mode.MANUAL, "Altitude"),
+    ModeCode(_px4(3), Mode.MANUAL, "Position"),
+    ModeCode(_px4(7), Mode.MANUAL, "Stabilized"),
+    ModeCode(_px4(4, 2), Mode.TAKEOFF, "Takeoff"),
+    ModeCode(_px4(4, 4), Mode.MISSION, "Mission"),
+    ModeCode(_px4(4, 5), Mode.RTL, "Return"),
+    ModeCode(_px4(4, 6), Mode.LAND, "Land"),
+)
+
+SPEED_MOST, HEIGHT_MOST = 2.0, 50.0  # m/s that the thesis's cascade flies well; m
+_CM = 0.01
+
+COPTER = Firmware(
+    modes=_COPTER_MODES,
+    encoding=Encoding.CAST,
+    amsl=False,
+    takeoff=Mode.GUIDED,
+    needs_guided=True,
+    reposition=Mode.GUIDED,
+    refused=MavResult.FAILED,
+    speed="WPNAV_SPEED",
+    height="PILOT_TKOFF_ALT",
+    return_height="RTL_ALT",
+    unit=_CM,
+    parameters=(
+        Parameter("WPNAV_SPEED", 100.0, Kind.REAL32, (10.0, SPEED_MOST / _CM)),
+        Parameter("PILOT_TKOFF_ALT", 150.0, Kind.REAL32, (30.0, HEIGHT_MOST / _CM)),
+        Parameter("RTL_ALT", 200.0, Kind.INT32, (30.0, HEIGHT_MOST / _CM)),
+    ),
+)
+PX4 = Firmware(
+    modes=_PX4_MODES,
+    encoding=Encoding.BYTES,
+    amsl=True,
+    takeoff=Mode.TAKEOFF,
+    needs_guided=False,
+    reposition=Mode.HOLD,
+    refused=MavResult.TEMPORARILY_REJECTED,
+    speed="MPC_XY_CRUISE",
+    height="MIS_TAKEOFF_ALT",
+    return_height="RTL_RETURN_ALT",
+    unit=1.0,
+    parameters=(
+        Parameter("MPC_XY_CRUISE", 1.0, Kind.REAL32, (0.1, SPEED_MOST)),
+        Parameter("MIS_TAKEOFF_ALT", 1.5, Kind.REAL32, (0.3, HEIGHT_MOST)),
+        Parameter("RTL_RETURN_ALT", 2.0, Kind.REAL32, (0.3, HEIGHT_MOST)),
+        Parameter("SYS_FAILURE_EN", 1, Kind.INT32, (0, 1)),
+    ),
+)
+# Whoever does not know an autopilot guesses: mavsdk takes its custom_mode for PX4's, pymavlink for ArduPilot's. The
+# numbers do not meet, so both are understood. mavsdk sends it altitudes above home. All its parameters are floats.
+GENERIC = replace(
+    PX4,
+    modes=(*_PX4_MODES, *_COPTER_MODES),
+    encoding=Encoding.FLOAT,
+    amsl=False,
+    refused=MavResult.DENIED,
+    parameters=PX4.parameters[:3],
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """What one kind of autopilot sends.
 
-    profile: units, filter and stamps.
-    custom_mode: flight mode in HEARTBEAT.
-    others: rates of the messages besides set-point and IMU [Hz].
-    ceiling_hz: the highest rate that is granted.
     unasked: rates of what the real autopilot sends on a fresh link [Hz].
-    whole_ms: intervals are cut to whole milliseconds.
-    attained_hz: a rate above this is granted, and comes at this one; None if every rate is met.
-    send_delay_s: longest time from the sample to its stamp, if messages are stamped when they are sent.
-    firmware: how it takes commands.
-    parameters: those of the autopilot besides its firmware's and the emulator's own.
     streams: which messages REQUEST_DATA_STREAM sets, by MAV_DATA_STREAM; empty for an autopilot that ignores it.
-    sysid: system id of the vehicle, 1 to 255.
     """
 
-    profile: Profile
-    custom_mode: int
-    others: Mapping[int, float]
-    ceiling_hz: float
-    firmware: Firmware
-    send_delay_s: float = 0.0
-    parameters: tuple[Parameter, ...] = ()
+    profile: Profile  # units, filter and stamps
+    custom_mode: int  # flight mode in HEARTBEAT
+    others: Mapping[int, float]  # rates of the messages besides set-point and IMU [Hz]
+    ceiling_hz: float  # the highest rate that is granted
+    firmware: Firmware  # how it takes commands
+    send_delay_s: float = 0.0  # longest time from the sample to its stamp, if messages are stamped when they are sent
+    parameters: tuple[Parameter, ...] = ()  # those of the autopilot besides its firmware's and the emulator's own
     streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     unasked: Mapping[int, float] = field(default_factory=dict)
-    whole_ms: bool = False
-    attained_hz: float | None = None
-    sysid: int = 1
+    whole_ms: bool = False  # intervals are cut to whole milliseconds
+    attained_hz: float | None = None  # a rate above this is granted, and comes at this one; None if every rate is met
+    sysid: int = 1  # system id of the vehicle, 1 to 255
 
     def __post_init__(self) -> None:
         if (self.send_delay_s > 0.0) != (self.profile.stamp is Stamp.SEND):
@@ -99,22 +314,17 @@ def _copter_frame(vehicle: Vehicle) -> tuple[Parameter, ...]:
         told = layout_from_parameters({"FRAME_CLASS": frame, "FRAME_TYPE": kind}).layout
         if told is not None and layout is not None and told.alike(layout):
             outputs = [Parameter(f"SERVO{n}_FUNCTION", 32 + n, Kind.INT16) for n in range(1, rotors + 1)]
-            return (_whole("FRAME_CLASS", frame, Kind.INT8), _whole("FRAME_TYPE", kind, Kind.INT8), *outputs)
-    return (_whole("FRAME_CLASS", frame, Kind.INT8),)
+            return (Parameter("FRAME_CLASS", frame, Kind.INT8), Parameter("FRAME_TYPE", kind, Kind.INT8), *outputs)
+    return (Parameter("FRAME_CLASS", frame, Kind.INT8),)
 
 
 def _px4_rotors(vehicle: Vehicle) -> tuple[Parameter, ...]:
-    """CA_ROTORn of the rotors, in the vehicle's order."""
-    rows = [_whole("CA_ROTOR_COUNT", len(vehicle.rotors), Kind.INT32)]
+    rows = [Parameter("CA_ROTOR_COUNT", len(vehicle.rotors), Kind.INT32)]
     moment = 1.0 / vehicle.propulsion.thrust_per_torque_1_m
     for n, rotor in enumerate(vehicle.rotors):
         values = {"PX": rotor.position_m[0], "PY": rotor.position_m[1], "KM": -rotor.sign * moment}
         rows += [Parameter(f"CA_ROTOR{n}_{part}", value) for part, value in values.items()]
     return tuple(rows)
-
-
-def _whole(name: str, value: int, kind: Kind) -> Parameter:
-    return Parameter(name, value, kind)
 
 
 _STATE: dict[int, float] = {
@@ -134,7 +344,6 @@ _STATE: dict[int, float] = {
 
 
 def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
-    """What a profile needs besides setpoint and IMU, and more at 50 Hz."""
     vibration: dict[int, float] = {MessageId.VIBRATION: 10.0} if profile.vibration else {}
     return {**_STATE, **vibration, **dict.fromkeys((profile.actuator, profile.rotor_speed, *more), 50.0)}
 

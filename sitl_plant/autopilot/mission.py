@@ -4,14 +4,11 @@ https://mavlink.io/en/services/mission.html. An interrupted upload is asked for 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
-from sitl_plant.autopilot.orders import order_of
-from sitl_plant.autopilot.wire import Action, Reply, number
-
-__all__ = ["Item", "Mission"]
+from sitl_plant.autopilot.wire import Action, Reply, number, order_of
 
 MISSION = 0  # MAV_MISSION_TYPE of the flight plan; 1 is the fence, 2 are rally points
 ACCEPTED, ERROR, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE, CANCELLED = 0, 1, 3, 4, 13, 15  # MAV_MISSION_RESULT
@@ -19,29 +16,19 @@ ITEMS_MAX = 200
 ASK_AGAIN_S, GIVE_UP_S = 1.0, 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One item as MISSION_ITEM_INT has it. fields: after target and seq, before mission_type."""
-
-    frame: int
-    command: int
-    fields: tuple[float, ...]
-
-    def reply(self, link: int, to: tuple[int, int], seq: int) -> Reply:
-        """The item as an answer."""
-        return Reply(link, MessageId.MISSION_ITEM_INT, (*to, seq, self.frame, self.command, *self.fields, MISSION))
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Upload:
     """An upload under way: from whom, how many items, which came, when the last one came and the last was asked for."""
 
     link: int
     source: tuple[int, int]
     count: int
-    frames: tuple[Frame, ...]
+    frames: list[Frame]
     heard_ns: int
     asked_ns: int
+
+    def ask(self) -> Reply:
+        return Reply(self.link, MessageId.MISSION_REQUEST_INT, (*self.source, len(self.frames), MISSION))
 
 
 class Mission:
@@ -52,10 +39,10 @@ class Mission:
 
     def __init__(self, accept: Callable[[tuple[Frame, ...]], bool], skip_to: Callable[[int], None]) -> None:
         self._accept, self._skip_to = accept, skip_to
-        self._items: tuple[Item, ...] = ()
+        self._items: tuple[tuple[float, ...], ...] = ()  # each as MISSION_ITEM_INT has it, from frame to z
         self._upload: _Upload | None = None
-        self._handlers: dict[int, Callable[[int, Frame, int], list[Action]]] = {
-            MessageId.MISSION_REQUEST_LIST: self._count,
+        self._handlers: dict[int, Callable[[int, Frame, int], Action | None]] = {
+            MessageId.MISSION_REQUEST_LIST: lambda link, frame, now_ns: _count(link, frame, len(self._items)),
             MessageId.MISSION_REQUEST: self._send,
             MessageId.MISSION_REQUEST_INT: self._send,
             MessageId.MISSION_COUNT: self._begin,
@@ -63,7 +50,7 @@ class Mission:
             MessageId.MISSION_ITEM_INT: self._take,
             MessageId.MISSION_CLEAR_ALL: self._clear,
             MessageId.MISSION_SET_CURRENT: self._set_current,
-            MessageId.MISSION_ACK: lambda link, frame, now_ns: [],
+            MessageId.MISSION_ACK: lambda link, frame, now_ns: None,
         }
 
     def __len__(self) -> int:
@@ -76,14 +63,15 @@ class Mission:
 
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Answer one message of the protocol. A type of mission that is not carried is empty, or refused."""
-        kind = int(number(frame, "mission_type"))
-        if kind == MISSION:
-            return self._handlers[frame.msgid](link, frame, now_ns)
-        if frame.msgid == MessageId.MISSION_REQUEST_LIST:
-            return [Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, 0, kind))]
-        if frame.msgid == MessageId.MISSION_CLEAR_ALL:
-            return [_ack(link, frame, ACCEPTED)]
-        return [] if frame.msgid == MessageId.MISSION_ACK else [_ack(link, frame, UNSUPPORTED)]
+        if int(number(frame, "mission_type")) == MISSION:
+            answer = self._handlers[frame.msgid](link, frame, now_ns)
+        elif frame.msgid == MessageId.MISSION_REQUEST_LIST:
+            answer = _count(link, frame, 0)
+        elif frame.msgid == MessageId.MISSION_ACK:
+            answer = None
+        else:
+            answer = _ack(link, frame, ACCEPTED if frame.msgid == MessageId.MISSION_CLEAR_ALL else UNSUPPORTED)
+        return [] if answer is None else [answer]
 
     def tick(self, now_ns: int) -> list[Action]:
         """Ask once more for an item that does not come, or give up."""
@@ -95,71 +83,69 @@ class Mission:
             return [Reply(upload.link, MessageId.MISSION_ACK, (*upload.source, CANCELLED, MISSION))]
         if now_ns - upload.asked_ns < ASK_AGAIN_S * 1e9:
             return []
-        self._upload = replace(upload, asked_ns=now_ns)
-        return [self._ask(upload)]
+        upload.asked_ns = now_ns
+        return [upload.ask()]
 
     def current(self, link: int, item: int) -> Reply:
         """MISSION_CURRENT. item: the one that is flown, or comes next."""
         return Reply(link, MessageId.MISSION_CURRENT, (item, len(self._items)))
 
-    def _count(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        return [Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, len(self._items), MISSION))]
-
-    def _send(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+    def _send(self, link: int, frame: Frame, now_ns: int) -> Action:
         seq = int(number(frame, "seq"))
         if seq >= len(self._items):
-            return [_ack(link, frame, INVALID_SEQUENCE)]
-        return [self._items[seq].reply(link, (frame.sysid, frame.compid), seq)]
+            return _ack(link, frame, INVALID_SEQUENCE)
+        kind, command, *fields = self._items[seq]
+        place = (frame.sysid, frame.compid, seq, int(kind), int(command))
+        return Reply(link, MessageId.MISSION_ITEM_INT, (*place, *fields, MISSION))
 
-    def _begin(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+    def _begin(self, link: int, frame: Frame, now_ns: int) -> Action:
         count = int(number(frame, "count"))
         if count > ITEMS_MAX:
-            return [_ack(link, frame, NO_SPACE)]
+            return _ack(link, frame, NO_SPACE)
         if count == 0:
             return self._clear(link, frame, now_ns)
-        self._upload = _Upload(link, (frame.sysid, frame.compid), count, (), now_ns, now_ns)
-        return [self._ask(self._upload)]
+        self._upload = _Upload(link, (frame.sysid, frame.compid), count, [], now_ns, now_ns)
+        return self._upload.ask()
 
-    def _take(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+    def _take(self, link: int, frame: Frame, now_ns: int) -> Action:
         upload = self._upload
         if upload is None or (frame.sysid, frame.compid) != upload.source:
-            return [_ack(link, frame, ERROR)]
-        if int(number(frame, "seq")) != len(upload.frames):  # twice, or out of order: the right one is asked for
-            return [self._ask(upload)]
-        upload = replace(upload, frames=(*upload.frames, frame), heard_ns=now_ns, asked_ns=now_ns)
-        self._upload = upload
+            return _ack(link, frame, ERROR)
+        if int(number(frame, "seq")) == len(upload.frames):  # else twice, or out of order: the right one is asked for
+            upload.frames.append(frame)
+            upload.heard_ns = upload.asked_ns = now_ns
         if len(upload.frames) < upload.count:
-            return [self._ask(upload)]
+            return upload.ask()
         self._upload = None
-        if not self._accept(upload.frames):
-            return [_ack(link, frame, UNSUPPORTED)]
-        self._items = tuple(_item(one) for one in upload.frames)
-        return [_ack(link, frame, ACCEPTED)]
+        if not self._accept(tuple(upload.frames)):
+            return _ack(link, frame, UNSUPPORTED)
+        self._items = tuple(_item(item) for item in upload.frames)
+        return _ack(link, frame, ACCEPTED)
 
-    def _ask(self, upload: _Upload) -> Reply:
-        return Reply(upload.link, MessageId.MISSION_REQUEST_INT, (*upload.source, len(upload.frames), MISSION))
-
-    def _clear(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+    def _clear(self, link: int, frame: Frame, now_ns: int) -> Action:
         self._accept(())
         self._items, self._upload = (), None
-        return [_ack(link, frame, ACCEPTED)]
+        return _ack(link, frame, ACCEPTED)
 
-    def _set_current(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
+    def _set_current(self, link: int, frame: Frame, now_ns: int) -> Action:
         seq = int(number(frame, "seq"))
         if seq >= len(self._items):
-            return [_ack(link, frame, INVALID_SEQUENCE)]
+            return _ack(link, frame, INVALID_SEQUENCE)
         self._skip_to(seq)
-        return [self.current(link, seq)]
+        return self.current(link, seq)
 
 
-def _item(frame: Frame) -> Item:
+def _item(frame: Frame) -> tuple[float, ...]:
     """As it was sent, with degrees as integers."""
     order = order_of(frame)
-    x, y = (round((value or 0.0) * 1e7) for value in (order.x, order.y))
-    flags = int(number(frame, "current")), int(number(frame, "autocontinue"))
-    params = tuple(float("nan") if value is None else value for value in order.param)
-    z = float("nan") if order.z is None else order.z
-    return Item(int(number(frame, "frame")), order.command, (*flags, *params, x, y, z))
+    flags = (int(number(frame, name)) for name in ("frame", "command", "current", "autocontinue"))
+    *params, z = (float("nan") if value is None else value for value in (*order.param, order.z))
+    return (*flags, *params, *(round((value or 0.0) * 1e7) for value in (order.x, order.y)), z)
+
+
+def _count(link: int, frame: Frame, items: int) -> Reply:
+    kind = int(number(frame, "mission_type"))
+    return Reply(link, MessageId.MISSION_COUNT, (frame.sysid, frame.compid, items, kind))
 
 
 def _ack(link: int, frame: Frame, result: int) -> Reply:

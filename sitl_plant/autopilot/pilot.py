@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavdiag.link.messages import MavResult
-from sitl_plant.autopilot.firmware import SPEED_MOST, Firmware, Mode
-from sitl_plant.autopilot.parameters import Parameters
-from sitl_plant.physics.attitude import wrapped
+from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Firmware, Mode, Parameters
+from sitl_plant.physics.dynamics import wrapped
 from sitl_plant.physics.trajectory import (
     BELOW_M,
     CLIMB_M_S,
@@ -29,12 +28,10 @@ from sitl_plant.physics.trajectory import (
 )
 from sitl_plant.plant import STEP_NS, PlantSamples
 
-__all__ = ["NOSE", "Pilot", "Waypoint"]
-
 ACCEPT_M, SETTLE_S, LATE_S = 0.3, 0.5, 10.0  # a waypoint is reached: so near, so long after the line ends; or so late
 REACH_M, LOWEST_M = 500.0, 0.3  # from home to a waypoint, and above the ground
 TURN_RAD_S = 1.0
-NOSE, NOSE_FROM_M = "SIM_NOSE", 0.5  # parameter: 1 turns the nose along a line at least so long, 0 leaves it
+NOSE_FROM_M = 0.5  # the nose is turned along a line at least so long
 VELOCITY_S = 3.0  # a velocity set-point is obeyed so long (ArduPilot: GUID_TIMEOUT)
 LANDED_S = 2.0  # on the ground after a landing, before the motors disarm
 IDLE_S = 10.0  # armed on the ground without a take-off (ArduPilot: DISARM_DELAY)
@@ -44,21 +41,14 @@ Place = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Something to do in flight.
+    """Something to do in flight."""
 
-    place: where to go, world NED [m]; None stays. lands: goes down there until the motors stop.
-    yaw: of the nose; None leaves it to `NOSE`.
-    speed: on the way [m/s]; None for the parameter's.
-    wait_s: at its end.
-    item: of the mission, to report it; None for another order.
-    """
-
-    place: Place | None = None
-    yaw: float | None = None
-    speed: float | None = None
-    wait_s: float = 0.0
-    lands: bool = False
-    item: int | None = None
+    place: Place | None = None  # where to go, world NED [m]; None stays
+    yaw: float | None = None  # of the nose; None leaves it to `NOSE`
+    speed: float | None = None  # on the way [m/s]; None for the parameter's
+    wait_s: float = 0.0  # at its end
+    lands: bool = False  # goes down there until the motors stop
+    item: int | None = None  # of the mission, to report it; None for another order
 
     @property
     def passes(self) -> bool:
@@ -67,15 +57,13 @@ class Waypoint:
 
 
 def _far(place: Place) -> bool:
-    """Whether a place is out of reach."""
     return max(abs(place[0]), abs(place[1]), -place[2]) > REACH_M or place[2] > -LOWEST_M
 
 
 class Pilot:
     """Flies one vehicle. commanded: it stands on the ground and waits; else it follows its own path and takes no order.
 
-    custom_mode: as HEARTBEAT says it.
-    first: the mission's item that is flown, or with which it begins.
+    custom_mode: as HEARTBEAT says it. first: the mission's item that is flown, or with which it begins.
     """
 
     def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
@@ -245,7 +233,6 @@ class Pilot:
         return self._parameters.value(name) * self._firmware.unit
 
     def _way_of(self, mode: Mode) -> list[Waypoint]:
-        """What a mode does with a vehicle in flight."""
         if mode is Mode.LAND:
             return [Waypoint(lands=True)]
         if mode is Mode.RTL:
@@ -270,7 +257,6 @@ class Pilot:
             self._reached.append(done.item)
 
     def _next(self) -> None:
-        """Begin the next waypoint; without one, hold."""
         while self._plan and self._plan[0].passes:
             self._finish(self._plan.popleft())
         if not self._plan:
@@ -294,7 +280,6 @@ class Pilot:
         return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self._position, self._leg.end) < ACCEPT_M)
 
     def _led(self) -> tuple[float, ...]:
-        """The reference now: position, velocity, yaw, yaw rate, motors."""
         out = np.zeros(REFERENCE)
         follow(self._leg, self._now_s, out)
         return tuple(out.tolist())

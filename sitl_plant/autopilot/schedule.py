@@ -8,8 +8,6 @@ import numpy as np
 from mavdiag.link.messages import MavResult
 from mavdiag.telemetry import IntArray
 
-__all__ = ["DEFAULT_INTERVAL", "NEVER", "Schedule"]
-
 DEFAULT_INTERVAL, NEVER = 0, -1  # what SET_MESSAGE_INTERVAL means by these two intervals
 
 _NO_ROWS = np.empty(0, dtype=np.int64)
@@ -41,18 +39,13 @@ class _Beat:
 class Schedule:
     """The rhythm of every message that a link can carry. Time is the vehicle's.
 
-    rates_hz: the messages and their default rates, 0 for those that come only on request.
-    ceiling_hz: a faster rhythm than this is denied.
-    whole_ms: what is asked for is cut to whole milliseconds.
-    attained_hz: a faster rhythm that is asked for is granted, and comes as this one; None if all are met.
+    rates_hz: the messages and their default rates, 0 for those that come only on request. ceiling_hz: a faster rhythm
+    than this is denied. whole_ms: what is asked for is cut to whole milliseconds. attained_hz: a faster rhythm that is
+    asked for is granted, and comes as this one; None if all are met.
     """
 
     def __init__(
-        self,
-        rates_hz: Mapping[int, float],
-        ceiling_hz: float,
-        whole_ms: bool = False,
-        attained_hz: float | None = None,
+        self, rates_hz: Mapping[int, float], ceiling_hz: float, whole_ms: bool = False, attained_hz: float | None = None
     ) -> None:
         periods = {msgid: round(1e9 / rate) if rate > 0 else 0 for msgid, rate in rates_hz.items()}
         self._beats = {msgid: _Beat(period, period) for msgid, period in periods.items()}

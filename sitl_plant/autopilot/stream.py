@@ -2,55 +2,147 @@
 
 A block of samples becomes one record array for each message, whole columns at a time: its bytes are the payloads on the
 wire, and the converters of `mavdiag.link` read the same records. A message gets its sequence number only when it is
-sent, because an answer may overtake it.
+sent, because an answer may overtake it. The emulated vehicle flies by motion capture; what it knows of its place is
+told as an autopilot with a GPS tells it, on a plane that touches the earth at its home.
 """
 
+import math
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache
 from itertools import repeat
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter, lfilter_zi
 
 from mavdiag.link.codec import record_dtype
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
-from mavdiag.units import NS_PER_MS, NS_PER_US, RPM
+from mavdiag.units import NS_PER_MS, NS_PER_US, RPM, G
 from sitl_plant.autopilot.dialect import ESC_GROUP, Dialect
-from sitl_plant.autopilot.imu_filters import FilteredSamples
-from sitl_plant.autopilot.positions import POSITIONS, integers, remaining
 from sitl_plant.autopilot.schedule import Schedule
-
-__all__ = ["Message", "Streamer", "records"]
+from sitl_plant.physics.sensors import butterworth
+from sitl_plant.physics.trajectory import FLYING
+from sitl_plant.plant import STEP_NS, PlantSamples
 
 Column: TypeAlias = FloatArray | IntArray | int  # (n,), or (n, k) for k fields side by side, or a constant
 Columns: TypeAlias = Mapping[str, Column]
 Record: TypeAlias = NDArray[Any]
-_Builder: TypeAlias = Callable[[FilteredSamples, IntArray, Dialect], Columns]
 
 STANDBY, ACTIVE = 3, 4  # MAV_STATE
 ON_GROUND, IN_AIR = 1, 2  # MAV_LANDED_STATE
-FLYING = 2  # `PlantSamples.motors`
 HIGHRES_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometer and gyro
 # MAV_SYS_STATUS_SENSOR: gyro, accelerometer, magnetometer, GPS and vision (motion capture is all three), motor outputs,
 # geofence, AHRS, battery, pre-arm check, propulsion
 HEALTH = 0x1 | 0x2 | 0x4 | 0x20 | 0x80 | 0x8000 | 0x100000 | 0x200000 | 0x2000000 | 0x10000000 | 0x40000000
 TYPES = {4: MavType.QUADROTOR, 6: MavType.HEXAROTOR, 8: MavType.OCTOROTOR}
 SERVOS = 8  # outputs of SERVO_OUTPUT_RAW beside each other; the other eight are extensions
+CAPACITY_AH = 3.7  # of the QDrone 2's battery: 4S, 3700 mAh (Quanser, QDrone 2 data sheet)
+CELLS = 4
+FIX_3D, SATELLITES = 3, 12  # GPS_RAW_INT: what ground stations ask for before they call a vehicle ready
+EPH_CM = 100
+# PX4's home in simulation, near Zurich: the emulated vehicle flies indoors and could be anywhere.
+HOME_LAT_DEG, HOME_LON_DEG, HOME_ALT_M = 47.397742, 8.545594, 488.0
+EARTH_M = 6_371_000.0
+_NORTH_M = EARTH_M * math.pi / 180  # of one degree
+_EAST_M = _NORTH_M * math.cos(math.radians(HOME_LAT_DEG))
+_HOME = (round(HOME_LAT_DEG * 1e7), round(HOME_LON_DEG * 1e7), round(HOME_ALT_M * 1e3))
+# ArduPilot, AP_InertialSensor.h: ACCEL_VIBE_FLOOR_FILT_HZ, ACCEL_VIBE_FILT_HZ, ACCEL_CLIP_THRESH_MSS
+VIBE_FLOOR_HZ, VIBE_HZ, CLIP_M_S2 = 5.0, 2.0, 16.0 * G - 0.5
+STEP_S = STEP_NS * 1e-9
+
+
+def to_global(position: FloatArray) -> FloatArray:
+    """Latitude, longitude [deg] and altitude above the sea [m] of positions (n, 3) in world NED."""
+    home = np.array([HOME_LAT_DEG, HOME_LON_DEG, HOME_ALT_M])
+    return np.asarray(home + position / np.array([_NORTH_M, _EAST_M, -1.0]))
+
+
+def to_local(latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+    """North and east of home [m]."""
+    return (latitude_deg - HOME_LAT_DEG) * _NORTH_M, (longitude_deg - HOME_LON_DEG) * _EAST_M
+
+
+def integers(values: FloatArray, bits: int) -> IntArray:
+    """Rounded and held in a signed field of so many bits."""
+    top = (1 << bits - 1) - 1
+    return np.clip(np.rint(values), -top - 1, top).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilteredSamples:
+    """n steps as the autopilot sends them."""
+
+    samples: PlantSamples  # what the plant gave
+    stamp_ns: IntArray  # (n,) time that the messages carry
+    gyro: FloatArray  # (n, 3) after the autopilot's filter [rad/s]
+    accel: FloatArray  # (n, 3) after the autopilot's filter [m/s^2]
+    vibration: FloatArray  # (n, 3) level [m/s^2]; zero where the profile does not send it, and so are the clippings
+    clippings: IntArray  # (n,) samples so far at the end of the accelerometer's range
+
+
+class _Filter:
+    """A linear filter over the columns of successive blocks; it starts settled on the first row."""
+
+    def __init__(self, b: FloatArray, a: FloatArray) -> None:
+        self._b, self._a = b, a
+        self._state: FloatArray | None = None
+
+    def step(self, x: FloatArray) -> FloatArray:
+        if self._state is None:
+            self._state = lfilter_zi(self._b, self._a)[:, np.newaxis] * x[0]
+        y, self._state = lfilter(self._b, self._a, x, axis=0, zi=self._state)
+        return np.asarray(y)
+
+
+def _first_order(corner_hz: float) -> _Filter:
+    """y += alpha (x - y), alpha = dt / (dt + 1 / (2 pi f)), as ArduPilot's LowPassFilter."""
+    alpha = STEP_S / (STEP_S + 1.0 / (2.0 * np.pi * corner_hz))
+    return _Filter(np.array([alpha]), np.array([1.0, alpha - 1.0]))
+
+
+class ImuFilters:
+    """From samples to what is sent, block by block. Equal seeds give equal stamps; how time is cut does not matter.
+
+    vibration = sqrt( low-pass_2Hz( (accel - low-pass_5Hz(accel))^2 ) )
+    (ArduPilot, AP_InertialSensor::calc_vibration_and_clipping)
+    """
+
+    def __init__(self, dialect: Dialect, seed: int) -> None:
+        corner_hz, self._imu_filter = dialect.profile.imu_corner_hz, None
+        if corner_hz:
+            b0, b1, b2, a1, a2 = butterworth(corner_hz, STEP_S)
+            self._imu_filter = _Filter(np.array([b0, b1, b2]), np.array([1.0, a1, a2]))
+        self._vibration = dialect.profile.vibration
+        self._floor, self._level = _first_order(VIBE_FLOOR_HZ), _first_order(VIBE_HZ)
+        self._clippings = 0
+        self._delay_ns = round(dialect.send_delay_s * 1e9)
+        self._delays = np.random.default_rng(seed)
+
+    def step(self, samples: PlantSamples) -> FilteredSamples:
+        """The next block (n >= 1)."""
+        gyro, accel = samples.gyro, samples.accel
+        vibration, clipped = np.zeros(accel.shape), np.zeros(len(samples), dtype=np.int64)
+        if self._vibration:
+            vibration = np.sqrt(np.maximum(0.0, self._level.step((accel - self._floor.step(accel)) ** 2)))
+            clipped = np.cumsum(np.any(np.abs(accel) > CLIP_M_S2, axis=1)) + self._clippings
+            self._clippings = int(clipped[-1])
+        if self._imu_filter is not None:
+            both = self._imu_filter.step(np.hstack([gyro, accel]))
+            gyro, accel = both[:, :3], both[:, 3:]
+        delay_ns = self._delay_ns * self._delays.random(len(samples))
+        return FilteredSamples(samples, samples.t_ns + delay_ns.astype(np.int64), gyro, accel, vibration, clipped)
 
 
 class Message(NamedTuple):
-    """A message to be sent.
+    """A message to be sent."""
 
-    t_ns: flight time.
-    payload: with all its zeros, as `Encoder.encode_payload` takes it.
-    """
-
-    t_ns: int
+    t_ns: int  # flight time
     msgid: int
-    payload: bytes
+    payload: bytes  # with all its zeros, as `Encoder.encode_payload` takes it
 
 
 class Streamer:
@@ -77,7 +169,7 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
 
     There are more payloads than rows where one message does not carry all rotors. Fields without a column are zero.
     """
-    columns = _BUILDERS[msgid](filtered, rows, dialect)
+    columns = _BUILDERS[msgid](_Due(filtered, rows, dialect))
     shapes = {name: np.shape(column) for name, column in columns.items()}
     dtype = _dtype(msgid, tuple((name, shape[1] if len(shape) == 2 else 1) for name, shape in shapes.items()))
     record = np.zeros(next(shape[0] for shape in shapes.values() if shape), dtype)
@@ -91,25 +183,61 @@ def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void
     return record_dtype(msgid, *columns)
 
 
-def _boot_ms(filtered: FilteredSamples, rows: IntArray) -> IntArray:
-    return filtered.stamp_ns[rows] // NS_PER_MS % (1 << 32)
+class _Due:
+    """The samples of a block at which one message is due, as its fields have them."""
 
+    def __init__(self, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> None:
+        self.filtered, self.rows, self.dialect, self.profile = filtered, rows, dialect, dialect.profile
+        samples = filtered.samples
+        self.gyro, self.accel, self.motors = filtered.gyro[rows], filtered.accel[rows], samples.motors[rows]
+        self.position, self.velocity, self.attitude = (
+            values[rows] for values in (samples.position, samples.velocity, samples.attitude)
+        )
+        self.setpoint, self.volts, self.duty = samples.setpoint[rows], samples.battery_v[rows], samples.duty[rows]
+        self.charge_ah, self.thrust = samples.charge_ah[rows], samples.thrust_setpoint[rows]
 
-def _boot_us(filtered: FilteredSamples, rows: IntArray) -> IntArray:
-    return filtered.stamp_ns[rows] // NS_PER_US
+    @property
+    def boot_ms(self) -> IntArray:
+        return self.filtered.stamp_ns[self.rows] // NS_PER_MS % (1 << 32)
+
+    @property
+    def boot_us(self) -> IntArray:
+        return self.filtered.stamp_ns[self.rows] // NS_PER_US
+
+    @property
+    def remaining(self) -> IntArray:
+        return integers(100.0 * np.clip(1.0 - self.charge_ah / CAPACITY_AH, 0.0, 1.0), 8)
+
+    @property
+    def place(self) -> dict[str, IntArray]:
+        """(n, 2) latitude and longitude [1e-7 deg], (n,) altitude above the sea [mm]."""
+        where = to_global(self.position)
+        return {"lat": integers(where[:, :2] * 1e7, 32), "alt": integers(where[:, 2] * 1e3, 32)}
+
+    @property
+    def heading(self) -> FloatArray:
+        return np.asarray(np.degrees(self.attitude[:, 2]) % 360.0)
+
+    @property
+    def speed(self) -> FloatArray:
+        return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
+
+    @property
+    def outputs(self) -> FloatArray:
+        low, high = self.profile.actuator_span
+        return np.asarray(low + (high - low) * self.duty)
+
+    @property
+    def rpm(self) -> FloatArray:
+        """By the motors' telemetry; zero before its first frame."""
+        return np.asarray(np.nan_to_num(self.filtered.samples.esc_speed[self.rows], nan=0.0) / RPM)
 
 
 def _quaternion(angles: FloatArray) -> FloatArray:
     """(n, 4) w, x, y, z, body to world, from (n, 3) roll, pitch, yaw in the order z-y-x."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * angles).T, np.sin(0.5 * angles).T
-    return np.column_stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    return np.column_stack([w, x, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
 
 
 def _groups(values: FloatArray | IntArray) -> Any:
@@ -121,152 +249,132 @@ def _groups(values: FloatArray | IntArray) -> Any:
     return padded.reshape(n * groups, ESC_GROUP)
 
 
-def _heartbeat(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    motors = filtered.samples.motors[rows]
+def _gps(due: _Due) -> Columns:
+    course = np.degrees(np.arctan2(due.velocity[:, 1], due.velocity[:, 0])) % 360.0
+    moves = {"vel": integers(100.0 * due.speed, 17), "cog": integers(100.0 * course, 17) % 36_000}
+    seen = {"fix_type": FIX_3D, "eph": EPH_CM, "epv": EPH_CM, "satellites_visible": SATELLITES}
+    return {"time_usec": due.boot_us, **due.place, **moves, **seen}
+
+
+def _home(due: _Due) -> Columns:
+    latitude, longitude, altitude = _HOME
+    return {"time_usec": due.boot_us, "latitude": latitude, "longitude": longitude, "altitude": altitude}
+
+
+def _servo_output(due: _Due) -> Columns:
+    servos = integers(due.outputs, 17)
+    more = {"servo9_raw": servos[:, SERVOS:]} if servos.shape[1] > SERVOS else {}
+    return {"time_usec": due.boot_us % (1 << 32), "servo1_raw": servos[:, :SERVOS], **more}
+
+
+def _battery(due: _Due) -> Columns:
+    voltages = np.full((len(due.rows), 10), 0xFFFF)
+    voltages[:, :CELLS] = integers(1e3 * due.volts / CELLS, 17)[:, None]
     return {
-        "type": TYPES.get(filtered.samples.duty.shape[1], MavType.GENERIC),
-        "autopilot": dialect.profile.autopilot,
-        "base_mode": ModeFlag.CUSTOM_MODE_ENABLED + ModeFlag.SAFETY_ARMED * (motors > 0),
-        "custom_mode": dialect.custom_mode,
-        "system_status": np.where(motors > 0, ACTIVE, STANDBY),
-        "mavlink_version": 3,
+        "battery_function": 1,  # MAV_BATTERY_FUNCTION_ALL
+        "type": 1,  # MAV_BATTERY_TYPE_LIPO
+        "temperature": 0x7FFF,  # not measured, as the current
+        "voltages": voltages,
+        "current_battery": -1,
+        "current_consumed": integers(1e3 * due.charge_ah, 32),
+        "energy_consumed": -1,
+        "battery_remaining": due.remaining,
     }
 
 
-def _sys_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    volts = filtered.samples.battery_v[rows]
+def _esc_status(due: _Due) -> Columns:
+    rpm = _groups(integers(due.rpm, 32))
+    groups = len(rpm) // len(due.rows)
     return {
-        "onboard_control_sensors_present": HEALTH,
-        "onboard_control_sensors_enabled": HEALTH,
-        "onboard_control_sensors_health": HEALTH,
-        "voltage_battery": integers(1e3 * volts, 16),
-        "current_battery": -1,  # not measured
-        "battery_remaining": remaining(filtered, rows),
-    }
-
-
-def _extended_state(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {"landed_state": np.where(filtered.samples.motors[rows] == FLYING, IN_AIR, ON_GROUND)}
-
-
-def _attitude_target(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    samples = filtered.samples
-    return {
-        "time_boot_ms": _boot_ms(filtered, rows),
-        "q": _quaternion(samples.setpoint[rows]),
-        "body_roll_rate": samples.rate_setpoint[rows],
-        "thrust": samples.thrust_setpoint[rows],
-    }
-
-
-def _raw_imu(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {
-        "time_usec": _boot_us(filtered, rows),
-        "xacc": integers(filtered.accel[rows] / dialect.profile.accel_unit, 16),
-        "xgyro": integers(filtered.gyro[rows] / dialect.profile.gyro_unit, 16),
-    }
-
-
-def _highres_imu(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {
-        "time_usec": _boot_us(filtered, rows),
-        "xacc": filtered.accel[rows],
-        "xgyro": filtered.gyro[rows],
-        "fields_updated": HIGHRES_FIELDS,
-    }
-
-
-def _attitude(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {
-        "time_boot_ms": _boot_ms(filtered, rows),
-        "roll": filtered.samples.attitude[rows, :3],
-        "rollspeed": filtered.gyro[rows],
-    }
-
-
-def _attitude_quaternion(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {
-        "time_boot_ms": _boot_ms(filtered, rows),
-        "q1": _quaternion(filtered.samples.attitude[rows, :3]),
-        "rollspeed": filtered.gyro[rows],
-    }
-
-
-def _local_position(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    """The true position: motion capture gives it to a fraction of a millimetre."""
-    return {
-        "time_boot_ms": _boot_ms(filtered, rows),
-        "x": filtered.samples.position[rows],
-        "vx": filtered.samples.velocity[rows],
-    }
-
-
-def _servo_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    low, high = dialect.profile.actuator_span
-    servos = integers(low + (high - low) * filtered.samples.duty[rows], 17)
-    columns = {"time_usec": _boot_us(filtered, rows) % (1 << 32), "servo1_raw": servos[:, :SERVOS]}
-    return columns | ({"servo9_raw": servos[:, SERVOS:]} if servos.shape[1] > SERVOS else {})
-
-
-def _actuator_output(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    low, high = dialect.profile.actuator_span
-    duty = filtered.samples.duty[rows]
-    return {
-        "time_usec": _boot_us(filtered, rows),
-        "active": duty.shape[1],
-        "actuator": low + (high - low) * duty,
-    }
-
-
-def _reported(filtered: FilteredSamples, rows: IntArray) -> FloatArray:
-    """Rotor speeds by the motors' telemetry; zero before its first frame."""
-    return np.nan_to_num(filtered.samples.esc_speed[rows], nan=0.0)
-
-
-def _esc_status(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    rpm = _groups(integers(_reported(filtered, rows) / RPM, 32))
-    groups = len(rpm) // len(rows)
-    return {
-        "time_usec": np.repeat(_boot_us(filtered, rows), groups),
-        "index": np.tile(ESC_GROUP * np.arange(groups), len(rows)),
+        "time_usec": np.repeat(due.boot_us, groups),
+        "index": np.tile(ESC_GROUP * np.arange(groups), len(due.rows)),
         "rpm": rpm,
-        "voltage": _groups(np.repeat(filtered.samples.battery_v[rows, None], filtered.samples.duty.shape[1], axis=1)),
+        "voltage": _groups(np.repeat(due.volts[:, None], due.duty.shape[1], axis=1)),
     }
 
 
-def _esc_telemetry(first: int, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
+def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
     """Four rotors from `first` on; the places of rotors that are not there stay zero."""
-    rpm = integers(_reported(filtered, rows)[:, first : first + ESC_GROUP] / RPM, 17)
-    volts = integers(100.0 * filtered.samples.battery_v[rows], 17)
-    return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
+
+    def build(due: _Due) -> Columns:
+        rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
+        volts = integers(100.0 * due.volts, 17)
+        return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
+
+    return build
 
 
-def _vibration(filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> Columns:
-    return {
-        "time_usec": _boot_us(filtered, rows),
-        "vibration_x": filtered.vibration[rows],
-        "clipping_0": filtered.clippings[rows],
-    }
-
-
-def _without_dialect(build: Callable[[FilteredSamples, IntArray], Columns]) -> _Builder:
-    return lambda filtered, rows, dialect: build(filtered, rows)
-
-
-_BUILDERS: Mapping[int, _Builder] = {
-    MessageId.HEARTBEAT: _heartbeat,
-    MessageId.SYS_STATUS: _sys_status,
-    MessageId.EXTENDED_SYS_STATE: _extended_state,
-    MessageId.RAW_IMU: _raw_imu,
-    MessageId.ATTITUDE: _attitude,
-    MessageId.ATTITUDE_QUATERNION: _attitude_quaternion,
-    MessageId.LOCAL_POSITION_NED: _local_position,
+_BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
+    MessageId.HEARTBEAT: lambda due: {
+        "type": TYPES.get(due.duty.shape[1], MavType.GENERIC),
+        "autopilot": due.profile.autopilot,
+        "base_mode": ModeFlag.CUSTOM_MODE_ENABLED + ModeFlag.SAFETY_ARMED * (due.motors > 0),
+        "custom_mode": due.dialect.custom_mode,
+        "system_status": np.where(due.motors > 0, ACTIVE, STANDBY),
+        "mavlink_version": 3,
+    },
+    MessageId.SYS_STATUS: lambda due: {
+        **{f"onboard_control_sensors_{state}": HEALTH for state in ("present", "enabled", "health")},
+        "voltage_battery": integers(1e3 * due.volts, 16),
+        "current_battery": -1,  # not measured
+        "battery_remaining": due.remaining,
+    },
+    MessageId.EXTENDED_SYS_STATE: lambda due: {"landed_state": np.where(due.motors == FLYING, IN_AIR, ON_GROUND)},
+    MessageId.RAW_IMU: lambda due: {
+        "time_usec": due.boot_us,
+        "xacc": integers(due.accel / due.profile.accel_unit, 16),
+        "xgyro": integers(due.gyro / due.profile.gyro_unit, 16),
+    },
+    MessageId.HIGHRES_IMU: lambda due: {
+        "time_usec": due.boot_us,
+        "xacc": due.accel,
+        "xgyro": due.gyro,
+        "fields_updated": HIGHRES_FIELDS,
+    },
+    MessageId.ATTITUDE: lambda due: {"time_boot_ms": due.boot_ms, "roll": due.attitude[:, :3], "rollspeed": due.gyro},
+    MessageId.ATTITUDE_QUATERNION: lambda due: {
+        "time_boot_ms": due.boot_ms,
+        "q1": _quaternion(due.attitude[:, :3]),
+        "rollspeed": due.gyro,
+    },
+    MessageId.ATTITUDE_TARGET: lambda due: {
+        "time_boot_ms": due.boot_ms,
+        "q": _quaternion(due.setpoint),
+        "body_roll_rate": due.filtered.samples.rate_setpoint[due.rows],
+        "thrust": due.thrust,
+    },
+    # the true position: motion capture gives it to a fraction of a millimetre
+    MessageId.LOCAL_POSITION_NED: lambda due: {"time_boot_ms": due.boot_ms, "x": due.position, "vx": due.velocity},
+    MessageId.GLOBAL_POSITION_INT: lambda due: {
+        "time_boot_ms": due.boot_ms,
+        **due.place,
+        "relative_alt": due.place["alt"] - _HOME[2],
+        "vx": integers(100.0 * due.velocity, 16),
+        "hdg": integers(100.0 * due.heading, 17) % 36_000,
+    },
+    MessageId.GPS_RAW_INT: _gps,
+    MessageId.VFR_HUD: lambda due: {
+        "airspeed": due.speed,
+        "groundspeed": due.speed,
+        "heading": integers(due.heading, 16) % 360,
+        "throttle": integers(100.0 * np.nan_to_num(due.thrust), 17),
+        "alt": to_global(due.position)[:, 2],
+        "climb": -due.velocity[:, 2],
+    },
+    MessageId.HOME_POSITION: lambda due: {**_home(due), "q": np.tile([1.0, 0.0, 0.0, 0.0], (len(due.rows), 1))},
+    MessageId.GPS_GLOBAL_ORIGIN: _home,
+    MessageId.BATTERY_STATUS: _battery,
     MessageId.SERVO_OUTPUT_RAW: _servo_output,
-    MessageId.ATTITUDE_TARGET: _attitude_target,
-    MessageId.HIGHRES_IMU: _highres_imu,
-    MessageId.VIBRATION: _vibration,
+    MessageId.ACTUATOR_OUTPUT_STATUS: lambda due: {
+        "time_usec": due.boot_us,
+        "active": due.duty.shape[1],
+        "actuator": due.outputs,
+    },
+    MessageId.VIBRATION: lambda due: {
+        "time_usec": due.boot_us,
+        "vibration_x": due.filtered.vibration[due.rows],
+        "clipping_0": due.filtered.clippings[due.rows],
+    },
     MessageId.ESC_STATUS: _esc_status,
-    MessageId.ACTUATOR_OUTPUT_STATUS: _actuator_output,
-    **{msgid: _without_dialect(build) for msgid, build in POSITIONS.items()},
-    **{MessageId.ESC_TELEMETRY_1_TO_4 + k: partial(_esc_telemetry, ESC_GROUP * k) for k in range(3)},
+    **{MessageId.ESC_TELEMETRY_1_TO_4 + k: _esc_telemetry(ESC_GROUP * k) for k in range(3)},
 }

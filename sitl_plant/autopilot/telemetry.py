@@ -14,27 +14,20 @@ from mavdiag.link.samples import filled, joined, merged
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_MS
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.imu_filters import ImuFilters
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.stream import records
+from sitl_plant.autopilot.stream import ImuFilters, records
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
-
-__all__ = ["LinkSpec", "TelemetryStream", "flight_telemetry", "telemetry_digest", "until_ground"]
 
 BLOCK_STEPS = 2000  # fastest: fewer calls, and arrays that still fit the allocator
 
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """One link. Raises UsageError for an unknown profile, a rate that it does not grant, or a loss outside 0 to 0.9.
-
-    rate_hz: of set-point and IMU; None for the profile's own.
-    loss: share of messages that is lost.
-    """
+    """One link. Raises UsageError for an unknown profile, a rate that it does not grant, or a loss outside 0 to 0.9."""
 
     profile: str = "qdrone2"
-    rate_hz: float | None = None
-    loss: float = 0.0
+    rate_hz: float | None = None  # of set-point and IMU; None for the profile's own
+    loss: float = 0.0  # share of messages that is lost
 
     def __post_init__(self) -> None:
         dialect_named(self.profile).rates_hz(self.rate_hz)
@@ -83,7 +76,6 @@ class TelemetryStream:
         return Telemetry(tuple(self._whole(signal, parts, signal in held) for signal, parts in found.items()))
 
     def _whole(self, signal: Signal, parts: list[tuple[Series, IntArray]], held: bool) -> Series:
-        """One series from all messages that carry a signal; what a message leaves out keeps its last value."""
         series = parts[0][0] if len(parts) == 1 else merged(signal, parts)
         if held and len(series):
             series = replace(series, values=filled(series.values, self._held.get(signal)))

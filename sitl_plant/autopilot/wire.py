@@ -1,4 +1,4 @@
-"""What the emulated autopilot reads from a frame, and what it answers with."""
+"""What the emulated autopilot reads from a frame, a command among them, and what it answers with."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,11 @@ from typing import TypeAlias
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Frame, field_index
 from mavdiag.link.layout import Argument
+from mavdiag.link.messages import MessageId
 
-__all__ = ["Action", "Forward", "Reply", "number", "optional", "target", "text"]
+NOT_SET = 0x7FFFFFFF  # of the integers x and y
+DEGREES = 1e-7
+_INTEGERS = (MessageId.COMMAND_INT, MessageId.MISSION_ITEM_INT, MessageId.SET_POSITION_TARGET_GLOBAL_INT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +66,33 @@ def text(frame: Frame, name: str) -> str:
 def target(frame: Frame) -> tuple[int, int]:
     """System and component that a frame is meant for; 0 is everyone."""
     return int(number(frame, "target_system")), int(number(frame, "target_component"))
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A MAV_CMD with its parameters; None for one that is not given. x, y: degrees. z: metres."""
+
+    command: int
+    frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which has none
+    param: tuple[float | None, float | None, float | None, float | None]  # the first four
+    x: float | None
+    y: float | None
+    z: float | None
+
+    def whole(self, index: int) -> int:
+        """Parameter 1 to 4 as an integer; 0 if it is not given."""
+        return int(self.param[index - 1] or 0)
+
+
+def order_of(frame: Frame) -> Order:
+    """The order in COMMAND_LONG, COMMAND_INT, MISSION_ITEM or MISSION_ITEM_INT."""
+    given = [optional(frame, f"param{n}") for n in range(1, 5)]
+    kind = optional(frame, "frame")
+    if frame.msgid == MessageId.COMMAND_LONG:
+        x, y, z = (optional(frame, f"param{n}") for n in (5, 6, 7))
+    else:
+        x, y, z = (optional(frame, name) for name in ("x", "y", "z"))
+    if frame.msgid in _INTEGERS:
+        x, y = (None if value in (None, NOT_SET) else value * DEGREES for value in (x, y))
+    one, two, three, four = given
+    return Order(int(number(frame, "command")), None if kind is None else int(kind), (one, two, three, four), x, y, z)

@@ -1,1 +1,1 @@
-"""Monte Carlo campaigns: plan, worker, runner, summary, tables."""
+"""Monte Carlo campaigns: plan, worker, summary, command."""

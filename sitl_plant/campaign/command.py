@@ -1,78 +1,63 @@
 """`sitl-plant campaign`: a Monte Carlo study of the diagnosis, as tables, JSON and Parquet (edge)."""
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
 
+from mavdiag.commands.progress import Shown, shown
 from mavdiag.errors import UsageError
-from sitl_plant.campaign.levels import with_conditions
-from sitl_plant.campaign.plan import PRESETS, Design, make_plan
+from sitl_plant.campaign.plan import PRESETS, Design, make_plan, with_conditions
 from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
 if TYPE_CHECKING:
-    from sitl_plant.campaign.runner import Results
     from sitl_plant.campaign.summary import Summary
-    from sitl_plant.campaign.worker import FlightResult
-
-__all__ = ["campaign"]
+    from sitl_plant.campaign.worker import FlightResult, Results
 
 
 def campaign(
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
+        Path, Option("-o", "--output", metavar="FILE.jsonl", help="Results, one a line; a re-run goes on.")
     ] = Path("campaign.jsonl"),
-    preset: Annotated[
-        Literal["quick", "full", "conditions"], typer.Option(help="Size and levels to start from.")
-    ] = "quick",
-    flights: Annotated[int | None, typer.Option(metavar="N", help="Flights with a cause.")] = None,
-    hours: Annotated[float | None, typer.Option(metavar="H", help="Healthy flight.")] = None,
-    airframes: Annotated[int | None, typer.Option(metavar="N", help="Specimens, every second one aged.")] = None,
+    preset: Annotated[Literal["quick", "full", "conditions"], Option(help="Size and levels to start from.")] = "quick",
+    flights: Annotated[int | None, Option(metavar="N", help="Flights with a cause.")] = None,
+    hours: Annotated[float | None, Option(metavar="H", help="Healthy flight.")] = None,
+    airframes: Annotated[int | None, Option(metavar="N", help="Specimens, every second one aged.")] = None,
     learn: Annotated[
         Literal["mixed", "square"] | None,
-        typer.Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
+        Option(help="Learn from mixed flights, or from T's square alone.  [default: the preset's]"),
     ] = None,
-    learn_flights: Annotated[int | None, typer.Option(metavar="N", help="Healthy flights for a baseline.")] = None,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Length of each flight.")] = None,
+    learn_flights: Annotated[int | None, Option(metavar="N", help="Healthy flights for a baseline.")] = None,
+    duration: Annotated[float | None, Option(metavar="S", help="Length of each flight.")] = None,
     conditions: Annotated[
         list[str],
-        typer.Option(
+        Option(
             metavar="FACTOR=LEVEL,..",
             help="Levels of cause, rotor, phenomenology, condition, manoeuvre, wind, payload, link, loss; repeatable.",
         ),
     ] = [],  # noqa: B006  # typer copies its defaults
     vehicle: VehicleName = "qdrone2",
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 2,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Start anew: empty the file of results first.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
-    summary_file: Annotated[Path | None, typer.Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
-    parquet: Annotated[
-        Path | None, typer.Option(metavar="FILE.parquet", help="Write the flights as a table, too.")
-    ] = None,
+    seed: Annotated[int, Option(min=0, help="Equal seeds give equal numbers.")] = 0,
+    workers: Annotated[int, Option(min=1, max=256, help="Processes on this machine.")] = 2,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Use a Dask scheduler instead.")] = None,
+    fresh: Annotated[bool, Option("--fresh", help="Start anew: empty the file of results first.")] = False,
+    as_json: Annotated[bool, Option("--json", help="Print the summary as one JSON object.")] = False,
+    summary_file: Annotated[Path | None, Option("--summary", metavar="FILE.json", help="Write it, too.")] = None,
+    parquet: Annotated[Path | None, Option(metavar="FILE.parquet", help="Write the flights as a table, too.")] = None,
 ) -> None:
     """Fly many airframes healthy, damaged and otherwise wrong; learn from each, judge each, and count.
 
     Every airframe is drawn afresh and judged by a baseline learnt from its own healthy flights.
     """
-    base = PRESETS[preset]
-    design = replace(
-        base,
-        vehicle=vehicle_from(vehicle),
-        seed=seed,
-        learn=base.learn if learn is None else learn,
-        flights=base.flights if flights is None else flights,
-        hours=base.hours if hours is None else hours,
-        airframes=base.airframes if airframes is None else airframes,
-        learn_flights=base.learn_flights if learn_flights is None else learn_flights,
-        duration_s=base.duration_s if duration is None else duration,
-    )
+    given = {"learn": learn, "flights": flights, "hours": hours, "airframes": airframes}
+    given |= {"learn_flights": learn_flights, "duration_s": duration}
+    asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    design = replace(PRESETS[preset], vehicle=vehicle_from(vehicle), seed=seed, **asked)
     summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
     text = json.dumps(asdict(summary))
     if summary_file is not None:
@@ -82,7 +67,7 @@ def campaign(
     if as_json:
         typer.echo(text)
     else:
-        from sitl_plant.campaign.tables import print_summary
+        from sitl_plant.campaign.summary import print_summary
 
         print_summary(summary)
 
@@ -91,18 +76,24 @@ def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
 ) -> "Summary":
     # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+    from mavdiag.archive.cluster import dask_executor
     from mavdiag.archive.tables import check_parquet
-    from sitl_plant.campaign.runner import Journal, dask_executor, local_executor, run_campaign
     from sitl_plant.campaign.summary import summarise
-    from sitl_plant.physics.jit import check_numba
+    from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
 
     plan = make_plan(design)
     if parquet is not None:
         check_parquet()
-    if scheduler is None:
-        check_numba()
     chosen = dask_executor(scheduler) if scheduler is not None else local_executor(workers)
-    with chosen as executor, closing(Journal(output, fresh)) as journal, _progress() as report:
+    stages: dict[str, Shown] = {}
+    with chosen as executor, closing(Journal(output, fresh)) as journal, ExitStack() as bars:
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage in stages:
+                stages[stage].add(1.0)
+            else:
+                stages[stage] = bars.enter_context(shown(stage, (1.0,) * (total - done)))
+
         results = run_campaign(plan, journal, executor, report)
     if results.reused or results.others:
         typer.echo(
@@ -115,26 +106,7 @@ def _run(
     return summarise(results)
 
 
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each stage on stderr, with the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        bars = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in bars:
-                bars[stage] = progress.add_task(stage, total=total, completed=done)
-            progress.update(bars[stage], completed=done)
-
-        yield report
-
-
 def _write_parquet(path: Path, results: "Results") -> None:
-    """One row a flight; the monitors' alarms as a column each."""
     from pyarrow import Table
     from pyarrow.parquet import write_table
 

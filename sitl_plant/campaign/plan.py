@@ -1,8 +1,12 @@
-"""What a Monte Carlo campaign flies: a design with levels for every factor becomes a list of tasks.
+"""What a Monte Carlo campaign flies: causes, conditions and a design with levels for every factor become tasks.
 
 Every factor runs through its levels in blocks, each block in a random order of its own: so each level occurs equally
 often (rotor and phenomenology with every cause), factors are paired at random, and a longer campaign begins with the
 flights of a shorter one.
+
+Sizes of causes besides those of the nine faults, and of conditions, are estimates unless a source is named: they matter
+in flight, and it goes on. A condition is either of the flight (turbulence, a pick-up, ...) or of the
+airframe's build (resonance, filters, link). A baseline is learnt without the first and with the second.
 """
 
 import hashlib
@@ -11,31 +15,255 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.units import S_PER_H
-from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group
-from sitl_plant.campaign.conditions import CALM, CONDITIONS, USUAL, Conditions, built, built_link
-from sitl_plant.vehicle import Vehicle, qdrone2
-
-__all__ = [
-    "PRESETS",
-    "Design",
-    "FlightTask",
-    "LearnTask",
-    "Plan",
-    "balanced",
-    "make_plan",
-    "task_sequence",
-]
+from mavdiag.monitors.base import FaultKind
+from mavdiag.units import S_PER_H, G
+from sitl_plant.autopilot.telemetry import LinkSpec
+from sitl_plant.physics.faults import FAULTS, Fault, Injection, RotorDamage, SensorFault
+from sitl_plant.physics.parameters import STEP_S
+from sitl_plant.physics.sensors import isolating_hz
+from sitl_plant.vehicle import SoftMount, Vehicle, qdrone2
 
 Level = TypeVar("Level")
 
+HEALTHY = "healthy"
+CALM = "calm"
+EVERY = "all"  # every condition
 FLIGHTS_A_DAY = 4  # flights of one session, where a condition has other sessions (our choice)
+MOUNT_DAMPING = 0.1  # of isolators (estimate)
+# Factors whose levels are numbers, and their ranges.
+RANGES = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
+
+
+class Group(StrEnum):
+    """Kinds of causes, by the answer that is right."""
+
+    FAULT = "fault"  # one of T's nine: a propeller fault
+    BLADE = "blade"  # other damage to a propeller: a propeller fault
+    MOTOR = "motor"  # a motor at another speed than commanded: another fault, though it feels like a propeller's
+    LOSS = "loss"  # a propeller gone: a gross loss of thrust
+    SENSOR = "sensor"  # a gyro or accelerometer: another fault, or nothing; never a propeller fault
+
+
+RIGHT: Mapping[Group, FaultKind] = {
+    Group.FAULT: FaultKind.PROPELLER,
+    Group.BLADE: FaultKind.PROPELLER,
+    Group.MOTOR: FaultKind.PROPELLER,  # the diagnosis does not tell a motor from its propeller
+    Group.LOSS: FaultKind.GROSS_LOSS,
+    Group.SENSOR: FaultKind.SENSOR,
+}
+"""The kind of fault that is the right answer to a group."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """What goes wrong: one of T's faults, a damage, or a sensor fault on a random axis, offset and drift signed so."""
+
+    group: Group
+    what: Fault | RotorDamage | SensorFault
+
+    @property
+    def fitted(self) -> bool:
+        """Whether it has fitted terms to scale."""
+        return isinstance(self.what, Fault)
+
+    def make(self, rng: np.random.Generator, phenomenology: float) -> RotorDamage | SensorFault:
+        """The cause of one flight. phenomenology: scale of the fitted terms."""
+        match self.what:
+            case Fault() as fault:
+                return fault.damage(phenomenology)
+            case RotorDamage() as damage:
+                return damage
+            case SensorFault() as sensor:
+                axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+                return replace(sensor, axis=axis, offset=sign * sensor.offset, drift_per_s=sign * sensor.drift_per_s)
+
+
+_BLADES = {
+    "chipping": RotorDamage(1.0 - 0.03, 1.03, unbalance_g_mm=0.05 * 60.0),
+    "bending": RotorDamage(1.0 - 0.04, 1.05),
+    "added-mass": RotorDamage(unbalance_g_mm=0.05 * 50.0),
+    "texture": RotorDamage(0.97, 1.06),
+}
+_SENSORS = {
+    "gyro-bias": SensorFault("gyro", 0, offset=0.05),
+    "gyro-drift": SensorFault("gyro", 0, drift_per_s=0.002),
+    "gyro-scale": SensorFault("gyro", 0, scale=1.1),
+    "gyro-noise": SensorFault("gyro", 0, noise_rms=0.1),
+    "accel-bias": SensorFault("accel", 0, offset=0.5),
+    "accel-drift": SensorFault("accel", 0, drift_per_s=0.02),
+    "accel-scale": SensorFault("accel", 0, scale=1.1),
+    "accel-noise": SensorFault("accel", 0, noise_rms=1.0),
+}
+CAUSES: Mapping[str, Cause] = {
+    **{fault.code: Cause(Group.FAULT, fault) for fault in FAULTS},
+    **{name: Cause(Group.BLADE, damage) for name, damage in _BLADES.items()},
+    "motor-speed": Cause(Group.MOTOR, RotorDamage(speed_factor=0.97)),
+    "ejection": Cause(Group.LOSS, RotorDamage(0.0, 0.0, ejected=True)),
+    **{name: Cause(Group.SENSOR, fault) for name, fault in _SENSORS.items()},
+}
+"""Causes by name (T 1.2, Tables 3.1-3.3). Units: g mm; gyro in rad/s, accelerometer in m/s^2, drifts per second."""
+
+
+def causes_named(names: Sequence[str]) -> tuple[str, ...]:
+    """The causes of some names or groups, each once. Raises UsageError for an unknown one."""
+    chosen: list[str] = []
+    for name in names:
+        members = [cause for cause, row in CAUSES.items() if name in (cause, row.group)]
+        if not members:
+            raise UsageError(f"no cause {name!r}: give {', '.join([*Group, *CAUSES])}")
+        chosen += members
+    return tuple(dict.fromkeys(chosen))
+
+
+def injections_of(
+    name: str, rotor: int, onset_s: float, phenomenology: float, rng: np.random.Generator
+) -> tuple[Injection, ...]:
+    """What the plant is to inject from `onset_s` on; nothing for a healthy flight."""
+    return () if name == HEALTHY else (Injection(CAUSES[name].make(rng, phenomenology), rotor, onset_s),)
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """A named path; nose as of `sitl_plant.physics.trajectory.Nose`."""
+
+    shape: str
+    speed_m_s: float = 0.5
+    heading_rad: float = 0.0  # how far it is turned
+    nose: str = "fixed"
+    takeoff: bool = False  # it begins and ends on the ground
+
+
+MANOEUVRES: Mapping[str, Manoeuvre] = {
+    "square": Manoeuvre("square"),  # T 5.2
+    "square-fast": Manoeuvre("square", speed_m_s=0.8),
+    "square-turned": Manoeuvre("square", heading_rad=math.pi / 4),
+    "hover": Manoeuvre("hover"),
+    "circle": Manoeuvre("circle"),
+    "figure8": Manoeuvre("figure8"),
+    "square-nose": Manoeuvre("square", nose="path"),
+    "circle-nose": Manoeuvre("circle", nose="path"),
+    "figure8-nose": Manoeuvre("figure8", nose="path"),
+    "hover-spin": Manoeuvre("hover", nose="spin"),
+    "square-spin": Manoeuvre("square", nose="spin"),
+    "square-takeoff": Manoeuvre("square", takeoff=True),
+}
+USUAL = tuple(name for name, path in MANOEUVRES.items() if path.nose == "fixed" and not path.takeoff)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One named condition. What is None or empty is left to the other factors of the design."""
+
+    manoeuvres: tuple[str, ...] = ()  # flown in turn
+    duration_s: float | None = None  # of each flight
+    wind_m_s: float | None = None
+    payload_g: float | None = None
+    turbulence_m_s: float = 0.0  # wind W20 of Dryden turbulence
+    pickup_g: float = 0.0  # taken up early in the flight; half of the flights drop it
+    pickup_offset_mm: float = 0.0  # so far beside the centre
+    outages_per_min: float = 0.0  # of motion capture
+    session: bool = False  # the flight is on another day, with what changes from day to day
+    propellers: float = 0.0  # share by which each thrust coefficient of a new set may differ; another day as well
+    wear_per_h: float = 0.0  # the largest share that a rotor loses per hour; up to `WEAR_H` hours have passed
+    filter_hz: float | None = None  # on-chip corner of the IMU
+    resonance_hz: tuple[float, float] | None = None  # of the frame below the IMU, with its damping ratio
+    isolation: float | None = None  # share of the rotors' line in hover that a soft mount of the IMU passes
+    rate_hz: float | None = None  # of the link
+
+    @property
+    def another_day(self) -> bool:
+        """Whether the flight belongs to another session than the baseline's flights."""
+        return self.session or self.propellers > 0.0 or self.wear_per_h > 0.0
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    CALM: Condition(),
+    "turbulence-5": Condition(turbulence_m_s=5.0),
+    "turbulence-8": Condition(turbulence_m_s=8.0),
+    "wind-2": Condition(wind_m_s=2.0),
+    "wind-5": Condition(wind_m_s=5.0),
+    "battery-10min": Condition(duration_s=600.0),
+    "payload-200": Condition(payload_g=200.0),
+    "pick-up": Condition(pickup_g=200.0, pickup_offset_mm=20.0),
+    "propellers-1": Condition(propellers=0.01),
+    "propellers-3": Condition(propellers=0.03),
+    "wear": Condition(wear_per_h=0.002),
+    "yaw-turns": Condition(manoeuvres=("square-nose", "hover-spin", "circle-nose", "square-spin", "figure8-nose")),
+    "mocap-loss": Condition(outages_per_min=2.0),
+    "take-off": Condition(manoeuvres=("square-takeoff",)),
+    "sessions": Condition(session=True),
+    "resonance": Condition(resonance_hz=(165.0, 0.05)),  # on the rotors' line in hover, 167 Hz
+    "isolation-10": Condition(isolation=1 / 10),
+    "isolation-30": Condition(isolation=1 / 30),
+    "imu-20hz": Condition(filter_hz=20.0),
+    "imu-42hz": Condition(filter_hz=42.0),
+    "imu-98hz": Condition(filter_hz=98.0),
+    "imu-188hz": Condition(filter_hz=188.0),
+    "link-100hz": Condition(rate_hz=100.0),
+    "link-200hz": Condition(rate_hz=200.0),
+    "link-400hz": Condition(rate_hz=400.0),
+}
+"""Conditions by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What a flight flies, and in what. payload_g hangs 5 cm below the centre, up to 1 cm beside it."""
+
+    manoeuvre: str = "square"
+    wind_m_s: float = 0.0
+    payload_g: float = 0.0
+    condition: str = CALM  # a name of `CONDITIONS`
+
+    def applied(self) -> "Conditions":
+        """With what the named condition says of wind and payload."""
+        row = CONDITIONS[self.condition]
+        wind = self.wind_m_s if row.wind_m_s is None else row.wind_m_s
+        payload = self.payload_g if row.payload_g is None else row.payload_g
+        return replace(self, wind_m_s=wind, payload_g=payload)
+
+
+def built(vehicle: Vehicle, condition: str) -> Vehicle:
+    """The vehicle as a condition has it built: filter and mount of its IMU."""
+    row, imu = CONDITIONS[condition], vehicle.imu
+    if row.filter_hz is not None:
+        imu = replace(imu, filter_hz=row.filter_hz)
+    if row.resonance_hz is not None:
+        imu = replace(imu, mount=SoftMount(*row.resonance_hz))
+    if row.isolation is not None:
+        lift = vehicle.body.mass_kg * G / (len(vehicle.rotors) * vehicle.propulsion.thrust_coefficient_n_s2)
+        line_hz = math.sqrt(lift) / (2.0 * math.pi)
+        imu = replace(imu, mount=SoftMount(isolating_hz(line_hz, row.isolation, MOUNT_DAMPING, STEP_S), MOUNT_DAMPING))
+    return vehicle if imu == vehicle.imu else replace(vehicle, imu=imu)
+
+
+def built_link(link: str, condition: str) -> str:
+    """The link as a condition has it. Raises UsageError for a rate that its profile does not grant."""
+    rate_hz = CONDITIONS[condition].rate_hz
+    if rate_hz is None:
+        return link
+    profile = parse_link(link).profile
+    return f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
+
+
+def parse_link(text: str) -> LinkSpec:
+    """A link such as "qdrone2@1000": profile and rate [Hz]. Raises UsageError for what cannot be.
+
+    >>> parse_link("ardupilot@100")
+    LinkSpec(profile='ardupilot', rate_hz=100.0, loss=0.0)
+    """
+    profile, _, rate = text.partition("@")
+    try:
+        return LinkSpec(profile, float(rate) if rate else None)
+    except ValueError:
+        raise UsageError(f"link must be a number, not {rate!r}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,54 +280,39 @@ class LearnTask:
 
 @dataclass(frozen=True, slots=True)
 class FlightTask:
-    """Fly once and judge.
-
-    cause: a name of `causes.CAUSES`, or "healthy".
-    rotor: where the cause is, if it has a place.
-    session: 0 is that of the healthy flights learnt from, each other a day later.
-    """
+    """Fly once and judge."""
 
     index: int
     learnt: LearnTask = field(repr=False)
-    cause: str
-    rotor: int
+    cause: str  # a name of `CAUSES`, or "healthy"
+    rotor: int  # where the cause is, if it has a place
     phenomenology: float
     conditions: Conditions
     loss: float
     duration_s: float
-    session: int = 0
+    session: int = 0  # 0 is that of the healthy flights learnt from, each other a day later
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Levels of every factor, and how much to fly.
-
-    airframes: how many specimens; every second one is aged.
-    learn: "square" learns from T's square in calm air alone, "mixed" draws every other flight from the levels below.
-    learn_flights: healthy flights for each baseline.
-    flights: with a cause.
-    hours: of healthy flight, besides.
-    vehicle: the type of all specimens.
-    rotor: levels; None for every rotor of the vehicle.
-    condition: names of `CONDITIONS`, each with its share of flights and hours.
-    """
+    """Levels of every factor, and how much to fly."""
 
     seed: int = 0
-    airframes: int = 4
-    learn: Literal["mixed", "square"] = "mixed"
-    learn_flights: int = 8
-    flights: int = 138
-    hours: float = 0.5
+    airframes: int = 4  # how many specimens; every second one is aged
+    learn: Literal["mixed", "square"] = "mixed"  # every other flight from the levels below, or T's square in calm air
+    learn_flights: int = 8  # healthy flights for each baseline
+    flights: int = 138  # with a cause
+    hours: float = 0.5  # of healthy flight, besides
     duration_s: float = 40.0
     cause: tuple[str, ...] = tuple(CAUSES)
-    rotor: tuple[int, ...] | None = None
+    rotor: tuple[int, ...] | None = None  # None for every rotor of the vehicle
     phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
     manoeuvre: tuple[str, ...] = USUAL
     wind: tuple[float, ...] = (0.0, 1.0)
     payload: tuple[float, ...] = (0.0, 100.0)
     link: tuple[str, ...] = ("qdrone2@1000",)
     loss: tuple[float, ...] = (0.0,)
-    condition: tuple[str, ...] = (CALM,)
+    condition: tuple[str, ...] = (CALM,)  # names of `CONDITIONS`, each with its share of flights and hours
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
@@ -163,7 +376,6 @@ def make_plan(design: Design) -> Plan:
 
 
 def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTask]:
-    """`count` flights in the named condition; kind: "cause" or "healthy"."""
     condition, part = CONDITIONS[name], kind if name == CALM else f"{kind} {name}"
 
     def column(name: str, levels: Sequence[Level]) -> list[Level]:
@@ -176,7 +388,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
     }
     rotors = design.rotor or tuple(range(1, len(design.vehicle.rotors) + 1))
     causes = [HEALTHY] * count if kind == "healthy" else column("cause", design.cause)
-    columns = zip(
+    levels = zip(
         causes,
         _within(causes, rotors, design.seed, f"{part} rotor"),
         _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
@@ -189,6 +401,7 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
         _sessions(airframes) if condition.another_day else [0] * count,
         strict=True,
     )
+    columns = enumerate(levels)
     return [
         FlightTask(
             index=index,
@@ -201,14 +414,11 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
             duration_s=condition.duration_s or design.duration_s,
             session=session,
         )
-        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in enumerate(
-            columns
-        )
+        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in columns
     ]
 
 
 def _sessions(airframes: Sequence[int]) -> list[int]:
-    """Sessions 1, 2, ... of each airframe, of `FLIGHTS_A_DAY` flights each."""
     flown: Counter[int] = Counter()
     sessions = []
     for airframe in airframes:
@@ -223,11 +433,7 @@ def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> Lea
     mixed = zip(
         *(
             balanced(levels, count, design.seed, f"learn {airframe} {name}")
-            for name, levels in (
-                ("manoeuvre", design.manoeuvre),
-                ("wind", design.wind),
-                ("payload", design.payload),
-            )
+            for name, levels in (("manoeuvre", design.manoeuvre), ("wind", design.wind), ("payload", design.payload))
         ),
         strict=True,
     )
@@ -251,7 +457,6 @@ def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> lis
 
 
 def _within(causes: Sequence[str], levels: Sequence[Level], seed: int, factor: str) -> list[Level]:
-    """Levels balanced among the flights of each cause."""
     own = {cause: iter(balanced(levels, count, seed, f"{factor} {cause}")) for cause, count in Counter(causes).items()}
     return [next(own[cause]) for cause in causes]
 
@@ -278,3 +483,58 @@ def _flown(conditions: Conditions) -> dict[str, Any]:
     if conditions.condition == CALM:
         del row["condition"]
     return row
+
+
+def with_conditions(design: Design, filters: Sequence[str]) -> Design:
+    """The design with the levels of some factors replaced, each given as "factor=level,level".
+
+    Raises UsageError for an unknown factor or level.
+    """
+    changed: dict[str, Any] = {}
+    for text in filters:
+        factor, _, levels = (part.strip() for part in text.partition("="))
+        wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
+        if not wanted:
+            raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
+        match factor:
+            case "cause":
+                changed[factor] = causes_named(wanted)
+            case "manoeuvre":
+                changed[factor] = _named(factor, wanted, MANOEUVRES)
+            case "condition":
+                names = tuple(CONDITIONS) if wanted == (EVERY,) else _named(factor, wanted, CONDITIONS)
+                changed[factor] = tuple(dict.fromkeys(names))
+            case "link":
+                changed[factor] = wanted
+                for link in wanted:
+                    parse_link(link)
+            case "rotor":
+                changed[factor] = _rotors(wanted, len(design.vehicle.rotors))
+            case number if number in RANGES:
+                changed[factor] = _numbers(factor, wanted, *RANGES[number])
+            case other:
+                known = "cause, rotor, manoeuvre, condition, link"
+                raise UsageError(f"no factor {other!r}: give {known}, {', '.join(RANGES)}")
+    return replace(design, **changed)
+
+
+def _named(factor: str, wanted: tuple[str, ...], table: Mapping[str, object]) -> tuple[str, ...]:
+    if unknown := set(wanted) - table.keys():
+        raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
+    return wanted
+
+
+def _rotors(texts: Sequence[str], rotors: int) -> tuple[int, ...]:
+    if not set(texts) <= {str(rotor) for rotor in range(1, rotors + 1)}:
+        raise UsageError(f"rotor must be 1 to {rotors}, not {', '.join(texts)}")
+    return tuple(int(text) for text in texts)
+
+
+def _numbers(factor: str, texts: Sequence[str], low: float, high: float) -> tuple[float, ...]:
+    try:
+        values = tuple(map(float, texts))
+    except ValueError:
+        raise UsageError(f"{factor} must be a number, not {', '.join(texts)!r}") from None
+    if not all(low <= value <= high for value in values):
+        raise UsageError(f"{factor} must be {low:g} to {high:g}, not {', '.join(texts)}")
+    return values

@@ -1,34 +1,52 @@
-"""One task of a campaign, in whatever process it runs: learn a baseline, or fly once and judge.
+"""Run a campaign: its tasks over a pool of processes or a Dask cluster, with results kept as they come (edge).
 
-Everything follows from the campaign's seed and the task, so it does not matter where a task runs, or when.
+A task learns a baseline, or flies once and judges. Everything follows from the campaign's seed and the task, so it does
+not matter where it runs, or when. Every result is a line of JSON under a key, the digest of all that it follows from:
+seed, task, what was learnt for it, and the sources of both packages. What is in the file already is not flown again;
+lines of other campaigns, or of another version, stay in the file and are not counted.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
+from mavdiag.archive import pool
+from mavdiag.archive.pool import TaskExecutor
+from mavdiag.archive.sources import digest_of_sources
 from mavdiag.as_json import event_json
 from mavdiag.baseline import dump, parse
 from mavdiag.decision.alarm import Change, Stage
-from mavdiag.errors import MavdiagError
+from mavdiag.errors import MavdiagError, UsageError
 from mavdiag.judging import JudgedEvent, JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.learning import LearnOptions, learn
 from mavdiag.telemetry import Log
 from mavdiag.units import NS_PER_S, S_PER_H
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry_digest
-from sitl_plant.campaign.causes import HEALTHY, injections_of
-from sitl_plant.campaign.conditions import CONDITIONS, MANOEUVRES, Conditions, parse_link
-from sitl_plant.campaign.plan import FlightTask, LearnTask, task_sequence
-from sitl_plant.physics.airframe import Airframe, Payload, draw_airframe
-from sitl_plant.physics.injections import Injection
-from sitl_plant.physics.loading import PickUp
-from sitl_plant.physics.sessions import Wear, in_session, with_propellers
+from sitl_plant.campaign.plan import (
+    CONDITIONS,
+    HEALTHY,
+    MANOEUVRES,
+    Conditions,
+    FlightTask,
+    LearnTask,
+    Plan,
+    injections_of,
+    parse_link,
+    task_sequence,
+)
+from sitl_plant.physics.airframe import Airframe, Payload, PickUp, Wear, draw_airframe, in_session, with_propellers
+from sitl_plant.physics.faults import Injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import Vehicle, airframe_of
-
-__all__ = ["Answer", "FlightResult", "LearnResult", "MonitorResult", "fly_task", "learn_task", "specimen"]
 
 CREATED = "2026-01-01T00:00:00+00:00"  # fixed, so that equal campaigns learn equal baselines
 ONSET = (0.3, 0.5)  # share of the flight; healthy before
@@ -40,6 +58,11 @@ WEAR_H = 10.0  # flown between the baseline and a flight with wear, at most (our
 START_NS = 1_767_225_600 * NS_PER_S  # 2026-01-01, the first flight learnt from
 PAUSE_S, DAY_S = 300.0, 86_400.0  # between flights of one session, and between sessions (our choice)
 EPISODE_S = 10.0  # alarms this near to each other count as one (our choice)
+# What cannot change a result: bytecode, and the edges.
+UNRELATED = (
+    *("__pycache__", "py.typed", "__main__.py", "mavdiag/cli.py", "mavdiag/commands", "mavdiag/demo"),
+    *("sitl_plant/campaign/command.py", "sitl_plant/campaign/summary.py"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +80,13 @@ class LearnResult:
 
 @dataclass(frozen=True, slots=True)
 class MonitorResult:
-    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s].
-
-    judged_s: time of the whole flight that it judged.
-    """
+    """One monitor in one flight: its alarms before and after the onset, and the first of these after it [s]."""
 
     name: str
     before: int
     after: int
     latency_s: float | None
-    judged_s: float = 0.0
+    judged_s: float = 0.0  # time of the whole flight that it judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +108,6 @@ class Answer:
 class FlightResult:
     """One judged flight.
 
-    healthy_s: judged flight before the onset.
-    onset_s: None if the flight was healthy.
-    episodes: groups of alarms before the onset.
-    latency_s: from the onset to the first alarm after it.
-    session: as in the task.
-    faults: how often the decision came to "fault" before the onset.
-    declared_s: from the onset to the first "fault" after it.
     score_before, score_after: highest statistic over its threshold, of the monitors that decide about propellers,
         before and after the onset; all of a healthy flight is before. None where none of them judged.
     """
@@ -112,18 +125,22 @@ class FlightResult:
     verdict: str
     reason: str
     judged_s: float
-    healthy_s: float
-    onset_s: float | None
-    episodes: int
-    latency_s: float | None
+    healthy_s: float  # judged flight before the onset
+    onset_s: float | None  # None if the flight was healthy
+    episodes: int  # groups of alarms before it
+    latency_s: float | None  # from the onset to the first alarm after it
     answer: Answer
     monitors: tuple[MonitorResult, ...]
-    session: int = 0
-    faults: int = 0
-    declared_s: float | None = None
+    session: int = 0  # as in the task
+    faults: int = 0  # how often the decision came to "fault" before the onset
+    declared_s: float | None = None  # from it to the first "fault" after it
     score_before: float | None = None
     score_after: float | None = None
     record: Literal["flight"] = "flight"
+
+
+Line: TypeAlias = LearnResult | FlightResult
+_LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
 def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
@@ -160,7 +177,6 @@ def _config(
 def _on_the_day(
     seed: int, airframe: Airframe, number: int, session: int, condition: str
 ) -> tuple[Airframe, Wear | None]:
-    """The airframe in a session and how worn it is: the same for all flights of that session."""
     row = CONDITIONS[condition]
     if not session:
         return airframe, None
@@ -176,7 +192,6 @@ def _on_the_day(
 
 
 def _in_condition(config: PlantConfig, condition: str, duration_s: float, rng: np.random.Generator) -> PlantConfig:
-    """The flight in a named condition. The stream is one of its own."""
     row, pickup = CONDITIONS[condition], None
     if row.pickup_g:
         angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
@@ -188,7 +203,6 @@ def _in_condition(config: PlantConfig, condition: str, duration_s: float, rng: n
 
 
 def _started_ns(task: LearnTask, session: int, number: int) -> int:
-    """Wall clock of a flight: those of a session follow each other, every session is on a day of its own."""
     return START_NS + round((session * DAY_S + number * (task.duration_s + PAUSE_S)) * NS_PER_S)
 
 
@@ -237,11 +251,15 @@ def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> Flig
 
 def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | None, flown_s: float) -> FlightResult:
     verdict, border_s = judged.verdict, flown_s if onset_s is None else onset_s
-    scores = _score(judged, -np.inf, border_s), None if onset_s is None else _score(judged, border_s, np.inf)
-    before = [one for one in verdict.events if one.t_s < border_s]
-    after = [] if onset_s is None else [one for one in verdict.events if one.t_s >= border_s]
+    before = [event for event in verdict.events if event.t_s < border_s]
+    after = [] if onset_s is None else [event for event in verdict.events if event.t_s >= border_s]
     declared = _declared_s(verdict.changes)
     late = [] if onset_s is None else [t_s - border_s for t_s in declared if t_s >= border_s]
+    monitors = []
+    for monitor in verdict.monitors:
+        early, own = ([event for event in part if event.event.monitor == monitor.name] for part in (before, after))
+        counts = _episodes(early), _episodes(own), _latency(own, border_s)
+        monitors.append(MonitorResult(monitor.name, *counts, round(monitor.judged_s, 3)))
     return FlightResult(
         key=key,
         index=task.index,
@@ -261,26 +279,16 @@ def _line(key: str, task: FlightTask, judged: JudgedFlight, onset_s: float | Non
         episodes=_episodes(before),
         latency_s=_latency(after, border_s),
         answer=_answer(verdict, after),
-        monitors=tuple(
-            MonitorResult(
-                one.name,
-                _episodes([event for event in before if event.event.monitor == one.name]),
-                _episodes(own := [event for event in after if event.event.monitor == one.name]),
-                _latency(own, border_s),
-                round(one.judged_s, 3),
-            )
-            for one in verdict.monitors
-        ),
+        monitors=tuple(monitors),
         session=task.session,
         faults=sum(t_s < border_s for t_s in declared),
         declared_s=round(min(late), 3) if late else None,
-        score_before=scores[0],
-        score_after=scores[1],
+        score_before=_score(judged, -np.inf, border_s),
+        score_after=None if onset_s is None else _score(judged, border_s, np.inf),
     )
 
 
 def _score(judged: JudgedFlight, from_s: float, to_s: float) -> float | None:
-    """The highest ratio of a monitor that decides about propellers, of the values in a span of vehicle time."""
     highest = []
     for piece in judged.pieces:
         for slot, found in zip(judged.chain.slots if judged.chain else (), piece.found, strict=True):
@@ -293,9 +301,9 @@ def _score(judged: JudgedFlight, from_s: float, to_s: float) -> float | None:
 
 def _judged_s(judged: JudgedFlight, to_s: float) -> float:
     """Time before that at which any monitor judged [s], to one period of the slowest."""
-    found = [one for piece in judged.pieces for one in piece.found]
-    tick_ns = max((round(one.period_s * NS_PER_S) for one in found), default=1)
-    ticks = {tick for one in found for tick in np.unique(one.t_ns[one.valid] // tick_ns).tolist()}
+    found = [statistic for piece in judged.pieces for statistic in piece.found]
+    tick_ns = max((round(statistic.period_s * NS_PER_S) for statistic in found), default=1)
+    ticks = {tick for part in found for tick in np.unique(part.t_ns[part.valid] // tick_ns).tolist()}
     count = sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks)
     return float(count * tick_ns) / NS_PER_S
 
@@ -311,38 +319,143 @@ def _declared_s(changes: Sequence[Change]) -> list[float]:
 
 
 def _episodes(events: Sequence[JudgedEvent]) -> int:
-    """Alarms that follow each other within EPISODE_S, or overlap, count once."""
     count, until_s = 0, -np.inf
-    for one in sorted(events, key=lambda event: event.t_s):
-        if one.t_s > until_s + EPISODE_S:
-            count += 1
-        until_s = max(until_s, one.t_s if one.end_s is None else one.end_s)
-        if one.end_s is None:
-            until_s = np.inf
+    for event in sorted(events, key=lambda event: event.t_s):
+        count += event.t_s > until_s + EPISODE_S
+        until_s = max(until_s, np.inf if event.end_s is None else event.end_s)
     return count
 
 
 def _latency(events: Sequence[JudgedEvent], onset_s: float) -> float | None:
-    return round(min(one.t_s for one in events) - onset_s, 3) if events else None
+    return round(min(event.t_s for event in events) - onset_s, 3) if events else None
 
 
 def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
-    """By the most certain alarm that names a rotor, a type or a severity; read from the public report."""
     if verdict.verdict in (Verdict.NOT_JUDGEABLE, Verdict.ERROR):
         return Answer(verdict.verdict.value)
     if not after:
         return Answer("nothing")
-    rows = [dict(event_json(one.t_s, one.end_s, one.event)) for one in after]
-    rows.sort(key=lambda row: -float(str(row["confidence"] or 0.0)))
-    rotor, severity, fault_type = (
-        next((row[name] for row in rows if row.get(name) is not None), None)
-        for name in ("rotor", "severity", "fault_type")
-    )
-    kinds = [one.event.kind for one in after if one.event.kind is not None]
-    kind = max(kinds, key=lambda one: one.rank, default=None)
-    return Answer(
-        kind="suspicion" if kind is None else kind.value,
-        rotor=int(str(rotor)) if rotor is not None else None,
-        fault_type=str(fault_type) if fault_type is not None else None,
-        severity=int(str(severity)) if severity is not None else None,
-    )
+    rows = [event_json(event.t_s, event.end_s, event.event) for event in after]
+    rows.sort(key=lambda row: -float(row["confidence"] or 0.0))
+    named = {
+        name: next((row[name] for row in rows if row[name] is not None), None)
+        for name in ("rotor", "fault_type", "severity")
+    }
+    kinds = [event.event.kind for event in after if event.event.kind is not None]
+    kind = max(kinds, key=lambda kind: kind.rank, default=None)
+    return Answer("suspicion" if kind is None else kind.value, **named)
+
+
+@cache
+def source_key() -> str:
+    """A digest of the sources and data that results follow from: results of another version are never mixed in."""
+    return digest_of_sources(("mavdiag", "sitl_plant"), UNRELATED)
+
+
+def task_key(seed: int, task: LearnTask | FlightTask) -> str:
+    """What a result is kept under."""
+    content = json.dumps([source_key(), seed, type(task).__name__, asdict(task)], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:20]
+
+
+class Journal:
+    """The file of results, one JSON object a line, in order of completion. A torn last line is no result.
+
+    Raises UsageError if the file cannot be used.
+    """
+
+    def __init__(self, path: Path, fresh: bool = False) -> None:
+        self.learnt: dict[str, LearnResult] = {}
+        self.flights: dict[str, FlightResult] = {}
+        self.unread = 0
+        try:
+            text = "" if fresh or not path.exists() else path.read_text(encoding="utf-8")
+            self._file = path.open("w" if fresh else "a", encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"cannot use {path} for results ({error}); choose another --output") from error
+        for row in text.splitlines():
+            try:
+                self._take(_LINE.validate_json(row))
+            except ValidationError:
+                self.unread += 1
+        if text and not text.endswith("\n"):
+            self._file.write("\n")
+
+    @property
+    def known(self) -> frozenset[str]:
+        """The keys of all results."""
+        return frozenset(self.learnt) | frozenset(self.flights)
+
+    def add(self, line: Line) -> None:
+        """Keep a result, on disk at once."""
+        self._take(line)
+        self._file.write(json.dumps(asdict(line)) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _take(self, line: Line) -> None:
+        if isinstance(line, LearnResult):
+            self.learnt[line.key] = line
+        else:
+            self.flights[line.key] = line
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """The results of a plan, in its order."""
+
+    plan: Plan
+    learnt: tuple[LearnResult, ...]
+    flights: tuple[FlightResult, ...]
+    reused: int  # results that were in the file already
+    others: int  # lines of other campaigns, or of another version
+
+
+@contextmanager
+def local_executor(workers: int) -> Iterator[TaskExecutor]:
+    """Worker processes of this machine. Raises UsageError if one of them died."""
+    try:
+        with pool.local_executor(workers) as executor:
+            yield executor
+    except BrokenExecutor as error:
+        raise UsageError("a worker process died, perhaps for want of memory; run again with fewer --workers") from error
+
+
+def run_campaign(
+    plan: Plan,
+    journal: Journal,
+    executor: TaskExecutor,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> Results:
+    """Learn what is to be learnt, then fly.
+
+    progress: called with the stage, how many of its tasks are done, and how many there are.
+    The results do not depend on the executor; only the order of the lines in the file does.
+    """
+    seed = plan.design.seed
+    learning = {task: task_key(seed, task) for task in plan.learning}
+    flights = {task_key(seed, task): task for task in plan.flights}
+    reused = len({*learning.values(), *flights} & journal.known)
+    others = len(journal.known) - reused + journal.unread
+
+    def work(stage: str, jobs: Mapping[str, Callable[[], Line]]) -> None:
+        """Hand out only so many jobs at a time: memory does not grow with the plan."""
+        left = [job for key, job in jobs.items() if key not in journal.known][::-1]
+        done, waiting = len(jobs) - len(left), set[Future[Line]]()
+        progress(stage, done, len(jobs))
+        while left or waiting:
+            while left and len(waiting) < executor.in_flight:
+                waiting.add(executor.pool.submit(left.pop()))
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for line in sorted((future.result() for future in finished), key=lambda line: line.key):
+                journal.add(line)
+                done += 1
+                progress(stage, done, len(jobs))
+
+    work("learning", {key: partial(learn_task, key, seed, task) for task, key in learning.items()})
+    learnt = {task: journal.learnt[key] for task, key in learning.items()}
+    work("flying", {key: partial(fly_task, key, seed, task, learnt[task.learnt]) for key, task in flights.items()})
+    return Results(plan, tuple(learnt.values()), tuple(journal.flights[key] for key in flights), reused, others)

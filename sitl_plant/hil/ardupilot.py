@@ -13,11 +13,8 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 from mavdiag.units import NS_PER_S
-from sitl_plant.hil.outputs import OutputMap
-from sitl_plant.hil.simulation import Simulation
+from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
-
-__all__ = ["Counts", "Lockstep", "ServoFrame", "answer", "servo_frame"]
 
 CHANNELS = {18458: 16, 29569: 32}  # by magic
 SILENT_S = 2.0  # an autopilot that sent nothing for so long gives way to any other (our choice)
@@ -63,17 +60,13 @@ def answer(row: PlantSamples, current_a: float) -> bytes:
 
 @dataclass(slots=True)
 class Counts:
-    """What came in.
+    """What came in."""
 
-    frames: answered for the first time. resent: answered again. restarts: of the autopilot.
-    foreign: datagrams that are no servo frame. ignored: frames of an autopilot that another one has replaced.
-    """
-
-    frames: int = 0
-    resent: int = 0
-    restarts: int = 0
-    foreign: int = 0
-    ignored: int = 0
+    frames: int = 0  # answered for the first time
+    resent: int = 0  # answered again
+    restarts: int = 0  # of the autopilot
+    foreign: int = 0  # datagrams that are no servo frame
+    ignored: int = 0  # frames of an autopilot that another one has replaced
 
 
 class Lockstep:
@@ -106,7 +99,6 @@ class Lockstep:
         return self._answer
 
     def _next(self, frame: ServoFrame, fresh: bool) -> bytes:
-        """The answer to the next frame. fresh: from an address that did not fly before."""
         if frame.count == self._count and not fresh:
             self.counts.resent += 1
             return self._answer

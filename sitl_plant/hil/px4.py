@@ -5,9 +5,11 @@
 
 (https://docs.px4.io/main/en/simulation/#simulator-mavlink-api, and PX4's simulator_mavlink). PX4 in simulation takes
 its clock from HIL_SENSOR. Bit 0 of its flags says that it waits for each of them, and answers: then the plant waits,
-too. A flight controller has a clock of its own, and newer ones use the flags for other things.
+too. A flight controller has a clock of its own, and newer ones use the flags for other things. The plant has no model
+of compass, barometer and GPS: their noises are our choice, so that no reading stands still; the field is PX4's.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +18,9 @@ from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Autopilot, MavCmd, MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import G
-from sitl_plant.hil.instruments import TEMPERATURE_C, Instruments, fix_at
-from sitl_plant.hil.outputs import OutputMap
-from sitl_plant.hil.simulation import Simulation
+from sitl_plant.autopilot.stream import to_global
+from sitl_plant.hil.simulation import OutputMap, Simulation
 from sitl_plant.plant import PlantSamples
-
-__all__ = ["WANTED", "Bridge"]
 
 WANTED = (MessageId.HIL_ACTUATOR_CONTROLS, MessageId.HEARTBEAT, MessageId.COMMAND_LONG)
 LOCKSTEP = 1
@@ -29,6 +28,9 @@ IMU, COMPASS, BARO = 0b111_111, 0b111_000_000, 0b1101_000_000_000  # HIL_SENSOR_
 SYSID, COMPID = 142, 1  # our choice: neither a vehicle nor a ground station
 FIX_3D, SATELLITES = 3, 12
 CM = 100.0
+FIELD_N = np.array([0.21523, 0.00771, 0.42741])  # gauss, NED
+COMPASS_RMS, PRESSURE_RMS_HPA = 0.001, 0.01
+SEA_HPA, TEMPERATURE_C = 1013.25, 20.0
 
 _CONTROLS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "controls")
 _FLAGS = field_index(MessageId.HIL_ACTUATOR_CONTROLS, "flags")
@@ -49,10 +51,9 @@ class _Due(NamedTuple):
 class Bridge:
     """One simulation, flown over MAVLink. rate_hz: of HIL_SENSOR.
 
-    period_s: of HIL_SENSOR.
-    answered: whether controls came since the last `advance`. lockstep: whether they say that PX4 waits for us.
-    in_hil: what the last heartbeat of an autopilot says; None before the first.
-    controls: messages so far. restarts: of the autopilot.
+    period_s: of HIL_SENSOR. answered: whether controls came since the last `advance`. lockstep: whether they say that
+    PX4 waits for us. in_hil: what the last heartbeat of an autopilot says; None before the first. controls: messages so
+    far. restarts: of the autopilot.
     """
 
     def __init__(self, simulation: Simulation, outputs: OutputMap, rate_hz: float) -> None:
@@ -60,7 +61,7 @@ class Bridge:
         self._outputs = outputs
         self.period_s = 1.0 / rate_hz
         self._encoder = Encoder(SYSID, COMPID)
-        self._instruments = Instruments(simulation.config.seed)
+        self._noise = np.random.default_rng([simulation.config.seed, 0x1175])
         self.controls = self.restarts = 0
         self._begin()
 
@@ -114,33 +115,39 @@ class Bridge:
         return True
 
     def _sensor(self, row: PlantSamples) -> bytes:
-        updated, field, pressure, altitude_m = IMU, [0.0, 0.0, 0.0], 0.0, fix_at(row.position[0]).altitude_m
+        updated, field, pressure, altitude_m = IMU, [0.0, 0.0, 0.0], 0.0, float(to_global(row.position)[0, 2])
         if self._is_due("compass"):
-            updated, field = updated | COMPASS, self._instruments.compass(row.quaternion[0]).tolist()
+            w, v = row.quaternion[0, 0], row.quaternion[0, 1:]
+            turned = FIELD_N - 2.0 * w * np.cross(v, FIELD_N) + 2.0 * np.cross(v, np.cross(v, FIELD_N))
+            updated, field = updated | COMPASS, (turned + COMPASS_RMS * self._noise.standard_normal(3)).tolist()
         if self._is_due("baro"):
-            updated, pressure = updated | BARO, self._instruments.pressure_hpa(altitude_m)
+            true = SEA_HPA * math.pow(1.0 - 2.25577e-5 * altitude_m, 5.25588)  # standard atmosphere (ISO 2533)
+            updated, pressure = updated | BARO, true + PRESSURE_RMS_HPA * float(self._noise.standard_normal())
         motion = (*row.accel[0].tolist(), *row.gyro[0].tolist())
         air = (pressure, 0.0, altitude_m, TEMPERATURE_C)
         return self._encoder.encode(MessageId.HIL_SENSOR, _micros(row), *motion, *field, *air, updated, 0)
 
     def _gps(self, row: PlantSamples) -> bytes:
-        fix, (north, east, down) = fix_at(row.position[0]), (CM * row.velocity[0]).tolist()
+        north, east, down = (CM * row.velocity[0]).tolist()
         course = np.degrees(np.arctan2(east, north)) % 360.0
-        place = (round(fix.latitude_deg * 1e7), round(fix.longitude_deg * 1e7), round(fix.altitude_m * 1e3))
         moves = (np.hypot(north, east), north, east, down, CM * course)
         return self._encoder.encode(
-            MessageId.HIL_GPS, _micros(row), FIX_3D, *place, 30, 40, *map(round, moves), SATELLITES
+            MessageId.HIL_GPS, _micros(row), FIX_3D, *_place(row), 30, 40, *map(round, moves), SATELLITES
         )
 
     def _truth(self, row: PlantSamples) -> bytes:
-        fix = fix_at(row.position[0])
-        place = (round(fix.latitude_deg * 1e7), round(fix.longitude_deg * 1e7), round(fix.altitude_m * 1e3))
         velocity, accel = (CM * row.velocity[0]).tolist(), (1e3 / G * row.accel[0]).tolist()
         turns, air = (row.quaternion[0].tolist(), *row.omega[0].tolist()), (0, 0)
         return self._encoder.encode(
-            MessageId.HIL_STATE_QUATERNION, _micros(row), *turns, *place, *velocity, *air, *accel
+            MessageId.HIL_STATE_QUATERNION, _micros(row), *turns, *_place(row), *velocity, *air, *accel
         )
 
 
 def _micros(row: PlantSamples) -> int:
     return int(row.t_ns[0]) // 1000
+
+
+def _place(row: PlantSamples) -> tuple[int, int, int]:
+    """Latitude, longitude [1e-7 deg] and altitude [mm]."""
+    latitude, longitude, altitude = to_global(row.position)[0].tolist()
+    return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)

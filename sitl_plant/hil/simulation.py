@@ -1,34 +1,97 @@
-"""The plant under an autopilot outside: at rest on the ground until the autopilot turns its rotors."""
+"""The plant under an autopilot outside: at rest on the ground until the autopilot turns its rotors.
+
+Its outputs become duties of the rotors by the table `[hil]` of the vehicle file, which also has parameters to load.
+"""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from mavdiag.telemetry import FloatArray
-from sitl_plant.changes import Change
-from sitl_plant.config import PlantConfig
-from sitl_plant.physics.injections import Injection
+from mavdiag.errors import UsageError
+from mavdiag.telemetry import FloatArray, IntArray
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.parameters import STEP_S
-from sitl_plant.plant import Plant, PlantSamples
+from sitl_plant.plant import Change, Plant, PlantConfig, PlantSamples
+from sitl_plant.vehicle import Hil, HilPilot, Vehicle
 
-__all__ = ["FLYING_M", "HilPlan", "Simulation", "Watch"]
-
+AutopilotName: TypeAlias = Literal["ardupilot", "px4"]
+Watch: TypeAlias = Callable[[PlantSamples, Sequence[Change]], None]
 FLYING_M = 0.1  # height above the start at which a take-off counts (our choice)
-Watch = Callable[[PlantSamples, Sequence[Change]], None]
+FIRST_MOTOR = 101  # PX4's output function "Motor 1"
+INT32, REAL32 = 6, 9  # MAV_PARAM_TYPE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutputMap:
+    """Which output turns which rotor, n of them."""
+
+    places: IntArray  # (n,) for each rotor its output, from 0
+    pwm_us: tuple[float, float]  # the pulses of duty 0 and 1
+
+    def from_pwm(self, pwm_us: Sequence[int]) -> FloatArray:
+        """Duties (n,) of at least n pulses [us]; a pulse of 0, for an output that is off, is duty 0."""
+        low, high = self.pwm_us
+        return self.from_share((np.asarray(pwm_us, dtype=np.float64) - low) / (high - low))
+
+    def from_share(self, shares: Sequence[float] | FloatArray) -> FloatArray:
+        """Duties (n,) of at least n outputs of 0 to 1; others are held there, and NaN, for no output, is 0."""
+        duties = np.clip(np.asarray(shares, dtype=np.float64)[self.places], 0.0, 1.0)
+        return np.nan_to_num(duties, nan=0.0)
+
+    def motor(self, rotor: int) -> int:
+        """The autopilot's number of a rotor, both from 1."""
+        return int(self.places[rotor - 1]) + 1
+
+
+def output_map(vehicle: Vehicle, autopilot: AutopilotName) -> OutputMap:
+    """The outputs of a vehicle under one kind of autopilot. Raises UsageError if its file does not tell them."""
+    hil, pilot = pilot_of(vehicle, autopilot)
+    return OutputMap(np.argsort(pilot.rotors), hil.pwm_us)
+
+
+def pilot_of(vehicle: Vehicle, autopilot: AutopilotName) -> tuple[Hil, HilPilot]:
+    """The tables `[hil]` and `[hil.NAME]`. Raises UsageError if they are missing, or do not name every rotor once."""
+    if vehicle.hil is None:
+        raise UsageError(f"{vehicle.name}: no autopilot can fly it: add a table [hil] to its file, as qdrone2.toml has")
+    pilot = vehicle.hil.ardupilot if autopilot == "ardupilot" else vehicle.hil.px4
+    if sorted(pilot.rotors) != list(range(1, len(vehicle.rotors) + 1)):
+        wanted = f"each rotor 1 to {len(vehicle.rotors)} once, not {list(pilot.rotors)}"
+        raise UsageError(f"{vehicle.name}: hil.{autopilot}.rotors must name {wanted}")
+    return vehicle.hil, pilot
+
+
+def parameter_file(vehicle: Vehicle, autopilot: AutopilotName, *, hardware: bool = False) -> str:
+    """ArduPilot: lines of NAME,VALUE (.param). PX4: the tabs of QGroundControl (.params).
+
+    hardware: for a PX4 flight controller in HIL mode, not for PX4 in simulation.
+    Raises UsageError if the vehicle's file has no parameters for it.
+    """
+    pilot = pilot_of(vehicle, autopilot)[1]
+    head = f"# {vehicle.name} of sitl-plant: suggested for a simulation, not for a vehicle that flies\n"
+    if autopilot == "ardupilot":
+        return head + "".join(f"{name},{value}\n" for name, value in pilot.parameters.items())
+    rows: dict[str, int | float] = {**pilot.parameters, "CA_ROTOR_COUNT": len(pilot.rotors)}
+    for motor, number in enumerate(pilot.rotors):  # the moment over thrust is positive for counter-clockwise
+        rotor = vehicle.rotors[number - 1]
+        rows |= {f"CA_ROTOR{motor}_P{axis}": place for axis, place in zip("XYZ", rotor.position_m, strict=True)}
+        rows[f"CA_ROTOR{motor}_KM"] = round(-rotor.sign / vehicle.propulsion.thrust_per_torque_1_m, 5)
+    output = "HIL_ACT_FUNC" if hardware else "PWM_MAIN_FUNC"
+    rows |= ({"SYS_HITL": 1} if hardware else {}) | {
+        f"{output}{1 + n}": FIRST_MOTOR + n for n in range(len(pilot.rotors))
+    }
+    lines = (f"1\t1\t{name}\t{value}\t{INT32 if isinstance(value, int) else REAL32}\n" for name, value in rows.items())
+    return head + "# Vehicle-Id Component-Id Name Value Type\n" + "".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
 class HilPlan:
-    """What is to happen.
+    """What is to happen."""
 
-    config: vehicle, wind, payload, seed; it is flown from the ground, and its path is not used.
-    after_takeoff: causes whose onset counts from the take-off.
-    """
-
-    config: PlantConfig
-    after_takeoff: tuple[Injection, ...] = ()
+    config: PlantConfig  # vehicle, wind, payload, seed; it is flown from the ground, and its path is not used
+    after_takeoff: tuple[Injection, ...] = ()  # causes whose onset counts from the take-off
 
 
 class Simulation:

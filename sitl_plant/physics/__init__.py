@@ -1,1 +1,1 @@
-"""The vehicle as physics: rigid body, rotors, sensors, supply, and the thesis's controller."""
+"""The physics of the plant, compiled: equations first, then the code."""

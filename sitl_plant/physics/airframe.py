@@ -1,23 +1,29 @@
-"""One specimen of a vehicle type: what manufacture, age and payload made of the numbers in the file.
+"""One specimen of a vehicle type: what manufacture, age, the day, new propellers and wear made of the file's numbers.
 
 Drones 1 (aged), 2 and 3 (new) are the three of T 4.4 and always come out the same; `draw_airframe` gives as many
-others as a Monte Carlo study needs.
+others as a Monte Carlo study needs. The spreads are estimates; no measurement of them is known to us.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import S_PER_H
 from sitl_plant.vehicle import Vehicle
-
-__all__ = ["NO_PAYLOAD", "Airframe", "Payload", "draw_airframe", "drone"]
 
 # The seeds that make drones 1, 2 and 3: of n, n + 10, n + 20, ... the first with every draw within 1.5 standard
 # deviations and the battery gain within 1.2 %, so that the three are ordinary specimens.
 DRONE_SEEDS = (41, 252, 53)
 AGED_DRONE = 1
+CHARGE_USED_AH = 0.4  # uniform, 0 to this: flights before this one on the battery, or a charge not finished (estimate)
+BATTERY_GAIN_RMS = 0.01  # another battery of the type, warm or cold: share of speed per volt (estimate)
+BATTERY_SHIFT_RMS_M = 0.0007  # of the centre of gravity, x and y: 358 of 1504 g put back 3 mm elsewhere (estimate)
+SEATING_SHARE_MAX = 0.2  # of the permissible unbalance: a propeller taken off and put on again (estimate)
+MOST_SPREAD = 0.2
+NEVER = 2**62  # a step that no flight reaches
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,26 +41,41 @@ class Payload:
 NO_PAYLOAD = Payload()
 
 
+@dataclass(frozen=True, slots=True)
+class PickUp:
+    """A payload that is taken up at `at_s` of flight time and dropped at `drop_s`; it moves as the vehicle does."""
+
+    payload: Payload = NO_PAYLOAD
+    at_s: float = 10.0
+    drop_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.at_s) and 0.0 < self.at_s < self.drop_s):
+            raise UsageError(f"a pick-up must be after the start and before the drop, not at {self.at_s:g} s")
+
+    def span(self, dt_s: float) -> tuple[int, int]:
+        """First step with the payload, and first step without it again."""
+        return round(self.at_s / dt_s), NEVER if math.isinf(self.drop_s) else round(self.drop_s / dt_s)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Airframe:
     """The true constants of one specimen, n rotors. Body FRD; the controller knows only the nominal ones.
 
-    inertia_kg_m2: (3,) about the centre of gravity. centre_of_gravity_m: (3,) from the geometric centre.
     thrust_coefficient_n_s2, motor_lag_s: (n,). unbalance_g_mm: (n, 2) in the rotor's own frame.
-    battery_gain: 1 is nominal. gyro_bias: (3,) rad/s. charge_used_ah: drawn from the battery before the flight.
     """
 
     name: str
     vehicle: Vehicle
-    inertia_kg_m2: FloatArray
-    centre_of_gravity_m: FloatArray
+    inertia_kg_m2: FloatArray  # (3,) about the centre of gravity
+    centre_of_gravity_m: FloatArray  # (3,) from the geometric centre
     thrust_coefficient_n_s2: FloatArray
     motor_lag_s: FloatArray
     unbalance_g_mm: FloatArray
     thrust_noise_rms: float
-    battery_gain: float
-    gyro_bias: FloatArray
-    charge_used_ah: float = 0.0
+    battery_gain: float  # 1 is nominal
+    gyro_bias: FloatArray  # (3,) rad/s
+    charge_used_ah: float = 0.0  # drawn from the battery before the flight
 
 
 def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: str = "drawn") -> Airframe:
@@ -78,7 +99,7 @@ def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: 
         * thrust
         * (1.0 + (spread.aged_thrust_coefficient if aged else 0.0)),
         motor_lag_s=propulsion.motor_lag_s * lag * (1.0 + (spread.aged_motor_lag if aged else 0.0)),
-        unbalance_g_mm=np.column_stack([unbalance * np.cos(angle), unbalance * np.sin(angle)]),
+        unbalance_g_mm=_vectors(unbalance, angle),
         thrust_noise_rms=propulsion.thrust_noise_rms * (spread.aged_noise_factor if aged else 1.0),
         battery_gain=battery,
         gyro_bias=vehicle.imu.gyro_bias_rms * rng.standard_normal(3),
@@ -91,3 +112,72 @@ def drone(vehicle: Vehicle, number: int) -> Airframe:
         raise UsageError(f"drone must be 1, 2 or 3, not {number}")
     rng = np.random.default_rng(DRONE_SEEDS[number - 1])
     return draw_airframe(vehicle, aged=number == AGED_DRONE, rng=rng, name=f"drone {number}")
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """Blades that wear: each rotor's thrust coefficient falls in proportion to the hours flown."""
+
+    loss_per_h: tuple[float, ...]  # share of thrust per hour of flight, one for each rotor
+    hours: float = 0.0  # flown since the airframe was as drawn
+
+    def __post_init__(self) -> None:
+        if not all(0.0 <= loss <= 1.0 for loss in self.loss_per_h) or not self.hours >= 0.0:
+            raise UsageError("wear needs a loss of 0 to 1 per hour for each rotor, and hours of zero or more")
+
+    def gain(self, t_s: float) -> FloatArray:
+        """What is left of each rotor's thrust, (n,), at a flight time."""
+        lost = np.array(self.loss_per_h) * (self.hours + max(t_s, 0.0) / S_PER_H)
+        return np.maximum(1.0 - lost, 0.0)
+
+
+def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator) -> Airframe:
+    """The airframe with a new healthy set of propellers.
+
+    Each thrust coefficient is that of the old set times 1 ± `spread`, uniform; each unbalance is uniform up to the
+    permissible one, at any angle. Raises UsageError for a spread that is no small share.
+    """
+    if not 0.0 <= spread <= MOST_SPREAD:
+        raise UsageError(f"propellers must spread by 0 to {MOST_SPREAD:g}, not {spread:g}")
+    n = len(airframe.vehicle.rotors)
+    thrust = 1.0 + rng.uniform(-spread, spread, n)
+    size = airframe.vehicle.propulsion.unbalance_max_g_mm * rng.random(n)
+    return replace(
+        airframe,
+        thrust_coefficient_n_s2=airframe.thrust_coefficient_n_s2 * thrust,
+        unbalance_g_mm=_vectors(size, rng.uniform(0.0, 2.0 * np.pi, n)),
+    )
+
+
+def in_session(airframe: Airframe, rng: np.random.Generator) -> Airframe:
+    """The airframe on another day: battery and its place, gyro bias, and how the propellers sit are drawn anew."""
+    n = len(airframe.vehicle.rotors)
+    shift = BATTERY_SHIFT_RMS_M * rng.standard_normal(2)
+    seating = SEATING_SHARE_MAX * airframe.vehicle.propulsion.unbalance_max_g_mm * rng.random(n)
+    return replace(
+        airframe,
+        battery_gain=airframe.battery_gain * (1.0 + BATTERY_GAIN_RMS * float(rng.standard_normal())),
+        charge_used_ah=CHARGE_USED_AH * float(rng.random()),
+        centre_of_gravity_m=airframe.centre_of_gravity_m + np.array([shift[0], shift[1], 0.0]),
+        gyro_bias=airframe.vehicle.imu.gyro_bias_rms * rng.standard_normal(3),
+        unbalance_g_mm=airframe.unbalance_g_mm + _vectors(seating, rng.uniform(0.0, 2.0 * np.pi, n)),
+    )
+
+
+def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> Airframe:
+    """The airframe in session 0, 1, 2, ...: 0 as it was drawn, the others by their number alone.
+
+    spread: above zero, each session has a new set of propellers, see `with_propellers`.
+    Raises UsageError for a negative number.
+    """
+    if session < 0:
+        raise UsageError(f"session must be zero or more, not {session}")
+    if session == 0 and spread == 0.0:
+        return airframe
+    rng = np.random.default_rng([0x5E55, session, *airframe.name.encode()])
+    today = in_session(airframe, rng) if session else airframe
+    return with_propellers(today, spread, rng) if spread > 0.0 else today
+
+
+def _vectors(size: FloatArray, angle: FloatArray) -> FloatArray:
+    return np.column_stack([size * np.cos(angle), size * np.sin(angle)])

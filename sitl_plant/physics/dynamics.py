@@ -16,33 +16,27 @@ The ground is a plane that pushes each point of the landing gear by a spring and
 All functions are compiled and write into arrays that the caller owns.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.jit import inline, jit
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.jit import inline, jit
-
-__all__ = [
-    "GRAVITY",
-    "NO_GROUND",
-    "RIGID",
-    "STAGES",
-    "WRENCH",
-    "Body",
-    "Ground",
-    "derivative",
-    "grip",
-    "rk4_step",
-    "rotate_to_body",
-    "rotate_to_world",
-    "support",
-]
 
 GRAVITY = 9.81  # m/s^2, as the hover speed of T 3.2.2 and K_F assume
 RIGID = 13  # length of the state row
 WRENCH = 8  # length of a wrench row
 STAGES = 3  # start, middle and end of a step
+
+
+@jit
+def wrapped(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    turned = angle + math.pi
+    if 0.0 <= turned < 2.0 * math.pi:  # as the remainder below has it, without its division
+        return turned - math.pi
+    return turned % (2.0 * math.pi) - math.pi
 
 
 class Body(NamedTuple):
@@ -78,21 +72,12 @@ def rotate_to_world(state: FloatArray, v_x: float, v_y: float, v_z: float) -> tu
 
 
 class Ground(NamedTuple):
-    """Landing gear and the plane below it.
+    """Landing gear and the plane below it; stiffness [N/m] and damping [N s/m] are those of one point."""
 
-    gear: (m, 3) points of the landing gear from the centre of gravity, body FRD [m].
-    stuck: (m, 2) where each point sticks, world north and east [m]; changed by `grip`.
-    level: z of the plane in the world [m].
-    reach: a vehicle with z above this may touch the ground [m]; infinite without a ground.
-    stiffness: of one point [N/m].
-    damping: of one point [N s/m].
-    friction: coefficient.
-    """
-
-    gear: FloatArray
-    stuck: FloatArray
-    level: float
-    reach: float
+    gear: FloatArray  # (m, 3) points of the landing gear from the centre of gravity, body FRD [m]
+    stuck: FloatArray  # (m, 2) where each point sticks, world north and east [m]; changed by `grip`
+    level: float  # z of the plane in the world [m]
+    reach: float  # a vehicle with z above this may touch the ground [m]; infinite without a ground
     stiffness: float
     damping: float
     friction: float
@@ -134,13 +119,6 @@ def _grip(x: FloatArray, ground: Ground) -> None:
             ground.stuck[i, 0], ground.stuck[i, 1] = north + f_x / ground.stiffness, east + f_y / ground.stiffness
 
 
-@inline
-def support(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
-    """Add what the ground does to the slope in dx[row], if the vehicle is near enough to touch it."""
-    if x[2] > ground.reach:
-        _stand(x, body, ground, dx, row)
-
-
 @jit
 def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) -> None:
     m_x = m_y = m_z = 0.0
@@ -164,11 +142,12 @@ def derivative(
     wrench: FloatArray,
     stage: int,
     body: Body,
+    ground: Ground,
     wind: FloatArray,
     dx: FloatArray,
     row: int,
 ) -> None:
-    """Write dx/dt in the air under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
+    """Write dx/dt under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
 
     m dv/dt     = R (force + drag) + m g
     I domega/dt = moment + hub - omega × (I omega + h e_z) - dh/dt e_z
@@ -199,6 +178,8 @@ def derivative(
     m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
     for axis in range(3):
         dx[row, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
+    if x[2] > ground.reach:
+        _stand(x, body, ground, dx, row)
 
 
 @jit
@@ -210,20 +191,14 @@ def rk4_step(
     wrench: (3, 8) at start, middle and end. work: (5, 13) scratch for the four slopes and the point.
     """
     y = work[4]
-    derivative(x, wrench, 0, body, wind, work, 0)
-    support(x, body, ground, work, 0)
     for i in range(RIGID):
-        y[i] = x[i] + 0.5 * dt * work[0, i]
-    derivative(y, wrench, 1, body, wind, work, 1)
-    support(y, body, ground, work, 1)
-    for i in range(RIGID):
-        y[i] = x[i] + 0.5 * dt * work[1, i]
-    derivative(y, wrench, 1, body, wind, work, 2)
-    support(y, body, ground, work, 2)
-    for i in range(RIGID):
-        y[i] = x[i] + dt * work[2, i]
-    derivative(y, wrench, 2, body, wind, work, 3)
-    support(y, body, ground, work, 3)
+        y[i] = x[i]
+    for k in range(4):
+        derivative(y, wrench, (k + 1) // 2, body, ground, wind, work, k)
+        span = dt if k == 2 else 0.5 * dt
+        if k < 3:
+            for i in range(RIGID):
+                y[i] = x[i] + span * work[k, i]
     for i in range(RIGID):
         x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
     norm = np.sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])

@@ -1,7 +1,10 @@
-"""What T's nine damaged propellers do in flight, by code ("F2/SV2"): a table beside that of T 3.2.2.
+"""What can be made to go wrong in flight, as data: a cause, where, from when to when (T 1.2); T's nine propellers.
 
-Physics, from T or estimated from it: thrust loss and drag increase. The unbalance is what T Table 3.2 *prints*; what
-does not agree in T's tables is listed in `mavdiag.airframe.propellers`.
+A plant holds a tuple of `Injection`s. Between two onsets or ends nothing changes, so their effect is a pair of constant
+tables for the compiled loop: `Condition` for the rotors, `SensorCondition` for the IMU.
+
+Of T's nine damaged propellers, thrust loss and drag increase are from T or estimated from it; the unbalance is what T
+Table 3.2 *prints*; what does not agree in T's tables is listed in `mavdiag.airframe.propellers`.
 
 Phenomenology, **fitted, not derived**: T's own flights show residuals far above what the physics alone gives, since the
 line at one per revolution hardly passes the 0.1 s smoothing window. A damaged propeller is therefore also given a slow
@@ -12,44 +15,103 @@ then grew, on means of four flights, in 18 of 20 trials; with 2.4, 3.8, 5.6 % it
 scales rms and lag; with 0 only the physics is left. Report results for 0, 0.5 and 1.
 """
 
+import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
 
 from mavdiag.airframe.propellers import PROPELLERS, DamagedPropeller
 from mavdiag.errors import UsageError
-from sitl_plant.physics.injections import RotorDamage
+from mavdiag.units import G_MM_PER_KG_M
+from sitl_plant.physics.airframe import NEVER, Airframe
+from sitl_plant.physics.rotors import Condition
+from sitl_plant.physics.sensors import CHANNELS, SensorCondition
 
-__all__ = ["FAULTS", "Fault", "parse_fault"]
+G_MM = 1.0 / G_MM_PER_KG_M  # kg m
+
+
+@dataclass(frozen=True, slots=True)
+class RotorDamage:
+    """What happens to one rotor, as factors and additions to the healthy one.
+
+    The unbalance adds as a vector to the rotor's own, at an angle that the injection gives or the plant draws. Half the
+    thrust belongs to each blade, so a loss on one shifts the centre of lift by (1 - thrust_factor) x effective radius.
+    """
+
+    thrust_factor: float = 1.0
+    drag_factor: float = 1.0
+    unbalance_g_mm: float = 0.0
+    fluctuation_rms: float = 0.0
+    fluctuation_corner_hz: float = 1.0
+    thrust_lag_s: float = 0.0
+    speed_factor: float = 1.0
+    ejected: bool = False
+
+    def __post_init__(self) -> None:
+        values = (self.thrust_factor, self.drag_factor, self.fluctuation_rms, self.thrust_lag_s, self.speed_factor)
+        if not all(math.isfinite(value) and value >= 0.0 for value in values) or self.fluctuation_corner_hz <= 0.0:
+            raise UsageError("rotor damage needs finite factors of zero or more and a positive corner frequency")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFault:
+    """reading = scale x truth + offset + drift x time since onset + noise, in SI units, on one axis of one sensor."""
+
+    sensor: str
+    axis: int
+    scale: float = 1.0
+    offset: float = 0.0
+    drift_per_s: float = 0.0
+    noise_rms: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.sensor not in ("gyro", "accel") or self.axis not in (0, 1, 2):
+            raise UsageError(f"no sensor {self.sensor!r} axis {self.axis}: give gyro or accel and axis 0, 1 or 2")
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """A cause, present from onset_s to end_s of flight time. rotor: 1..n as in T Eq 2.2-2.4; unused for sensors.
+
+    angle_rad: direction of the damage in the rotor's frame; None lets the plant draw it from its seed.
+    """
+
+    cause: RotorDamage | SensorFault
+    rotor: int = 1
+    onset_s: float = 0.0
+    end_s: float = math.inf
+    angle_rad: float | None = None
+    name: str | None = None  # what the truth file calls it, as the code of a fault; None for a cause without a name
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.onset_s) and self.end_s > self.onset_s):
+            raise UsageError(f"onset_s must be a finite time before end_s, not {self.onset_s:g} and {self.end_s:g}")
+        if self.angle_rad is not None and not math.isfinite(self.angle_rad):
+            raise UsageError("angle_rad must be a finite angle")
+
+    def span(self, dt_s: float) -> tuple[int, int]:
+        """First step of presence and first step after it. An onset at or before 0 is present before the flight, too."""
+        first = -NEVER if self.onset_s <= 0.0 else round(self.onset_s / dt_s)
+        return first, NEVER if math.isinf(self.end_s) else round(self.end_s / dt_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One damaged propeller and what it does.
+    """One damaged propeller and what it does; fluctuation and lag are fitted."""
 
-    propeller: what was done to it, weighed and printed.
-    thrust_loss: share of the thrust.
-    drag_factor: of the drag torque.
-    fluctuation_rms: share of the thrust; fitted.
-    fluctuation_corner_hz: fitted.
-    lag_s: of the thrust; fitted.
-    """
-
-    propeller: DamagedPropeller
-    thrust_loss: float
-    drag_factor: float
-    fluctuation_rms: float
+    propeller: DamagedPropeller  # what was done to it, weighed and printed
+    thrust_loss: float  # share of the thrust
+    drag_factor: float  # of the drag torque
+    fluctuation_rms: float  # share of the thrust
     fluctuation_corner_hz: float
-    lag_s: float
+    lag_s: float  # of the thrust
 
     @property
     def code(self) -> str:
         """The code of T, "F1/SV1" to "F3/SV3"."""
         return self.propeller.code
-
-    @property
-    def unbalance_g_mm(self) -> float:
-        """As T prints it."""
-        return self.propeller.printed_g_mm
 
     def damage(self, phenomenology: float = 1.0) -> RotorDamage:
         """What the fault does to a rotor. phenomenology: 0 (physics only) to 1. Raises UsageError outside."""
@@ -58,7 +120,7 @@ class Fault:
         return RotorDamage(
             thrust_factor=1.0 - self.thrust_loss,
             drag_factor=self.drag_factor,
-            unbalance_g_mm=self.unbalance_g_mm,
+            unbalance_g_mm=self.propeller.printed_g_mm,
             fluctuation_rms=phenomenology * self.fluctuation_rms,
             fluctuation_corner_hz=self.fluctuation_corner_hz,
             thrust_lag_s=phenomenology * self.lag_s,
@@ -77,7 +139,6 @@ _TABLE = (
     (1.1, 1.015, 3.8, 1.0, 0.0),
     (1.5, 1.020, 5.6, 1.0, 0.0),
 )
-
 FAULTS: tuple[Fault, ...] = tuple(
     Fault(propeller, loss / 100, drag, rms / 100, corner_hz, lag_ms / 1000)
     for propeller, (loss, drag, rms, corner_hz, lag_ms) in zip(PROPELLERS, _TABLE, strict=True)
@@ -90,5 +151,58 @@ def parse_fault(code: str) -> Fault:
     match = re.fullmatch(r"F([123])\s*[/\\_-]?\s*SV([123])", code.strip(), re.IGNORECASE)
     if match is None:
         raise UsageError(f"no fault {code!r}: give F1, F2 or F3 with SV1, SV2 or SV3, as in F2/SV2")
-    kind, severity = int(match[1]), int(match[2])
-    return FAULTS[3 * (kind - 1) + severity - 1]
+    return FAULTS[3 * (int(match[1]) - 1) + int(match[2]) - 1]
+
+
+def fault_injection(code: str, rotor: int, onset_s: float = 0.0, phenomenology: float = 1.0) -> Injection:
+    """A fault of the thesis, by its code, as a cause. Raises UsageError for an unknown code."""
+    return Injection(parse_fault(code).damage(phenomenology), rotor, onset_s, name=code)
+
+
+def rotor_condition(airframe: Airframe, injections: Iterable[Injection], dt_s: float) -> Condition:
+    """The rotors' condition under these causes. An injection without an angle acts at 0."""
+    n = len(airframe.vehicle.rotors)
+    condition = Condition(
+        thrust_gain=np.ones(n),
+        drag_gain=np.ones(n),
+        speed_gain=np.ones(n),
+        unbalance=airframe.unbalance_g_mm * G_MM,
+        lift_offset=np.zeros((n, 2)),
+        fluctuation_rms=np.zeros(n),
+        fluctuation_decay=np.full(n, math.exp(-2.0 * math.pi * dt_s)),
+        thrust_lag=np.zeros(n),
+    )
+    for injection in injections:
+        if isinstance(injection.cause, RotorDamage):
+            _damage(condition, airframe, injection.cause, injection.rotor - 1, injection.angle_rad or 0.0, dt_s)
+    return condition
+
+
+def _damage(condition: Condition, airframe: Airframe, damage: RotorDamage, i: int, angle: float, dt_s: float) -> None:
+    direction = np.array([math.cos(angle), math.sin(angle)])
+    shift = (1.0 - damage.thrust_factor) * airframe.vehicle.propulsion.effective_radius_m
+    condition.thrust_gain[i] *= damage.thrust_factor
+    condition.drag_gain[i] *= damage.drag_factor
+    condition.speed_gain[i] *= damage.speed_factor
+    condition.unbalance[i] += damage.unbalance_g_mm * G_MM * direction
+    condition.lift_offset[i] += shift * direction
+    if damage.fluctuation_rms > 0.0:
+        condition.fluctuation_rms[i] = math.hypot(condition.fluctuation_rms[i], damage.fluctuation_rms)
+        condition.fluctuation_decay[i] = math.exp(-2.0 * math.pi * damage.fluctuation_corner_hz * dt_s)
+    condition.thrust_lag[i] += damage.thrust_lag_s
+    if damage.ejected:
+        condition.unbalance[i] = condition.lift_offset[i] = 0.0
+
+
+def sensor_condition(injections: Iterable[Injection]) -> SensorCondition:
+    """The sensors' condition under these causes."""
+    condition = SensorCondition(np.ones(CHANNELS), np.zeros(CHANNELS), np.zeros(CHANNELS), np.zeros(CHANNELS))
+    for injection in injections:
+        fault = injection.cause
+        if isinstance(fault, SensorFault):
+            channel = fault.axis + (3 if fault.sensor == "accel" else 0)
+            condition.scale[channel] *= fault.scale
+            condition.offset[channel] += fault.offset
+            condition.drift[channel] += fault.drift_per_s
+            condition.noise[channel] = math.hypot(condition.noise[channel], fault.noise_rms)
+    return condition

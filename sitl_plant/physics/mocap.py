@@ -10,11 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.jit import allocating, jit
 from mavdiag.telemetry import FloatArray, IntArray
 from sitl_plant.physics.dynamics import rotate_to_world
-from sitl_plant.physics.jit import allocating, jit
-
-__all__ = ["Mocap", "MocapState", "deliver_pose", "fit_pose", "hold_if_lost", "observe", "yaw_of"]
 
 NEWTON_STEPS = 30
 EPSILON = 1e-12
@@ -22,37 +20,28 @@ LOST_FRAMES = 25  # without a pose for longer, the vehicle holds where it was se
 
 
 class Mocap(NamedTuple):
-    """Constants. markers: (m, 3) from the geometric centre; centre: (3,) geometric centre from the centre of gravity.
+    """Constants. period, latency: in steps of the plant. velocity_gain: 1 - exp(-2 pi f frame_s)."""
 
-    noise: rms per marker and axis [m]. period, latency: in steps of the plant. frame_s: between two frames.
-    velocity_gain: 1 - exp(-2 pi f frame_s) of the velocity filter.
-    """
-
-    markers: FloatArray
-    centre: FloatArray
-    noise: float
+    markers: FloatArray  # (m, 3) from the geometric centre
+    centre: FloatArray  # (3,) geometric centre from the centre of gravity
+    noise: float  # rms per marker and axis [m]
     occlusion: float
     period: int
     latency: int
-    frame_s: float
+    frame_s: float  # between two frames
     velocity_gain: float
 
 
 class MocapState(NamedTuple):
-    """queue: (latency + 1, 4) poses under way, nan where there is none. pose: (4,), velocity: (3,) as last received.
+    """A pose is position_N of the geometric centre and yaw."""
 
-    A pose is position_N of the geometric centre and yaw. received: (1,) the step at which it came; nan before the
-    first. seen: (m, 3) markers of the latest frame; visible: (m,) 1 or 0; fit: (13,) state row fitted to them, rates
-    zero.
-    """
-
-    queue: FloatArray
-    pose: FloatArray
-    velocity: FloatArray
-    received: FloatArray
-    seen: FloatArray
-    visible: IntArray
-    fit: FloatArray
+    queue: FloatArray  # (latency + 1, 4) poses under way, nan where there is none
+    pose: FloatArray  # (4,) as last received
+    velocity: FloatArray  # (3,)
+    received: FloatArray  # (1,) the step at which it came; nan before the first
+    seen: FloatArray  # (m, 3) markers of the latest frame
+    visible: IntArray  # (m,) 1 or 0
+    fit: FloatArray  # (13,) state row fitted to them, rates zero
 
 
 @allocating
@@ -98,7 +87,6 @@ def _horn_matrix(S: FloatArray, K: FloatArray) -> None:
 
 @jit
 def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
-    """Unit eigenvector of the largest eigenvalue of the traceless symmetric K (changed in place) into q."""
     # Characteristic polynomial L^4 + c2 L^2 + c1 L + c0, by traces of powers and the determinant.
     trace2 = trace3 = c0 = 0.0
     for a in range(4):
@@ -128,7 +116,6 @@ def _leading_eigenvector(K: FloatArray, bound: float, q: FloatArray) -> None:
 
 @jit
 def _cofactor(M: FloatArray, row: int, column: int) -> float:
-    """Signed 3 × 3 minor of a 4 × 4 matrix."""
     i, j, k = (row + 1) & 3, (row + 2) & 3, (row + 3) & 3  # modulo 4
     a, b, c = (column + 1) & 3, (column + 2) & 3, (column + 3) & 3
     # The cyclic order of three indices is an even permutation of the sorted one, so the minor keeps its sign.

@@ -1,28 +1,63 @@
-"""From an airframe and a flight plan to the constants and the initial state of the compiled loop."""
+"""From an airframe and a flight plan to the constants and the initial state of the compiled loop, for both sets.
+
+A payload taken up in flight, or dropped, already moves as the vehicle does; the rotors keep their speed. With `shift`
+the way of the centre of gravity, v' = v + omega × shift and omega' = omega: momentum is kept, and nothing jerks.
+
+A recorded set follows from a vehicle file's `[recorded]` table and a specimen. Vibration levels are given as recorded,
+so they are divided here by what the on-chip filter and the hold leave of them. Which share a rotor has in the line, and
+at which phase, belongs to the specimen; the level also to the flight.
+"""
 
 import math
+import zlib
 
 import numpy as np
 
+from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
+from sitl_plant.physics.air import Air
 from sitl_plant.physics.airframe import Airframe, Payload
-from sitl_plant.physics.attitude import ESTIMATE, Estimator, low_pass_transition
-from sitl_plant.physics.controller import Controller, ControlState
-from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground
-from sitl_plant.physics.kernel import Model, State
+from sitl_plant.physics.control import (
+    ESTIMATE,
+    Controller,
+    ControlState,
+    Estimator,
+    Feedback,
+    Loop,
+    LoopState,
+    low_pass_transition,
+    second_order,
+    voltage_of,
+)
+from sitl_plant.physics.dynamics import GRAVITY, NO_GROUND, RIGID, STAGES, WRENCH, Body, Ground, rotate_to_world
+from sitl_plant.physics.kernel import Model, Recorded, State
 from sitl_plant.physics.mocap import Mocap, MocapState
-from sitl_plant.physics.mount import RIGID_MOUNT, Mount, mode
-from sitl_plant.physics.rotors import Rotors, RotorState
-from sitl_plant.physics.sensors import CHANNELS, Imu, ImuState, butterworth
-from sitl_plant.physics.supply import Air, Battery
+from sitl_plant.physics.rotors import Battery, Rotors, RotorState
+from sitl_plant.physics.sensors import (
+    CHANNELS,
+    HARMONICS,
+    IMUS,
+    RIGID_MOUNT,
+    Biquad,
+    Imu,
+    ImuState,
+    TwinImu,
+    TwinImuState,
+    butterworth,
+    butterworth3,
+    gain_of,
+    high_pass,
+    mode,
+)
 from sitl_plant.physics.trajectory import FLYING, REFERENCE, Path, reference
-from sitl_plant.vehicle import Vehicle, allocation
-
-__all__ = ["STEP_S", "air_of", "body_with_payload", "initial_state", "make_model"]
+from sitl_plant.vehicle import RecordedSet, Specimen, Vehicle, allocation
 
 STEP_S = 0.001  # T 5.1: 1 kHz
 TAKEOFF_SHARE = 0.7  # of the weight: where the thrust starts when the motors lift (our choice)
+SPECIMEN_STREAM, FLIGHT_STREAM = 0x5EC, 0xF17  # our choice: which random streams these are
+LEVELS, BIAS, LINE = 0, 1, 2  # what a specimen's streams are for
+BAND_HZ = (50.0, 100.0)  # in which the broad level is given
 
 
 def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatArray, turbulent: bool = False) -> Model:
@@ -30,8 +65,11 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
 
     wind_N: (3,) mean wind, world NED [m/s]. turbulent: the gusts are given, and the vehicle file's are left out.
     """
-    vehicle = airframe.vehicle
+    vehicle, imu, control = airframe.vehicle, airframe.vehicle.imu, airframe.vehicle.control
     body, centre_of_gravity = body_with_payload(airframe, payload)
+    noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
+    bias = np.concatenate([airframe.gyro_bias, np.zeros(3)])
+    gyro, accel_gain = low_pass_transition(control.gyro_filter_hz, STEP_S), 1.0 - _decay(control.accel_filter_hz)
     return Model(
         dt=STEP_S,
         body=body,
@@ -39,14 +77,10 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
         rotors=_rotors(airframe, centre_of_gravity),
         battery=_battery(airframe),
         air=air_of(vehicle, wind_N, turbulent),
-        imu=_imu(airframe, centre_of_gravity),
-        mount=_mount(vehicle),
+        imu=Imu(np.asarray(imu.position_m) - centre_of_gravity, bias, noise, butterworth(imu.filter_hz, STEP_S)),
+        mount=mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else RIGID_MOUNT,
         mocap=_mocap(vehicle, centre_of_gravity),
-        estimator=Estimator(
-            gyro_filter=low_pass_transition(vehicle.control.gyro_filter_hz, STEP_S),
-            accel_gain=1.0 - _decay(vehicle.control.accel_filter_hz),
-            correction=STEP_S / vehicle.control.complementary_s,
-        ),
+        estimator=Estimator(gyro, accel_gain, STEP_S / control.complementary_s),
         controller=_controller(vehicle),
         path=path,
     )
@@ -54,11 +88,10 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
 
 def air_of(vehicle: Vehicle, wind_N: FloatArray, turbulent: bool = False) -> Air:
     """The wind, with arguments as those of `make_model`."""
-    return Air(
-        mean=wind_N,
-        gust_rms=1.0 if turbulent else float(vehicle.wind.gust_intensity * np.linalg.norm(wind_N)),
-        decay=0.0 if turbulent else _decay(vehicle.wind.gust_corner_hz),
-    )
+    if turbulent:
+        return Air(wind_N, 1.0, 0.0)
+    wind = vehicle.wind
+    return Air(wind_N, float(wind.gust_intensity * np.linalg.norm(wind_N)), _decay(wind.gust_corner_hz))
 
 
 def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, FloatArray]:
@@ -80,7 +113,6 @@ def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, Flo
 
 
 def _decay(corner_hz: float) -> float:
-    """exp(-2 pi f dt): what a first-order filter or an Ornstein-Uhlenbeck process keeps over one step."""
     return math.exp(-2.0 * math.pi * corner_hz * STEP_S)
 
 
@@ -128,23 +160,6 @@ def _battery(airframe: Airframe) -> Battery:
     )
 
 
-def _imu(airframe: Airframe, centre_of_gravity: FloatArray) -> Imu:
-    """White noise of one-sided density D has rms D sqrt(f_s / 2) per sample."""
-    imu = airframe.vehicle.imu
-    per_sample = math.sqrt(0.5 / STEP_S)
-    return Imu(
-        position=np.asarray(imu.position_m) - centre_of_gravity,
-        bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
-        noise=per_sample * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3),
-        filter=butterworth(imu.filter_hz, STEP_S),
-    )
-
-
-def _mount(vehicle: Vehicle) -> Mount:
-    soft = vehicle.imu.mount
-    return RIGID_MOUNT if soft is None else mode(soft.resonance_hz, soft.damping_ratio, STEP_S)
-
-
 def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
     mocap = vehicle.mocap
     period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
@@ -161,14 +176,8 @@ def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
     )
 
 
-def _full_thrust(vehicle: Vehicle) -> float:
-    """K_F K_omega^2 [N]: thrust of one motor at full duty and nominal voltage (T Eq 2.12)."""
-    full_speed = vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
-    return vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2
-
-
 def _controller(vehicle: Vehicle) -> Controller:
-    control = vehicle.control
+    control, full_speed = vehicle.control, vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
     inertia = np.array(vehicle.body.inertia_kg_m2)
     loops = (control.position, control.position, control.altitude, control.yaw)
     tilt, lift = control.integral_limit_rad, control.thrust_limit_n[1]
@@ -179,7 +188,7 @@ def _controller(vehicle: Vehicle) -> Controller:
         attitude_d=control.attitude_d,
         rate_gain=inertia[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
-        full_thrust=_full_thrust(vehicle),
+        full_thrust=vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2,
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=control.tilt_limit_rad,
         rate_limit=control.rate_limit_rad_s,
@@ -210,32 +219,197 @@ def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0
     reading[5] = -GRAVITY
     estimate = np.zeros(ESTIMATE)
     estimate[2] = start[6]
-    markers = len(model.mocap.markers)
+    markers, latency, z = len(model.mocap.markers), model.mocap.latency, np.zeros
+    pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
+    integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
+    thrust, motors, seen = np.array([lift, 0.0, 0.0, 0.0]), np.array([start[8]]), z(markers, dtype=np.int64)
     return State(
         rigid=rigid,
         wrench=wrench,
         wind=model.air.mean.copy(),
         battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
-        rotors=RotorState(speed, azimuth.copy(), np.zeros(n), np.zeros(n), np.full(n, lift / n)),
-        imu=ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), reading),
-        mount=np.zeros((CHANNELS, 2)),
-        mocap=MocapState(
-            queue=np.full((model.mocap.latency + 1, 4), np.nan),
-            pose=np.array([*start[:3], start[6]]),
-            velocity=np.zeros(3),
-            received=np.full(1, np.nan),
-            seen=np.zeros((markers, 3)),
-            visible=np.zeros(markers, dtype=np.int64),
-            fit=np.zeros(RIGID),
-        ),
+        rotors=RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
+        imu=ImuState(z((CHANNELS, 2)), z(CHANNELS), reading),
+        mount=z((CHANNELS, 2)),
+        mocap=MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=ControlState(
-            integral=np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0]),
-            setpoint=np.zeros(3),
-            rate=np.zeros(3),
-            wrench=np.array([lift, 0.0, 0.0, 0.0]),
-            duty=np.zeros(n),
-            motors=np.array([start[8]]),
-        ),
+        control=ControlState(integral, z(3), z(3), thrust, z(n), motors),
     )
+
+
+def reload(model: Model, state: State, airframe: Airframe, payloads: tuple[Payload, ...]) -> Model:
+    """The model with these payloads on the airframe; `state` is changed to that of the new centre of gravity."""
+    body, centre = body_with_payload(airframe, *payloads)
+    shift = centre + model.mocap.centre  # mocap.centre is the way back to the geometric centre
+    _move_by(state.rigid, slice(3, 6), np.cross(state.rigid[10:13], shift))
+    _move_by(state.rigid, slice(0, 3), shift)
+    state.wrench[:, 3:6] -= np.cross(shift, state.wrench[:, :3])
+    ground = model.ground
+    if len(ground.gear):
+        gear = ground.gear - shift
+        ground = ground._replace(gear=gear, reach=ground.level - float(np.linalg.norm(gear, axis=1).max()))
+    return model._replace(
+        body=body,
+        ground=ground,
+        rotors=model.rotors._replace(hub=model.rotors.hub - shift),
+        imu=model.imu._replace(position=model.imu.position - shift),
+        mocap=model.mocap._replace(centre=-centre),
+    )
+
+
+def _move_by(rigid: FloatArray, place: slice, way_B: FloatArray) -> None:
+    x, y, z = way_B.tolist()
+    rigid[place] += rotate_to_world(rigid, x, y, z)
+
+
+def recorded_set(
+    airframe: Airframe, model: Model, state: State, seed: int
+) -> tuple[Model, Recorded, np.random.Generator]:
+    """The recorded set for one flight: the model with its thrust at full duty, the set, the stream of its sensors.
+
+    `state` is set to its trim. Raises UsageError for a vehicle without a table `[recorded]`.
+    """
+    vehicle, recorded = airframe.vehicle, airframe.vehicle.recorded
+    if recorded is None:
+        raise UsageError(f"{vehicle.name} has no table [recorded]")
+    levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
+    scale = math.exp(recorded.vibration.session_rms * np.random.default_rng(levels).standard_normal())
+    motors, filters, dt = recorded.motors, recorded.feedback, model.dt
+    loop, delay = _loop(vehicle, recorded), round(motors.command_delay_s / dt)
+    lift = motors.thrust_over_command * airframe.battery_gain / vehicle.propulsion.thrust_coefficient_n_s2
+    imu_state, loop_state, queue = _initial(loop, recorded, state, delay)
+    rate, accel, velocity = (second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
+    own = Recorded(
+        imus=_imus(airframe, recorded, model, scale),
+        feedback=Feedback(rate, accel, velocity, filters.complementary_p, filters.complementary_i),
+        loop=loop,
+        squared_per_thrust=lift,
+        esc_period=max(1, round(recorded.esc.frame_s / dt)),
+        esc_first=round(recorded.esc.first_s / dt) if model.path.start > 0.0 else -(1 << 62),
+        over_read=recorded.esc.over_read,
+        imu_state=imu_state,
+        loop_state=loop_state,
+        queue=queue,
+        esc=np.full(len(vehicle.rotors), np.nan),
+    )
+    a, b, c = motors.thrust_map
+    volts = vehicle.battery.nominal_v
+    full = motors.thrust_over_command * (a * volts * volts + b * volts + c)
+    flown = model._replace(controller=model.controller._replace(full_thrust=full))
+    return flown, own, np.random.default_rng(session)
+
+
+def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
+    """The levels of an airframe: those of its name in the file, or drawn between the extremes that were measured.
+
+    The draw follows from the airframe's own constants, so a specimen keeps its levels from flight to flight.
+    """
+    known = {specimen.name: specimen for specimen in recorded.specimens}
+    if airframe.name in known:
+        return known[airframe.name]
+    rng, levels = _specimen_stream(airframe, LEVELS), recorded.vibration
+    line, broad = (float(np.exp(rng.uniform(*np.log(extremes)))) for extremes in (levels.gyro_line, levels.gyro_broad))
+    bias = (recorded.sensors.gyro_bias_rms_rad_s * rng.standard_normal(IMUS)).tolist()
+    return Specimen(airframe.name, line, broad, (bias[0], bias[1]), levels.second_harmonic)
+
+
+def _specimen_stream(airframe: Airframe, purpose: int) -> np.random.Generator:
+    return np.random.default_rng([SPECIMEN_STREAM, purpose, zlib.crc32(airframe.thrust_coefficient_n_s2.tobytes())])
+
+
+def _kept(filters: FloatArray, frequency_hz: FloatArray, dt: float, held: int) -> FloatArray:
+    """Gain of the on-chip low-pass and of the hold over `held` steps, sin(N x) / (N sin x) with x = pi f dt."""
+    w = np.exp(-2j * np.pi * frequency_hz * dt)
+    b, a, b0, b1, b2, a1, a2 = filters
+    gain = np.abs(b * (1 + w) / (1 + a * w) * (b0 + b1 * w + b2 * w * w) / (1 + a1 * w + a2 * w * w))
+    x = np.pi * frequency_hz * dt
+    return np.asarray(gain * np.abs(np.sin(held * x) / (held * np.sin(x))))
+
+
+def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: float) -> TwinImu:
+    sensors, levels, specimen = recorded.sensors, recorded.vibration, specimen_of(airframe, recorded)
+    body, propulsion, chip = airframe.vehicle.body, airframe.vehicle.propulsion, airframe.vehicle.imu
+    hover = math.sqrt(GRAVITY * body.mass_kg / len(airframe.vehicle.rotors) / propulsion.thrust_coefficient_n_s2)
+    period = max(1, round(sensors.gyro_period_s / model.dt))
+    corners = [sensors.gyro_filter_hz] * 3 + [sensors.accel_filter_hz] * 3
+    filters = np.array([butterworth3(corner_hz, model.dt) for corner_hz in corners])
+    shape = high_pass(levels.broad_corner_hz, model.dt)
+    chips = list(zip(filters, [period] * 3 + [1] * 3, strict=True))
+    line = np.concatenate([specimen.gyro_line * np.array(levels.gyro_axes), levels.accel_axes])
+    broad = np.concatenate([specimen.gyro_broad * np.array(levels.gyro_axes), np.full(3, levels.accel_broad)])
+    line /= [_kept(low, np.array([hover / (2.0 * np.pi)]), model.dt, held)[0] for low, held in chips]
+    broad /= [_broad_kept(low, shape, model.dt, held) for low, held in chips]
+    ratio, drawn = np.array([1.0, levels.second_imu]), _specimen_stream(airframe, BIAS).standard_normal((IMUS, 2))
+    bias = np.zeros((IMUS, CHANNELS))
+    bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, sensors.gyro_bias_rms_rad_s * drawn
+    white = math.sqrt(0.5 / model.dt) * np.repeat([chip.gyro_noise_density, chip.accel_noise_density], 3)
+    return TwinImu(
+        position=np.array(sensors.positions_m) + model.mocap.centre,
+        bias=bias,
+        white=np.array([white] * IMUS),
+        broad=np.outer(ratio, broad),
+        line=_line(airframe, session * np.outer(ratio, line), specimen.second_harmonic),
+        hover=hover,
+        shape=shape,
+        filters=filters,
+        span=np.repeat([sensors.gyro_range_rad_s, sensors.accel_range_m_s2], 3),
+        lsb=np.repeat([sensors.gyro_lsb_rad_s, sensors.accel_lsb_m_s2], 3),
+        gyro_period=period,
+    )
+
+
+def _broad_kept(filters: FloatArray, shape: Biquad, dt: float, held: int) -> float:
+    frequency_hz = np.linspace(*BAND_HZ, 101)
+    gain = gain_of(shape, frequency_hz, dt) * _kept(filters, frequency_hz, dt, held)
+    return math.sqrt(float(np.mean(gain**2)) * 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0]))
+
+
+def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
+    """(2, 6, 2, n, 2) amplitudes of the specimen's rotors; their squares sum to 2 level^2, (2, 6)."""
+    n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe, LINE)
+    share = rng.uniform(0.5, 1.5, (IMUS, CHANNELS, HARMONICS, n))
+    share /= np.sqrt((share**2).sum(axis=-1, keepdims=True))
+    phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
+    amplitude = math.sqrt(2.0) * level[:, :, None, None] * np.array([1.0, second])[:, None] * share
+    return np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1)
+
+
+def _loop(vehicle: Vehicle, recorded: RecordedSet) -> Loop:
+    gains = recorded.gains
+    return Loop(
+        angle=gains.angle,
+        rate_damping=gains.rate_damping,
+        yaw_rate=gains.yaw_rate,
+        rate_limit=gains.rate_limit_rad_s,
+        torque_per_rate=np.array(gains.torque_per_rate),
+        torque_per_acceleration=np.array(gains.torque_per_acceleration),
+        torque_limit=np.array(gains.torque_limit_n_m),
+        pid=np.array([[p, d, i] for p, d, i in (gains.horizontal_pid, gains.altitude_pid, gains.yaw_pid)]),
+        integral_limit=np.array(gains.integral_limit),
+        trim=gains.trim_n,
+        tilt_limit=gains.tilt_limit_rad,
+        thrust_limit=np.array(vehicle.control.thrust_limit_n),
+        mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
+        thrust_map=recorded.motors.thrust_map,
+        minimum_duty=vehicle.propulsion.minimum_duty,
+        ground_thrust=recorded.ground.thrust_n,
+    )
+
+
+def _initial(loop: Loop, recorded: RecordedSet, state: State, delay: int) -> tuple[TwinImuState, LoopState, FloatArray]:
+    n = len(state.control.duty)
+    reading, angle, queue = np.zeros((IMUS, CHANNELS)), np.zeros((IMUS, 3)), np.zeros((delay + 1, n))
+    reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
+    state.control.integral[:] = 0.0
+    if state.control.motors[0] == FLYING:
+        thrust = state.control.wrench[0] / recorded.motors.thrust_over_command
+        state.control.integral[2] = loop.trim - thrust  # down is positive
+        state.control.wrench[0] = thrust
+        queue[:] = voltage_of(loop.thrust_map, thrust / n) / state.battery[0]
+    shaped, memory = np.zeros((IMUS * CHANNELS, 2)), np.zeros((IMUS * CHANNELS, 3))
+    imus = TwinImuState(shaped, memory, np.zeros(CHANNELS), reading.copy(), np.zeros((HARMONICS, n, 2)))
+    pose, accel, z = state.mocap.pose, reading[:, 3:].copy(), np.zeros
+    rates, slope, correction = (z((IMUS, 3)), z((IMUS, 3))), z((IMUS, 3)), z((IMUS, 2))
+    loops = LoopState(angle, *rates, accel, slope, correction, pose.copy(), z(4), z(3), z(4), pose.copy())
+    return imus, loops, queue

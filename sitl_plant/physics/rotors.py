@@ -1,4 +1,4 @@
-"""Rotors: speed, phase, thrust, drag torque and the forces that turn with an unbalanced propeller.
+"""Rotors and what feeds them: speed, phase, thrust, drag torque, the forces that turn with an unbalanced propeller.
 
 Per rotor i, with sign s (+1 clockwise seen from above) and azimuth theta:
 
@@ -16,11 +16,10 @@ per revolution (167 Hz in hover) has its true amplitude U w^2 / m in the acceler
 import math
 from typing import NamedTuple
 
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
+from mavdiag.units import S_PER_H
 from sitl_plant.physics.dynamics import STAGES, WRENCH
-from sitl_plant.physics.jit import jit
-
-__all__ = ["Condition", "RotorState", "Rotors", "advance_noise", "advance_rotors"]
 
 
 class Rotors(NamedTuple):
@@ -37,20 +36,16 @@ class Rotors(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """Health of the n rotors, held between two events. All (n,) but the vectors, which are (n, 2) in the rotor's frame.
+    """Health of the n rotors, held between two events: (n,), and (n, 2) for the vectors in the rotor's frame."""
 
-    thrust_gain, drag_gain, speed_gain: 1 is healthy. unbalance: [kg m]. lift_offset: [m].
-    fluctuation_rms: share of thrust. fluctuation_decay: exp(-2 pi f_c dt). thrust_lag: [s].
-    """
-
-    thrust_gain: FloatArray
+    thrust_gain: FloatArray  # 1 is healthy, as of the next two
     drag_gain: FloatArray
     speed_gain: FloatArray
-    unbalance: FloatArray
-    lift_offset: FloatArray
-    fluctuation_rms: FloatArray
-    fluctuation_decay: FloatArray
-    thrust_lag: FloatArray
+    unbalance: FloatArray  # (n, 2) [kg m]
+    lift_offset: FloatArray  # (n, 2) [m]
+    fluctuation_rms: FloatArray  # share of thrust
+    fluctuation_decay: FloatArray  # exp(-2 pi f_c dt)
+    thrust_lag: FloatArray  # [s]
 
 
 class RotorState(NamedTuple):
@@ -61,6 +56,28 @@ class RotorState(NamedTuple):
     noise: FloatArray
     fluctuation: FloatArray
     thrust: FloatArray
+
+
+class Battery(NamedTuple):
+    """Constants. speed_per_volt: rad/s per volt at full duty, gain of the specimen included (T Eq 2.10)."""
+
+    speed_per_volt: float
+    open_circuit: float
+    resistance: float
+    slope: float  # V/(A h)
+    power_per_cube: float  # electric power of a rotor over w^3 [W s^3]
+    avionics: float  # A
+
+
+@jit
+def advance_battery(state: FloatArray, battery: Battery, speed: FloatArray, dt: float) -> None:
+    """Draw current for one step. state: (2,) voltage [V] and charge drawn [A h]."""
+    power = 0.0
+    for i in range(len(speed)):
+        power += battery.power_per_cube * speed[i] ** 3
+    current = power / state[0] + battery.avionics
+    state[1] += current * dt / S_PER_H
+    state[0] = battery.open_circuit - battery.slope * state[1] - battery.resistance * current
 
 
 @jit
@@ -101,7 +118,9 @@ def advance_rotors(
             # theta = theta_0 + integral of w, with w = w_cmd + excess exp(-t / lag)
             theta = azimuth + command[i] * (0.5 * stage * dt) + excess * lag * (1.0 - decay)
             lift = rotors.thrust_coefficient[i] * speed * speed * noise
-            thrust = _lagged(state.thrust[i], lift * gain, condition.thrust_lag[i], 0.5 * stage * dt)
+            thrust, slow = lift * gain, condition.thrust_lag[i]
+            if slow > 0.0:
+                thrust += (state.thrust[i] - thrust) * math.exp(-0.5 * stage * dt / slow)
             _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
@@ -110,14 +129,6 @@ def advance_rotors(
         elif not 0.0 <= theta < 2.0 * math.pi:
             theta %= 2.0 * math.pi
         state.speed[i], state.azimuth[i], state.thrust[i] = speed, theta, thrust
-
-
-@jit
-def _lagged(before: float, target: float, lag: float, span: float) -> float:
-    """First-order lag of thrust after `span` seconds; no lag at all if it is zero."""
-    if lag <= 0.0:
-        return target
-    return target + (before - target) * math.exp(-span / lag)
 
 
 @jit
@@ -132,7 +143,6 @@ def _add_rotor(
     thrust: float,
     lift: float,
 ) -> None:
-    """Add rotor i at azimuth theta to a wrench row."""
     sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
     cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
     u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]

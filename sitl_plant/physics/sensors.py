@@ -1,23 +1,56 @@
-"""The IMU (IIM-42652): lever arm, bias, noise, injected sensor faults and the on-chip filter.
+"""The IMUs: what they feel, what lies between them and the airframe, noise, bias, injected faults, on-chip filters.
 
-    specific force at the sensor = f / m + alpha × r + omega × (omega × r)
-    reading = low-pass( scale truth + bias + drift + noise )
+The specific force at a point r from the centre of gravity is
 
-Gyro and accelerometer pass the same second-order Butterworth low-pass, so that they share one delay.
+    f = R^T (dv/dt - g) + domega/dt × r + omega × (omega × r)
+
+The thesis's vehicle has one IMU behind a second-order Butterworth low-pass. Between it and the airframe there may be a
+soft mount, or an arm that resonates: one mode driven by its base, the same for translation, roll and pitch (our
+choice), discretised by the bilinear transform, prewarped at w0. Yaw passes as it is: with the yaw rate behind a mode at
+50 or 25 Hz the yaw loop of the QDrone 2 oscillates.
+
+    H(s) = (2 zeta w0 s + w0^2) / (s^2 + 2 zeta w0 s + w0^2)
+
+A vehicle as it was recorded has two IMUs, with
+
+    felt    = what an ideal sensor at its place reads + bias + white noise
+            + line:  sum over rotors and h = 1, 2 of (w / w_hover)^2 (A cos h theta + B sin h theta)
+            + broad: high-passed white noise, times the mean of (w / w_hover)^2
+    reading = steps( clip( hold( low-pass3( felt ) ) ) )
+
+Line and broad part are *levels set to the recordings*, not mechanics: the two IMUs of one drone differ by 2.2 there, so
+the mount makes them and not the rigid body, and they do not grow with damage. The force of an unbalanced propeller
+comes in beside them through the body. The gyro is sampled at 500 Hz and held: its low-pass runs here at 1 kHz and
+every second value is kept, so 300 Hz comes out at 200 Hz.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from mavdiag.errors import UsageError
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.dynamics import GRAVITY, rotate_to_body
-from sitl_plant.physics.jit import jit
-
-__all__ = ["CHANNELS", "Imu", "ImuState", "SensorCondition", "advance_imu", "butterworth", "feel"]
+from sitl_plant.physics.rotors import RotorState
 
 CHANNELS = 6  # gyro x, y, z [rad/s], accelerometer x, y, z [m/s^2]
+YAW_RATE = 2  # among them
+IMUS, HARMONICS = 2, 2  # of a vehicle as it was recorded
+
+Biquad: TypeAlias = tuple[float, float, float, float, float]
+"""b0, b1, b2, a1, a2 of a second-order section, a0 = 1."""
+
+
+class Mount(NamedTuple):
+    """What carries the IMU. soft: False for one that is bolted on."""
+
+    soft: bool
+    filter: Biquad
+
+
+RIGID_MOUNT = Mount(False, (1.0, 0.0, 0.0, 0.0, 0.0))
 
 
 class Imu(NamedTuple):
@@ -26,7 +59,7 @@ class Imu(NamedTuple):
     position: FloatArray
     bias: FloatArray
     noise: FloatArray
-    filter: tuple[float, float, float, float, float]
+    filter: Biquad
 
 
 class SensorCondition(NamedTuple):
@@ -46,8 +79,34 @@ class ImuState(NamedTuple):
     reading: FloatArray
 
 
-def butterworth(corner_hz: float, dt_s: float) -> tuple[float, float, float, float, float]:
-    """Second-order Butterworth low-pass by the bilinear transform with prewarping: b0, b1, b2, a1, a2 (a0 = 1).
+class TwinImu(NamedTuple):
+    """Constants of both IMUs; arrays begin with the IMU, then the channel."""
+
+    position: FloatArray  # (2, 3) from the centre of gravity
+    bias: FloatArray  # (2, 6)
+    white: FloatArray  # (2, 6) rms per sample, as of the next
+    broad: FloatArray  # (2, 6)
+    line: FloatArray  # (2, 6, 2, n, 2) by harmonic, rotor, cosine and sine, at the hover speed
+    hover: float  # [rad/s]
+    shape: Biquad  # high-pass of the broad part
+    filters: FloatArray  # (6, 7) low-pass of each channel, see `butterworth3`
+    span: FloatArray  # (6,)
+    lsb: FloatArray  # (6,)
+    gyro_period: int  # steps of the plant from one gyro sample to the next
+
+
+class TwinImuState(NamedTuple):
+    """Memory of high-pass (12, 2) and low-pass (12, 3), drift of IMU 0 (6,), latest readings (2, 6)."""
+
+    shaped: FloatArray
+    memory: FloatArray
+    drifted: FloatArray
+    reading: FloatArray
+    turns: FloatArray  # (2, n, 2) cosine and sine of each harmonic of each rotor, times (w / w_hover)^2
+
+
+def butterworth(corner_hz: float, dt_s: float) -> Biquad:
+    """Second-order Butterworth low-pass by the bilinear transform with prewarping.
 
     A corner at or above the Nyquist frequency is held at 0.499 of the sample rate.
     """
@@ -55,6 +114,66 @@ def butterworth(corner_hz: float, dt_s: float) -> tuple[float, float, float, flo
     a0 = 1.0 + math.sqrt(2.0) * k + k * k
     b0 = k * k / a0
     return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0
+
+
+def high_pass(corner_hz: float, dt_s: float) -> Biquad:
+    """Second-order Butterworth high-pass by the bilinear transform with prewarping."""
+    k = math.tan(math.pi * corner_hz * dt_s)
+    a0 = 1.0 + math.sqrt(2.0) * k + k * k
+    return 1.0 / a0, -2.0 / a0, 1.0 / a0, 2.0 * (k * k - 1.0) / a0, (1.0 - math.sqrt(2.0) * k + k * k) / a0
+
+
+def butterworth3(corner_hz: float, dt_s: float) -> FloatArray:
+    """Third-order Butterworth low-pass, bilinear with prewarping: (7,) first order b, a, then a biquad.
+
+    (s + 1) (s^2 + s + 1), s = (1 - z^-1) / (k (1 + z^-1)); the first section's b holds for z^0 and z^-1.
+    """
+    k = math.tan(math.pi * corner_hz * dt_s)
+    b0 = k * k / (1.0 + k + k * k)
+    second = [b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) / (1.0 + k + k * k), (1.0 - k + k * k) / (1.0 + k + k * k)]
+    return np.array([k / (1.0 + k), (k - 1.0) / (1.0 + k), *second])
+
+
+def gain_of(section: Biquad, at_hz: float | FloatArray, dt_s: float) -> FloatArray:
+    """|H| of a section at some frequencies."""
+    b0, b1, b2, a1, a2 = section
+    w = np.exp(-2j * np.pi * at_hz * dt_s)
+    return np.asarray(np.abs((b0 + b1 * w + b2 * w * w) / (1.0 + a1 * w + a2 * w * w)))
+
+
+def mode(resonance_hz: float, damping: float, dt_s: float) -> Mount:
+    """The mount with a mode at `resonance_hz`. Raises UsageError outside 0 to 0.45 of the sample rate.
+
+    >>> round(float(gain_of(mode(100.0, 0.05, 0.001).filter, 100.0, 0.001)), 2)    # sqrt(1 + 1 / (2 zeta)^2)
+    10.05
+    """
+    if not (0.0 < resonance_hz <= 0.45 / dt_s and damping > 0.0):
+        raise UsageError(f"a mount needs a resonance of 0 to {0.45 / dt_s:g} Hz and damping, not {resonance_hz:g} Hz")
+    k = math.tan(math.pi * resonance_hz * dt_s)
+    lossy = 2.0 * damping * k
+    a0 = 1.0 + lossy + k * k
+    b0, b2 = (lossy + k * k) / a0, (k * k - lossy) / a0
+    return Mount(True, (b0, 2.0 * k * k / a0, b2, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0))
+
+
+def isolating_hz(line_hz: float, share: float, damping: float, dt_s: float) -> float:
+    """The resonance of a mount that passes `share` (below 1) of a line at `line_hz`."""
+    from scipy.optimize import brentq
+
+    def excess(resonance_hz: float) -> float:
+        return float(gain_of(mode(resonance_hz, damping, dt_s).filter, line_hz, dt_s)) - share
+
+    return float(brentq(excess, 1e-3 * line_hz, line_hz / math.sqrt(2.0)))
+
+
+@jit
+def biquad(memory: FloatArray, row: int, at: int, section: Biquad, value: float) -> float:
+    """One step of a section in transposed direct form II. memory: (n, m), of which two columns from `at` are used."""
+    b0, b1, b2, a1, a2 = section
+    result = b0 * value + memory[row, at]
+    memory[row, at] = b1 * value - a1 * result + memory[row, at + 1]
+    memory[row, at + 1] = b2 * value - a2 * result
+    return float(result)
 
 
 @jit
@@ -75,17 +194,78 @@ def feel(x: FloatArray, dx: FloatArray, position: FloatArray, truth: FloatArray)
 
 
 @jit
+def advance_mount(memory: FloatArray, mount: Mount, felt: FloatArray) -> None:
+    """Turn what the airframe does, felt (6,), into what the IMU feels, in place. memory: (6, 2)."""
+    if mount.soft:
+        for i in range(len(felt)):
+            if i != YAW_RATE:
+                felt[i] = biquad(memory, i, 0, mount.filter, felt[i])
+
+
+@jit
 def advance_imu(
     state: ImuState, imu: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray, row: int, dt: float
 ) -> None:
     """Read the sensors once. truth: (6,), normals: (steps, 6). The reading is left in `state.reading`."""
-    b0, b1, b2, a1, a2 = imu.filter
     for i in range(CHANNELS):
         state.drifted[i] += condition.drift[i] * dt
         noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i]) * normals[row, i]
         value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
-        # Direct form II, transposed.
-        result = b0 * value + state.memory[i, 0]
-        state.memory[i, 0] = b1 * value - a1 * result + state.memory[i, 1]
-        state.memory[i, 1] = b2 * value - a2 * result
-        state.reading[i] = result
+        state.reading[i] = biquad(state.memory, i, 0, imu.filter, value)
+
+
+@jit
+def _turn(state: TwinImuState, imu: TwinImu, rotors: RotorState) -> float:
+    mean, n = 0.0, len(rotors.speed)
+    for r in range(n):
+        power = (rotors.speed[r] / imu.hover) ** 2
+        c, s = math.cos(rotors.azimuth[r]), math.sin(rotors.azimuth[r])
+        state.turns[0, r, 0], state.turns[0, r, 1] = power * c, power * s
+        state.turns[1, r, 0], state.turns[1, r, 1] = power * (c * c - s * s), power * 2.0 * s * c
+        mean += power / n
+    return mean
+
+
+@jit
+def _vibration(state: TwinImuState, imu: TwinImu, k: int, i: int, white: float, power: float) -> float:
+    value = imu.broad[k, i] * biquad(state.shaped, CHANNELS * k + i, 0, imu.shape, white) * power
+    for h in range(HARMONICS):
+        for r in range(state.turns.shape[1]):
+            value += imu.line[k, i, h, r, 0] * state.turns[h, r, 0] + imu.line[k, i, h, r, 1] * state.turns[h, r, 1]
+    return float(value)
+
+
+@jit
+def advance_imus(
+    state: TwinImuState,
+    imu: TwinImu,
+    condition: SensorCondition,
+    truth: FloatArray,
+    rotors: RotorState,
+    normals: FloatArray,
+    row: int,
+    step: int,
+    dt: float,
+) -> None:
+    """Read both IMUs once, into `state.reading`. Injected sensor faults act on IMU 0.
+
+    truth: (2, 6), what ideal sensors read. normals: (steps, 24): white and broad noise of IMU 0, then of IMU 1.
+    """
+    power = _turn(state, imu, rotors)
+    for k in range(IMUS):
+        for i in range(CHANNELS):
+            at, j, low = 2 * CHANNELS * k + i, CHANNELS * k + i, imu.filters
+            value, noise = truth[k, i], imu.white[k, i]
+            if k == 0:
+                state.drifted[i] += condition.drift[i] * dt
+                value = condition.scale[i] * value + condition.offset[i] + state.drifted[i]
+                noise = math.sqrt(noise * noise + condition.noise[i] * condition.noise[i])
+            value += imu.bias[k, i] + noise * normals[row, at]
+            value += _vibration(state, imu, k, i, normals[row, at + CHANNELS], power)
+            middle = low[i, 0] * value + state.memory[j, 0]
+            state.memory[j, 0] = low[i, 0] * value - low[i, 1] * middle
+            section = (low[i, 2], low[i, 3], low[i, 4], low[i, 5], low[i, 6])
+            result = biquad(state.memory, j, 1, section, middle)
+            if i >= 3 or step % imu.gyro_period == 0:
+                held = min(max(result, -imu.span[i]), imu.span[i])
+                state.reading[k, i] = imu.lsb[i] * np.rint(held / imu.lsb[i])

@@ -8,10 +8,9 @@ import math
 import numpy as np
 
 from mavdiag.telemetry import BoolArray, FloatArray
+from sitl_plant.physics.air import Dryden, Turbulence
 from sitl_plant.physics.kernel import Model, Noise
-from sitl_plant.physics.turbulence import Dryden, Turbulence
-
-__all__ = ["MOST_OUTAGES_PER_MIN", "OUTAGE_S", "Outages", "Streams"]
+from sitl_plant.physics.sensors import CHANNELS, IMUS
 
 OUTAGE_S = (0.3, 2.0)  # an outage lasts so long, uniform (our choice)
 MOST_OUTAGES_PER_MIN = 20.0
@@ -51,11 +50,15 @@ class Streams:
     def __init__(
         self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
     ) -> None:
-        *children, gusts, outages = (np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8))
+        *children, gusts, outages = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
         self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
-        self._dt_s = dt_s
+        self._dt_s, self._imu_columns = dt_s, CHANNELS
         self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
         self._outages = Outages(outages_per_min, outages) if outages_per_min else None
+
+    def take_imus(self, imus: np.random.Generator) -> None:
+        """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
+        self.imu, self._imu_columns = imus, 2 * IMUS * CHANNELS
 
     def draw(self, first: int, count: int, model: Model) -> Noise:
         """Numbers for `count` steps from step `first` on."""
@@ -68,7 +71,7 @@ class Streams:
             occlusion[self._outages.during(at_s)] = -1.0  # less than any probability: hidden
         return Noise(
             rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),
-            imu=self.imu.standard_normal((count, 6)),
+            imu=self.imu.standard_normal((count, self._imu_columns)),
             wind=self.wind.standard_normal((count, 3)) if self._gusts is None else self._gusts.draw(count),
             markers=self.markers.standard_normal((frames, markers, 3)),
             occlusion=occlusion,

@@ -1,40 +1,32 @@
 """Reference paths: square (T 5.2, Fig 5.3), hover, circle, figure-8, the recorded t1 to t5; take-off and landing.
 
 A path is a function of time: position and velocity in the horizontal plane, constant speed along the path, then turned
-by the heading. The figure-8 and the set-points of `waypoints` have their own speeds. Before t = 0 the vehicle hovers at
-the first point of the path, or it stands there on the ground: then it arms, idles, climbs and begins the path at
-`Path.start`. At `Path.land` it stops where it is and descends. The figures of take-off and landing, and of the turning
-nose, are our choice.
+by the heading. Before t = 0 the vehicle hovers at the first point of the path, or it stands there on the ground: then
+it arms, idles, climbs and begins the path at `Path.start`. At `Path.land` it stops where it is and descends. Figures
+of take-off and landing, and of the turning nose, are our choice. A commanded path is led along one `Leg` after another.
 
-A commanded path has no course of its own: it is led along one `Leg` after the other, as an autopilot commands.
+The five trajectories of DronePropA are set-points that step, and a limiter that moves towards them:
+
+    t1  diagonals of a square, corners at +-1 m from its centre
+    t2  edges of the square (that it is the same square is inferred)
+    t3  climb from 0.2 to 0.8 m in steps of 0.2 m
+    t4  climb from 0.2 to 0.8 m at once
+    t5  yaw by 45, -45, 90, -90 degrees
+
+SP1 limits the set-point to 2 m/s and 3.14 rad/s, SP2 to 0.333 m/s and 0.52 rad/s. A new set-point comes every 10 s, as
+plots of the recordings show. The order of the corners, the way back down and the repetition until the flight ends are
+our choice.
 """
 
+import math
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.attitude import wrapped
-from sitl_plant.physics.jit import jit
-from sitl_plant.physics.waypoints import LIMITS, RECORDED, heights_of, waypoint
-
-__all__ = [
-    "ARM_S",
-    "BELOW_M",
-    "CLIMB_M_S",
-    "DESCENT_M_S",
-    "LIFT_S",
-    "REFERENCE",
-    "Leg",
-    "Nose",
-    "Path",
-    "Shape",
-    "follow",
-    "landing_time",
-    "path",
-    "reference",
-]
+from sitl_plant.physics.dynamics import wrapped
 
 HOVER, SQUARE, CIRCLE, FIGURE8, COMMANDED = 0, 1, 2, 3, 4
 FIXED, ALONG, SPIN = 0, 1, 2
@@ -46,6 +38,17 @@ SETTLE_S = 2.0  # hover between the climb and the path
 BELOW_M = 0.1  # a landing vehicle is led so far below the ground, then its motors idle where it stands
 IDLE_S = 2.0  # after a landing, before the motors disarm
 TURN_S = 1.5  # a turn of the nose by a right angle; peak 1.6 rad/s
+
+RECORDED = 10  # code of t1; t2 to t5 follow
+DWELL_S = 10.0  # from set-point to set-point
+LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # SP: m/s, rad/s
+LOW_M, HIGH_M = 0.2, 0.8  # of t3 and t4
+_EIGHTH = math.pi / 4
+_T1 = np.array([[0, 0], [1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1]], dtype=np.float64)
+_T2 = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64)
+_T3 = np.array([0.2, 0.4, 0.6, 0.8, 0.6, 0.4])
+_T4 = np.array([LOW_M, HIGH_M])
+_T5 = np.array([0.0, _EIGHTH, -_EIGHTH, 2 * _EIGHTH, -2 * _EIGHTH])
 
 
 class Shape(StrEnum):
@@ -85,55 +88,34 @@ _NOSES = {Nose.FIXED: FIXED, Nose.PATH: ALONG, Nose.SPIN: SPIN}
 
 
 class Leg(NamedTuple):
-    """A straight line at constant speed, with a turn of the nose beside it; the vehicle then waits at its end.
+    """A straight line at constant speed, with a turn of the nose beside it; the vehicle then waits at its end."""
 
-    begin: flight time at which it starts [s].
-    start, end: (3,) world NED [m].
-    speed: along the line [m/s].
-    yaw: of the nose at the start [rad].
-    turn: by how much the nose turns, positive to the right [rad].
-    turn_speed: [rad/s].
-    motors: what they are to do on the way.
-    then: what they are to do at the end.
-    """
-
-    begin: float = 0.0
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    begin: float = 0.0  # flight time at which it starts [s]
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)  # world NED [m]
     end: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    speed: float = CLIMB_M_S
-    yaw: float = 0.0
-    turn: float = 0.0
-    turn_speed: float = 1.0
-    motors: float = DISARMED
-    then: float = DISARMED
+    speed: float = CLIMB_M_S  # along the line [m/s]
+    yaw: float = 0.0  # of the nose at the start [rad]
+    turn: float = 0.0  # by how much the nose turns, positive to the right [rad]
+    turn_speed: float = 1.0  # [rad/s]
+    motors: float = DISARMED  # what they are to do on the way
+    then: float = DISARMED  # and at the end
 
 
 class Path(NamedTuple):
-    """A path for the compiled loop.
-
-    size: side or diameter [m]; of t1 and t2 half the side.
-    speed: along the path [m/s].
-    altitude: above the origin, up [m]; of t3 and t4 that of the first set-point.
-    start: flight time at which the path begins [s]; above 0 for a start on the ground.
-    land: flight time at which the descent begins [s].
-    arm: flight time at which the motors start, if it begins on the ground [s].
-    lift: flight time at which they lift [s].
-    turn: speed of the nose on t5 [rad/s].
-    leg: of a commanded path, the present one.
-    """
+    """A path for the compiled loop; times are flight times [s]."""
 
     shape: int
-    size: float
-    speed: float
+    size: float  # side or diameter [m]; of t1 and t2 half the side
+    speed: float  # along the path [m/s]
     heading: float
-    altitude: float
+    altitude: float  # above the origin, up [m]; of t3 and t4 that of the first set-point
     nose: int = FIXED
-    start: float = 0.0
-    land: float = np.inf
-    arm: float = ARM_S
-    lift: float = LIFT_S
-    turn: float = 0.0
-    leg: Leg = Leg()
+    start: float = 0.0  # the path begins; above 0 for a start on the ground
+    land: float = np.inf  # the descent begins
+    arm: float = ARM_S  # the motors start, if it begins on the ground
+    lift: float = LIFT_S  # they lift
+    turn: float = 0.0  # speed of the nose on t5 [rad/s]
+    leg: Leg = Leg()  # of a commanded path, the present one
 
 
 def path(
@@ -161,6 +143,11 @@ def path(
     return Path(_CODES[shape], *numbers, _NOSES[nose], float(start), float(land_s), float(arm), float(lift), turn)
 
 
+def heights_of(number: int, altitude_m: float) -> tuple[float, float]:
+    """Height of the first set-point of t`number`, and of the highest [m]. altitude_m: of those that do not climb."""
+    return (LOW_M, HIGH_M) if number in (3, 4) else (altitude_m, altitude_m)
+
+
 def landing_time(altitude_m: float, shape: Shape = Shape.HOVER) -> float:
     """How long before the end of a flight the descent must begin for the motors to be disarmed at the end [s]."""
     if shape.recorded is not None:
@@ -174,23 +161,24 @@ def reference(path: Path, t: float, out: FloatArray) -> None:
     if path.shape == COMMANDED:
         follow(path.leg, t, out)
         return
-    now = max(min(t, path.land) - path.start, 0.0)
+    now, holds = max(min(t, path.land) - path.start, 0.0), t < path.start or t >= path.land
     if path.shape >= RECORDED:
-        _setpoint(path, now, t < path.start or t >= path.land, out)
-        if path.start > 0.0:
-            _vertical(path, t, out)
-        return
-    x, y, u, v = _along(path, 0.0 if path.shape == HOVER else now)
-    yaw, turn = path.heading, 0.0
-    if path.nose != FIXED:
-        yaw, turn = _nose(path, u, v, now)
-    if t < path.start or t >= path.land:
-        u = v = turn = 0.0
+        waypoint(path.shape - RECORDED + 1, path.size, path.speed, path.turn, now, out)
+        x, y, up, u, v, w = out[0], out[1], out[2], out[3], out[4], out[5]
+        yaw, turn = wrapped(path.heading + out[6]), out[7]
+        up = up if up > 0.0 else path.altitude
+    else:
+        x, y, u, v = _along(path, 0.0 if path.shape == HOVER else now)
+        up, w, yaw, turn = path.altitude, 0.0, path.heading, 0.0
+        if path.nose != FIXED:
+            yaw, turn = _nose(path, u, v, now)
+    if holds:
+        u = v = w = turn = 0.0
     elif path.shape == HOVER:
         u = v = 0.0
     c, s = np.cos(path.heading), np.sin(path.heading)
-    out[0], out[1], out[2] = c * x - s * y, s * x + c * y, -path.altitude
-    out[3], out[4], out[5] = c * u - s * v, s * u + c * v, 0.0
+    out[0], out[1], out[2] = c * x - s * y, s * x + c * y, -up
+    out[3], out[4], out[5] = c * u - s * v, s * u + c * v, -w
     out[6], out[7], out[8] = yaw, turn, FLYING
     if path.start > 0.0:
         _vertical(path, t, out)
@@ -218,21 +206,7 @@ def follow(leg: Leg, t: float, out: FloatArray) -> None:
 
 
 @jit
-def _setpoint(path: Path, now: float, holds: bool, out: FloatArray) -> None:
-    """The recorded set-point `now` seconds along its path. holds: it does not move."""
-    waypoint(path.shape - RECORDED + 1, path.size, path.speed, path.turn, now, out)
-    c, s = np.cos(path.heading), np.sin(path.heading)
-    x, y, up, u, v, w = out[0], out[1], out[2], out[3], out[4], out[5]
-    out[0], out[1], out[2] = c * x - s * y, s * x + c * y, -(up if up > 0.0 else path.altitude)
-    out[3], out[4], out[5] = c * u - s * v, s * u + c * v, -w
-    out[6], out[8] = wrapped(path.heading + out[6]), FLYING
-    if holds:
-        out[3] = out[4] = out[5] = out[7] = 0.0
-
-
-@jit
 def _vertical(path: Path, t: float, out: FloatArray) -> None:
-    """Height and motors of a flight from the ground: disarmed, idle, climb, path, descent, idle, disarmed."""
     if t < path.lift:
         out[2], out[8] = 0.0, DISARMED if t < path.arm else IDLE
     elif t < path.lift + path.altitude / CLIMB_M_S:
@@ -271,7 +245,6 @@ def _nose(path: Path, u: float, v: float, t: float) -> tuple[float, float]:
 
 @jit
 def _along(path: Path, t: float) -> tuple[float, float, float, float]:
-    """x, y, dx/dt, dy/dt on the unturned path."""
     if path.shape == SQUARE:
         return _square(path.size, path.speed, t)
     radius = 0.5 * path.size
@@ -303,3 +276,40 @@ def _square(side: float, speed: float, t: float) -> tuple[float, float, float, f
     if leg == 2:
         return side - along, side, -speed, 0.0
     return 0.0, side - along, 0.0, -speed
+
+
+@jit
+def _target(number: int, index: int) -> tuple[float, float, float, float]:
+    """Set-point `index` of t`number`: ahead, right [half sides], up [m; 0 if it does not climb], yaw [rad]."""
+    if number <= 2:
+        corners = _T1 if number == 1 else _T2
+        k = index % len(corners)
+        return corners[k, 0], corners[k, 1], 0.0, 0.0
+    if number == 3:
+        return 0.0, 0.0, _T3[index % len(_T3)], 0.0
+    if number == 4:
+        return 0.0, 0.0, _T4[index % len(_T4)], 0.0
+    return 0.0, 0.0, 0.0, _T5[index % len(_T5)]
+
+
+@jit
+def waypoint(number: int, half: float, speed: float, turn: float, t: float, out: FloatArray) -> None:
+    """The limited set-point of t`number` after t seconds, into out (8,): x, y, up, their rates, yaw and its rate.
+
+    half: from the centre of the square to a set-point, along each axis [m]. up stays 0 where the path does not climb.
+    """
+    index = int(t / DWELL_S)
+    x_0, y_0, z_0, yaw_0 = _target(number, index)
+    x_1, y_1, z_1, yaw_1 = _target(number, index + 1)
+    d_x, d_y, d_z, d_yaw = half * (x_1 - x_0), half * (y_1 - y_0), z_1 - z_0, yaw_1 - yaw_0
+    since = t - index * DWELL_S
+    way = math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
+    share, rate = 1.0, 0.0
+    if speed * since < way:
+        share, rate = speed * since / way, speed / way
+    out[0], out[1], out[2] = half * x_0 + share * d_x, half * y_0 + share * d_y, z_0 + share * d_z
+    out[3], out[4], out[5] = rate * d_x, rate * d_y, rate * d_z
+    out[6], out[7] = yaw_1, 0.0
+    if turn * since < abs(d_yaw):
+        out[7] = math.copysign(turn, d_yaw)
+        out[6] = yaw_0 + out[7] * since

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from page_reading import check
 
+from mavdiag.archive.cluster import dask_executor
+from mavdiag.archive.pool import TaskExecutor
 from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
 from mavdiag.judging import JudgedFlight, judge_in_full
@@ -25,16 +27,8 @@ from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design, make_plan
-from sitl_plant.campaign.runner import (
-    Journal,
-    Results,
-    TaskExecutor,
-    dask_executor,
-    local_executor,
-    run_campaign,
-    source_key,
-)
 from sitl_plant.campaign.summary import summarise
+from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign, source_key
 from sitl_plant.vehicle import qdrone2
 
 TINY = Design(

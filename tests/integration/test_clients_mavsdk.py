@@ -20,7 +20,7 @@ from mavsdk.plugins.failure import FailureType, FailureUnit
 from mavsdk.plugins.mission_raw import MissionItem
 from plant_process import ALERT, companion, flying
 
-from sitl_plant.autopilot.geo import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
+from sitl_plant.autopilot.stream import HOME_ALT_M, HOME_LAT_DEG, HOME_LON_DEG
 
 pytestmark = pytest.mark.realtime
 T = TypeVar("T")

@@ -8,9 +8,9 @@ from commanded import PLANT, Vehicle
 
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
-from sitl_plant.autopilot.firmware import Mode
-from sitl_plant.autopilot.geo import HOME_ALT_M, to_global
-from sitl_plant.physics.injections import Injection
+from sitl_plant.autopilot.dialect import Mode
+from sitl_plant.autopilot.stream import HOME_ALT_M, to_global
+from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
 from sitl_plant.plant import Plant, PlantConfig
 

@@ -8,7 +8,7 @@ from mavdiag.airframe.detect import detect_layout
 from mavdiag.learning import front_for, rows_of
 from mavdiag.telemetry import Log
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
-from sitl_plant.physics.injections import Injection, RotorDamage
+from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import vehicle_named
 

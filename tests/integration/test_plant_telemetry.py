@@ -13,10 +13,10 @@ from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, flight_telemetry, telemetry_digest, until_ground
+from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan
-from sitl_plant.physics.injections import Injection, ejection
+from sitl_plant.physics.faults import Injection, RotorDamage
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
-from sitl_plant.recording import recorded
 
 SECONDS = 3.0
 CONFIG = PlantConfig(fault="F1/SV3", rotor=2, seed=5, heading_rad=0.7)
@@ -91,7 +91,7 @@ def test_loss_takes_its_share_and_repeats_with_the_seed() -> None:
 
 
 def test_a_flight_ends_where_it_meets_the_ground() -> None:
-    config = PlantConfig(injections=(Injection(ejection(), 1, 2.0),), seed=3)
+    config = PlantConfig(injections=(Injection(RotorDamage(0.0, 0.0, ejected=True), 1, 2.0),), seed=3)
     telemetry, flown_s = flight_telemetry(config, 6.0)
     assert 2.1 < flown_s < 3.5
     assert telemetry.need(Signal.HEIGHT).values.min() > 0.0

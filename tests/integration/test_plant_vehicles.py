@@ -15,9 +15,9 @@ from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
+from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan, flight_plan
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.recording import recorded
 from sitl_plant.vehicle import Vehicle, load_vehicle, vehicle_from
 
 SECONDS = 1.0

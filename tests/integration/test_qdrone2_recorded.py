@@ -18,9 +18,8 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray, Signal
 from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.physics.airframe import draw_airframe
-from sitl_plant.physics.recorded_log import RecordedLog
 from sitl_plant.physics.trajectory import Shape
-from sitl_plant.plant import Plant, PlantConfig, PlantSamples
+from sitl_plant.plant import Plant, PlantConfig, PlantSamples, RecordedLog
 from sitl_plant.vehicle import vehicle_named
 
 VEHICLE = vehicle_named("qdrone2-recorded")

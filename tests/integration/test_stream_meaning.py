@@ -13,9 +13,8 @@ from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import FloatArray, Signal, Telemetry
 from sitl_plant.autopilot.dialect import DIALECTS
-from sitl_plant.autopilot.imu_filters import ImuFilters
 from sitl_plant.autopilot.schedule import Schedule
-from sitl_plant.autopilot.stream import Streamer
+from sitl_plant.autopilot.stream import ImuFilters, Streamer
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
 N = 3000  # samples: 3 s of a square flown with a badly unbalanced rotor

@@ -18,9 +18,9 @@ from mavdiag.logs import read_log
 from mavdiag.terminal.live_judge import LiveJudge
 from mavdiag.traces import rate_traces
 from sitl_plant.autopilot.dialect import dialect_named
+from sitl_plant.emulator import record_flight
 from sitl_plant.options import FlightPlan
 from sitl_plant.plant import PlantConfig
-from sitl_plant.recording import record_flight
 
 STAMP_BYTES = 8  # of the time before each frame of a .tlog
 

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import MavCmd, MavResult, MessageId, Severity
-from sitl_plant.autopilot.commands import Action, Autopilot, Forward, Reply
+from sitl_plant.autopilot.commands import ORDERS, Autopilot
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.orders import ORDERS
 from sitl_plant.autopilot.schedule import Schedule
+from sitl_plant.autopilot.wire import Action, Forward, Reply
 from sitl_plant.plant import PlantConfig
 
 GCS, DETECTOR, PLANT = (255, 190), (1, 191), (1, 1)

@@ -10,8 +10,7 @@ from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
-from sitl_plant.autopilot.dialect import DIALECTS, dialect_named
-from sitl_plant.autopilot.parameters import Encoding, Kind, Parameter, Parameters
+from sitl_plant.autopilot.dialect import DIALECTS, Encoding, Kind, Parameter, Parameters, dialect_named
 from sitl_plant.autopilot.wire import Reply
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 

@@ -9,14 +9,31 @@ import numpy as np
 import pytest
 
 from mavdiag.errors import UsageError
-from sitl_plant.campaign.causes import CAUSES, HEALTHY, Group, causes_named, injections_of
-from sitl_plant.campaign.conditions import CALM, CONDITIONS, MANOEUVRES, USUAL, Conditions, built, built_link
-from sitl_plant.campaign.levels import with_conditions
-from sitl_plant.campaign.plan import PRESETS, Design, FlightTask, LearnTask, balanced, make_plan, task_sequence
-from sitl_plant.campaign.runner import task_key
-from sitl_plant.campaign.worker import specimen
+from sitl_plant.campaign.plan import (
+    CALM,
+    CAUSES,
+    CONDITIONS,
+    HEALTHY,
+    MANOEUVRES,
+    PRESETS,
+    USUAL,
+    Conditions,
+    Design,
+    FlightTask,
+    Group,
+    LearnTask,
+    balanced,
+    built,
+    built_link,
+    causes_named,
+    injections_of,
+    make_plan,
+    task_sequence,
+    with_conditions,
+)
+from sitl_plant.campaign.worker import specimen, task_key
 from sitl_plant.physics.airframe import drone
-from sitl_plant.physics.injections import RotorDamage, SensorFault
+from sitl_plant.physics.faults import RotorDamage, SensorFault
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2, vehicle_named
 

@@ -8,14 +8,10 @@ import pytest
 from scipy.stats import binomtest, poisson
 
 from mavdiag.monitors import BY_NAME
-from sitl_plant.campaign.conditions import Conditions
-from sitl_plant.campaign.intervals import poisson as poisson_rate
-from sitl_plant.campaign.intervals import wilson
-from sitl_plant.campaign.plan import Design, Plan
-from sitl_plant.campaign.runner import Results
-from sitl_plant.campaign.summary import summarise
-from sitl_plant.campaign.tables import print_summary
-from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult
+from sitl_plant.campaign.plan import Conditions, Design, Plan
+from sitl_plant.campaign.summary import poisson as poisson_rate
+from sitl_plant.campaign.summary import print_summary, summarise, wilson
+from sitl_plant.campaign.worker import Answer, FlightResult, MonitorResult, Results
 
 PLAN = Plan(Design(airframes=2, seed=9), (), ())
 

@@ -18,7 +18,6 @@ from sitl_plant.physics.dynamics import (
     derivative,
     grip,
     rk4_step,
-    support,
 )
 
 
@@ -103,7 +102,7 @@ def test_drag_is_relative_to_the_wind() -> None:
     """A body that moves with the air feels only gravity."""
     x, dx = state(), np.empty((1, RIGID))
     x[3:6] = wind = np.array([1.0, -2.0, 0.5])
-    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), wind, dx, 0)
+    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), drag=3.0, hub_moment=1.0), NO_GROUND, wind, dx, 0)
     np.testing.assert_allclose(dx[0, 3:6], [0.0, 0.0, GRAVITY], atol=1e-12)
     np.testing.assert_allclose(dx[0, 10:], 0.0, atol=1e-12)
 
@@ -112,7 +111,7 @@ def test_rotor_discs_tilt_away_from_the_oncoming_air() -> None:
     """Flying ahead pitches the nose up, flying to the right rolls to the left."""
     x, dx = state(), np.empty((1, RIGID))
     x[3], x[4] = 1.0, 2.0
-    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), hub_moment=0.03), np.zeros(3), dx, 0)
+    derivative(x, np.zeros((STAGES, WRENCH)), 0, body(np.eye(3), hub_moment=0.03), NO_GROUND, np.zeros(3), dx, 0)
     np.testing.assert_allclose(dx[0, 10:], [-0.06, 0.03, 0.0], atol=1e-12)
 
 
@@ -185,7 +184,7 @@ def test_an_undamped_bounce_keeps_its_energy_and_a_damped_one_loses_it() -> None
 def test_the_ground_never_pulls() -> None:
     x, dx = state(), np.empty((1, RIGID))
     x[2], x[5] = 0.5e-3, -2.0  # still below the plane, leaving fast
-    derivative(x, REST, 0, BOX, np.zeros(3), dx, 0)
+    derivative(x, REST, 0, BOX, NO_GROUND, np.zeros(3), dx, 0)
     before = dx.copy()
-    support(x, BOX, ground(), dx, 0)
+    derivative(x, REST, 0, BOX, ground(), np.zeros(3), dx, 0)
     np.testing.assert_array_equal(dx, before)

@@ -9,10 +9,9 @@ import pytest
 from hil_bytes import controls_bytes, frames_in, mavlink_bytes, x25
 
 from mavdiag.link.codec import Decoder
-from sitl_plant.config import PlantConfig
-from sitl_plant.hil.outputs import output_map
 from sitl_plant.hil.px4 import WANTED, Bridge
-from sitl_plant.hil.simulation import HilPlan, Simulation
+from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
+from sitl_plant.plant import PlantConfig
 
 RATE_HZ = 250
 HOME = (47.397742, 8.545594)

@@ -7,11 +7,9 @@ import pytest
 
 from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import UsageError
-from sitl_plant.hil.outputs import AutopilotName, output_map, pilot_of
-from sitl_plant.hil.parameters import parameter_file
+from sitl_plant.hil.simulation import AutopilotName, output_map, parameter_file, pilot_of
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.vehicle import allocation, qdrone2, shipped_vehicles, vehicle_named
-from sitl_plant.vehicle_hil import Hil, Pilot
+from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, shipped_vehicles, vehicle_named
 
 ARDUPILOT = {
     "qdrone2": "x",
@@ -30,7 +28,7 @@ def test_every_shipped_vehicle_is_here() -> None:
 @pytest.mark.parametrize("name", ARDUPILOT)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_output_k_is_the_autopilots_motor_k(name: str, autopilot: AutopilotName) -> None:
-    """What an output does to roll, pitch and yaw has the sign that ArduPilot's frame of that kind says."""
+    """What an output does to roll, pitch and yaw has the sign that ArduHilPilot's frame of that kind says."""
     vehicle = vehicle_named(name)
     outputs = pilot_of(vehicle, autopilot)[1].rotors
     effects = np.round(allocation(vehicle)[1:, np.array(outputs) - 1].T, 6)
@@ -75,6 +73,6 @@ def test_a_flight_controllers_file_leaves_its_real_outputs_alone() -> None:
 def test_a_vehicle_that_does_not_tell_its_outputs_is_refused() -> None:
     with pytest.raises(UsageError, match=r"add a table \[hil\]"):
         output_map(replace(qdrone2(), hil=None), "ardupilot")
-    twice = Pilot((1, 2, 3, 3))
+    twice = HilPilot((1, 2, 3, 3))
     with pytest.raises(UsageError, match=r"hil.px4.rotors must name each rotor 1 to 4 once"):
         output_map(replace(qdrone2(), hil=Hil((1000.0, 2000.0), twice, twice)), "px4")

@@ -14,8 +14,7 @@ from plant_cases import fly, nominal_airframe, quiet_airframe, quiet_vehicle
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.injections import Injection, SensorFault
-from sitl_plant.physics.jit import cached, source_digest
+from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault
 from sitl_plant.plant import STEP_NS, Plant, PlantConfig, PlantSamples
 from sitl_plant.vehicle import Rotor
 
@@ -140,13 +139,11 @@ def test_unbalance_line_has_the_amplitude_of_its_force() -> None:
     """|a| = U w^2 / m at one per revolution, through the 250 Hz filter, plus alpha × r of the lever arm."""
     from scipy.signal import butter, freqz
 
-    from sitl_plant.physics.injections import added_mass
-
     U = 3.0e-6
     config = PlantConfig(
         trajectory="hover",
         airframe=quiet_airframe(),
-        injections=(Injection(added_mass(0.05, 60.0), rotor=1, angle_rad=0.3),),
+        injections=(Injection(RotorDamage(unbalance_g_mm=3.0), rotor=1, angle_rad=0.3),),
     )
     samples = fly(config, 4.0)
     w = samples.rotor_speed[:, 0].mean()
@@ -314,12 +311,3 @@ def test_without_numba_the_plant_imports_and_says_what_to_install() -> None:
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     last = result.stderr.splitlines()[-1]
     assert last.startswith("mavdiag.errors.UsageError: the plant needs numba, which is not installed: pip install ")
-
-
-def test_only_a_loop_bound_to_its_sources_is_cached() -> None:
-    def loose(n: int) -> int:
-        return n
-
-    with pytest.raises(UsageError, match="source_digest"):
-        cached(loose)
-    assert source_digest() == source_digest()

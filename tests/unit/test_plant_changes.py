@@ -8,11 +8,9 @@ import pytest
 from plant_cases import quiet_airframe
 
 from mavdiag.errors import UsageError
-from sitl_plant.changes import Change, Renewal, SteadyWind
-from sitl_plant.config import fault_injection
 from sitl_plant.physics.airframe import drone
-from sitl_plant.physics.injections import Injection, SensorFault, bending
-from sitl_plant.plant import Plant, PlantConfig
+from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, fault_injection
+from sitl_plant.plant import Change, Plant, PlantConfig, Renewal, SteadyWind
 from sitl_plant.truth import Truth
 from sitl_plant.vehicle import vehicle_named
 
@@ -20,7 +18,7 @@ HOVER = PlantConfig(trajectory="hover", seed=4)
 
 
 def test_injected_in_flight_is_as_configured_before_it() -> None:
-    cause = Injection(bending(0.1, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
+    cause = Injection(RotorDamage(0.9, 1.2), rotor=2, onset_s=0.5, angle_rad=1.0)
     configured = Plant(PlantConfig(trajectory="hover", seed=4, injections=(cause,))).advance(800)
     plant = Plant(HOVER)
     before = plant.advance(500)
@@ -46,7 +44,7 @@ def test_cleared_is_healthy_again(name: str) -> None:
     """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro reads 0."""
     vehicle = vehicle_named(name)
     plant = Plant(PlantConfig(trajectory="hover", vehicle=vehicle, fault="F1/SV1", rotor=4, seed=1))
-    plant.inject(Injection(bending(0.15, 1.0), rotor=2))
+    plant.inject(Injection(RotorDamage(0.85), rotor=2))
     plant.inject(Injection(SensorFault("gyro", 2, drift_per_s=0.01)))
     weak = plant.advance(6000).duty[-2000:].mean(axis=0)
     plant.clear()
@@ -78,7 +76,7 @@ def test_a_fresh_battery_is_full() -> None:
 
 @pytest.mark.parametrize(
     ("injection", "says"),
-    [(Injection(bending(0.1, 1.0), 9), "rotor must be 1 to 4"), (Injection(bending(0.1, 1.0), 1, 0.0, 0.1), "end_s")],
+    [(Injection(RotorDamage(0.9), 9), "rotor must be 1 to 4"), (Injection(RotorDamage(0.9), 1, 0.0, 0.1), "end_s")],
 )
 def test_what_cannot_be_injected_is_refused_and_not_noted(injection: Injection, says: str) -> None:
     plant = Plant(HOVER)

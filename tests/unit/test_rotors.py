@@ -9,7 +9,7 @@ from plant_cases import nominal_airframe
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.airframe import NO_PAYLOAD
 from sitl_plant.physics.dynamics import STAGES, WRENCH
-from sitl_plant.physics.injections import rotor_condition
+from sitl_plant.physics.faults import rotor_condition
 from sitl_plant.physics.kernel import Model
 from sitl_plant.physics.parameters import STEP_S, make_model
 from sitl_plant.physics.rotors import Condition, RotorState, advance_noise, advance_rotors

@@ -9,7 +9,7 @@ from scipy.signal import welch
 
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.turbulence import TRANSPORT_FLOOR_M_S, Turbulence, dryden
+from sitl_plant.physics.air import TRANSPORT_FLOOR_M_S, Turbulence, dryden
 from sitl_plant.plant import PlantConfig
 
 FT = 0.3048

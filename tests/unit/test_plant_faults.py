@@ -1,4 +1,4 @@
-"""Injections: what each does to the tables of the compiled loop, and to a flight."""
+"""T's nine faults, and injections: what each does to the tables of the compiled loop, and to a flight."""
 
 import math
 
@@ -10,22 +10,75 @@ from plant_cases import fly, quiet_airframe
 
 from mavdiag.errors import UsageError
 from sitl_plant.physics.airframe import drone
-from sitl_plant.physics.injections import (
-    Injection,
-    RotorDamage,
-    SensorFault,
-    added_mass,
-    bending,
-    chipping,
-    ejection,
-    rotor_condition,
-    speed_corruption,
-    texture,
-)
+from sitl_plant.physics.faults import FAULTS, Injection, RotorDamage, SensorFault, parse_fault, rotor_condition
 from sitl_plant.physics.parameters import STEP_S
 from sitl_plant.physics.rotors import Condition
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import qdrone2
+
+# T Table 3.2: removed masses [g] and distances [mm] as its own sums write them, and the printed result [g mm].
+PRINTED = {
+    "F1/SV1": ([(0.035, 40)], 1.400),
+    "F1/SV2": ([(0.085, 60)], 5.100),
+    "F1/SV3": ([(0.048, 65), (0.048, 50)], 5.520),
+    "F2/SV1": ([(0.004, 55)], 0.220),
+    "F2/SV2": ([(0.025, 40), (0.025, 70)], 2.750),
+    "F2/SV3": ([(0.018, 70), (0.018, 55), (0.018, 40)], 2.640),
+    "F3/SV1": ([(0.058, 65)], 3.770),
+    "F3/SV2": ([(0.034, 65), (0.034, 50)], 3.910),
+    "F3/SV3": ([(0.033, 65), (0.033, 50), (0.033, 35)], 4.950),
+}
+
+
+@pytest.mark.parametrize("code", PRINTED)
+def test_unbalance_is_what_the_thesis_prints(code: str) -> None:
+    parts, printed = PRINTED[code]
+    assert parse_fault(code).propeller.printed_g_mm == pytest.approx(printed)
+    if code != "F2/SV3":  # the slip: its sum gives 2.970
+        assert sum(mass * distance for mass, distance in parts) == pytest.approx(printed, abs=1e-9)
+    else:
+        assert sum(mass * distance for mass, distance in parts) == pytest.approx(2.970)
+
+
+def test_all_nine_faults_exceed_the_balance_limit() -> None:
+    """T 3.2.2: every fault is beyond the 0.18 g mm of G 6.3."""
+    assert len(FAULTS) == 9
+    assert [fault.code for fault in FAULTS] == list(PRINTED)
+    assert all(fault.propeller.printed_g_mm > 0.18 for fault in FAULTS)
+
+
+def test_phenomenology_scales_only_the_fitted_terms() -> None:
+    fault = parse_fault("F2/SV3")
+    full, half, none = fault.damage(1.0), fault.damage(0.5), fault.damage(0.0)
+    assert (none.fluctuation_rms, none.thrust_lag_s) == (0.0, 0.0)
+    assert half.fluctuation_rms == pytest.approx(full.fluctuation_rms / 2)
+    assert half.thrust_lag_s == pytest.approx(full.thrust_lag_s / 2)
+    for damage in (full, half, none):
+        assert damage.unbalance_g_mm == 2.64
+        assert damage.thrust_factor == pytest.approx(0.988)
+        assert damage.drag_factor == pytest.approx(1.03)
+    for wrong in (-0.1, 1.1, float("nan")):
+        with pytest.raises(UsageError, match="phenomenology"):
+            fault.damage(wrong)
+
+
+@pytest.mark.parametrize("code", ["F2/SV2", "f2/sv2", " F2-SV2 ", "F2\\SV2", "F2SV2"])
+def test_codes_are_read_in_the_ways_people_write_them(code: str) -> None:
+    assert parse_fault(code).code == "F2/SV2"
+
+
+@given(st.text(max_size=12))
+def test_other_text_is_refused_in_one_line(text: str) -> None:
+    message = "F2/SV2"
+    try:
+        assert parse_fault(text) in FAULTS
+    except UsageError as error:
+        message = str(error)
+    assert "F2/SV2" in message
+    assert "\n" not in message
+
+
+STUCK, GONE = RotorDamage(unbalance_g_mm=1.0), RotorDamage(0.0, 0.0, ejected=True)
 
 
 def condition(damage: RotorDamage, angle: float = 0.5, rotor: int = 2) -> Condition:
@@ -42,27 +95,22 @@ def test_unbalance_adds_as_a_vector_to_the_rotors_own() -> None:
 
 
 def test_each_cause_changes_what_it_is_about() -> None:
-    assert np.hypot(
-        *(condition(added_mass(0.05, 60)).unbalance[1] * 1e6 - drone(qdrone2(), 1).unbalance_g_mm[1])
-    ) == pytest.approx(3)
-    chip = condition(chipping(0.01, 50, 0.03, 1.02))
+    chip = condition(RotorDamage(0.97, 1.02, 0.5))
     assert (chip.thrust_gain[1], chip.drag_gain[1]) == (0.97, 1.02)
     assert np.hypot(*chip.lift_offset[1]) == pytest.approx(0.03 * 0.062)
-    bent = condition(bending(0.05, 1.1))
+    bent = condition(RotorDamage(0.95, 1.1))
     np.testing.assert_allclose(bent.unbalance, condition(RotorDamage()).unbalance)
     assert np.hypot(*bent.lift_offset[1]) > 0
-    rough = condition(texture(0.9, 1.2))
-    assert (rough.thrust_gain[1], rough.drag_gain[1]) == (0.9, 1.2)
-    assert condition(speed_corruption(0.95)).speed_gain[1] == 0.95
-    gone = condition(ejection())
+    assert condition(RotorDamage(speed_factor=0.95)).speed_gain[1] == 0.95
+    gone = condition(GONE)
     assert (gone.thrust_gain[1], gone.drag_gain[1]) == (0.0, 0.0)
     np.testing.assert_array_equal(gone.unbalance[1], 0.0)
     np.testing.assert_array_equal(gone.thrust_gain[[0, 2, 3]], 1.0)
 
 
 def test_injection_is_present_from_onset_to_end() -> None:
-    assert Injection(added_mass(0.1, 10), onset_s=2.0, end_s=3.0).span(STEP_S) == (2000, 3000)
-    first, end = Injection(added_mass(0.1, 10)).span(STEP_S)
+    assert Injection(STUCK, onset_s=2.0, end_s=3.0).span(STEP_S) == (2000, 3000)
+    first, end = Injection(STUCK).span(STEP_S)
     assert first < -1_000_000  # from the start means before the start, too
     assert end > 1_000_000_000
 
@@ -70,15 +118,15 @@ def test_injection_is_present_from_onset_to_end() -> None:
 @given(st.integers(1, 10_000_000))
 def test_onset_at_a_millisecond_is_that_step(step: int) -> None:
     """However 0.001 s rounds in binary, the fault is there at its step: neither lost nor late."""
-    assert Injection(added_mass(0.1, 10), onset_s=step / 1000).span(STEP_S)[0] == step
-    assert Injection(added_mass(0.1, 10), onset_s=step * 0.001).span(STEP_S)[0] == step
+    assert Injection(STUCK, onset_s=step / 1000).span(STEP_S)[0] == step
+    assert Injection(STUCK, onset_s=step * 0.001).span(STEP_S)[0] == step
 
 
 def test_several_damages_combine() -> None:
     both = rotor_condition(
         drone(qdrone2(), 2),
         (
-            Injection(texture(0.9, 1.1)),
+            Injection(RotorDamage(0.9, 1.1)),
             Injection(RotorDamage(thrust_factor=0.5, fluctuation_rms=0.03, fluctuation_corner_hz=6)),
         ),
         STEP_S,
@@ -90,7 +138,7 @@ def test_several_damages_combine() -> None:
 
 def test_lost_propeller_ends_the_flight() -> None:
     config = PlantConfig(
-        trajectory="hover", airframe=quiet_airframe(), altitude_m=20.0, injections=(Injection(ejection(), 1, 0.5),)
+        trajectory="hover", airframe=quiet_airframe(), altitude_m=20.0, injections=(Injection(GONE, 1, 0.5),)
     )
     samples = fly(config, 1.5)
     assert np.abs(samples.gyro[:500]).max() < 0.01
@@ -114,7 +162,7 @@ def test_direction_is_drawn_from_the_seed_unless_given() -> None:
             trajectory="hover",
             seed=seed,
             airframe=quiet_airframe(),
-            injections=(Injection(added_mass(0.1, 50), angle_rad=angle),),
+            injections=(Injection(RotorDamage(unbalance_g_mm=5.0), angle_rad=angle),),
         )
         return float(Plant(config).advance(10).accel[5, 0])
 

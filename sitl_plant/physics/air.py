@@ -1,6 +1,6 @@
-"""Dryden turbulence near the ground, by the wind W20 at 20 ft (MIL-F-8785C 3.7.3.4; MIL-STD-1797A appendix A).
+"""Wind: gusts about a mean, or Dryden turbulence near the ground (MIL-F-8785C 3.7.3.4; MIL-STD-1797A appendix A).
 
-With h the height in feet, held between 10 and 1000, and V the airspeed that carries the eddies past the vehicle:
+By the wind W20 at 20 ft, with h the height in feet, held between 10 and 1000, and V the airspeed of the eddies:
 
     sigma_w = 0.1 W20                       sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4
     L_w     = h                             L_u     = L_v     = h       / (0.177 + 0.000823 h)^1.2     [ft]
@@ -9,28 +9,46 @@ With h the height in feet, held between 10 and 1000, and V the airspeed that car
     Phi_v,w(w)    = sigma^2   (T / pi) (1 + 3 (T w)^2) / (1 + (T w)^2)^2
 
 The lengths are those of MIL-F-8785C; MIL-STD-1797A writes 2 L_v and 2 L_w for the same numbers. Each spectrum is white
-noise of unit intensity behind a forming filter:
+noise of unit intensity behind a forming filter, discretised exactly:
 
     G_u(s) = sigma_u sqrt(2 T_u) / (1 + T_u s)          G_v,w(s) = sigma sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2
 
-The filters are discretised exactly, so rms and autocorrelation are right at every step. u blows along the mean wind, v
-to its right, w down.
+u blows along the mean wind, v to its right, w down.
 """
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mavdiag.errors import UsageError
+from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["TRANSPORT_FLOOR_M_S", "Dryden", "Turbulence", "dryden"]
 
 M_PER_FT = 0.3048
 HEIGHT_FT = (10.0, 1000.0)  # where the low-altitude model holds; below, its lowest height is used
 TRANSPORT_FLOOR_M_S = 3.0  # added to the mean wind (our choice): about the wind at 3 m of which W20 = 3 to 8 tells
 STRONGEST_M_S = 30.0  # W20; MIL-F-8785C calls 45 kt (23 m/s) severe
+
+
+class Air(NamedTuple):
+    """mean: (3,) wind, world NED [m/s]. gust_rms: each axis. decay: exp(-2 pi f_c dt).
+
+    With decay 0 and gust_rms 1 the numbers drawn for the wind are the gusts themselves [m/s].
+    """
+
+    mean: FloatArray
+    gust_rms: float
+    decay: float
+
+
+@jit
+def advance_wind(wind: FloatArray, air: Air, normals: FloatArray, row: int) -> None:
+    """Advance the wind (3,) by one step, exactly: an Ornstein-Uhlenbeck gust about the mean. normals: (steps, 3)."""
+    for i in range(3):
+        gust = wind[i] - air.mean[i]
+        wind[i] = air.mean[i] + air.decay * gust + air.gust_rms * np.sqrt(1.0 - air.decay**2) * normals[row, i]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,426 @@
+"""Two controllers with their attitude estimates, from pose error to duty: the thesis's, and the manufacturer's.
+
+**The thesis's** (T 2.3, Eq 2.22-2.44). T writes it in a frame with y to the left and z up; here it is in FRD and NED,
+so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g); a = -specific force points down.
+
+    phi_acc   = atan2(a_y, a_z)                                                                    T Eq 2.31
+    theta_acc = atan2(-a_x, a_y sin phi_acc + a_z cos phi_acc)                                     T Eq 2.32
+    rate, acceleration = low-pass(gyro) and its slope, two states of one filter
+    eta'      = W(eta) rate + (eta_seen - eta) / tau      gyro for the short term, the others for the long one
+
+    theta_ref = -(P e_x + V e_vx + I ∫e_x)      nose up is positive, so ahead is negative          T Eq 2.27
+    phi_ref   = +(P e_y + V e_vy + I ∫e_y)      right side down is positive, so right is positive  T Eq 2.26
+    T_ref     = -(P e_z + V e_vz + I ∫e_z)      z is down                                          T Eq 2.25
+    r_ref     = P e_psi + V (r_path - r) + I ∫e_psi                                                T Eq 2.28
+    omega_ref = P (eta_ref - eta) + D eta_rate,   D < 0                                            T Eq 2.36
+    tau       = I (P (omega_ref - omega) + D omega_rate),   D < 0                                  T Eq 2.40
+    F_i       = mixer @ [T_ref, tau]                                                               T Eq 2.43
+    duty_i    = sqrt(F_i / K_F) / K_omega                                                          T Eq 2.44, 2.12
+
+Horizontal errors are turned by the yaw. Integrals are clamped (anti-windup); every command has a limit. The estimate is
+the nine-vector of T Eq 2.33: roll, pitch, yaw [rad], then rates and accelerations about the body axes.
+
+**The manufacturer's** flew the recordings, at 1 kHz; it is written in FLU and here in FRD.
+
+    rate, acceleration = second-order low-pass of each gyro and its slope, wn 120 rad/s, zeta 1
+    angle     = complementary filter of each IMU: ∫ gyro + kp (seen - angle) + ki ∫(seen - angle); yaw: ∫ gyro
+    feedback: mean of both IMUs;  v = slope of a second-order low-pass of the cameras' pose, wn 50 rad/s
+
+    phi_ref   = +(P e_right - D v_right + I ∫e_right)     within +-pi/4
+    theta_ref = -(P e_ahead - D v_ahead + I ∫e_ahead)     within +-pi/4
+    T         = trim - (P e_z - D v_z + I ∫e_z)
+    r_ref     = P e_psi
+    rate_cmd  = 12 (ref - angle) - 0.1 rate,  yaw: 2 r_ref,           within +-10 pi/3
+    tau       = g (rate_cmd - rate) - h acceleration,                 within +-[1.0915 0.8984 0.0984] N m
+    duty_i    = V(F_i) / V_bat,  F = a V^2 + b V + c                  battery compensated
+
+That D acts on the measured speed and that the gyro enters the complementary filter unfiltered is inferred; the yaw gain
+is an estimate. While the motors spin on the ground the attitude loop runs on a small thrust and its integrals wait.
+"""
+
+import math
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from mavdiag.jit import jit
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.dynamics import wrapped
+from sitl_plant.physics.sensors import IMUS
+from sitl_plant.physics.trajectory import DISARMED, FLYING, IDLE, LANDING, SHUTDOWN
+
+ESTIMATE = 9  # length of T's attitude state
+EPSILON = 1e-3  # m/s^2: below this the accelerometer has no direction (T Eq 2.30)
+LANDED_M = 0.03  # a vehicle below this height stands on the ground when it is led to land (our choice)
+
+Transition: TypeAlias = tuple[float, float, float, float]
+"""By rows, how [y - u, dy/dt] goes on over one step of a filter whose input u is held."""
+
+
+class Estimator(NamedTuple):
+    """The thesis's. accel_gain: 1 - exp(-2 pi f dt). correction: dt over tau."""
+
+    gyro_filter: Transition
+    accel_gain: float
+    correction: float
+
+
+class Controller(NamedTuple):
+    """Gains and limits of the thesis's cascade."""
+
+    pose: FloatArray  # (4, 3) rows x, y, z, yaw, columns P, V, I
+    attitude_p: float
+    attitude_d: float
+    rate_gain: FloatArray  # (3, 2) P and D, times inertia
+    mixer: FloatArray  # (n, 4) pseudo-inverse of the motor mapping matrix; with four rotors its inverse, T Eq 2.43
+    full_thrust: float  # K_F K_omega^2 [N] of one motor at full duty
+    minimum_duty: float
+    tilt_limit: float
+    rate_limit: float
+    yaw_rate_limit: float
+    integral_limit: FloatArray  # (4,) in units of the command
+    torque_limit: FloatArray  # (3,)
+    thrust_limit: FloatArray  # (2,)
+
+
+class ControlState(NamedTuple):
+    """What a controller remembers and commands."""
+
+    integral: FloatArray  # (4,) integrals of the pose error times I, in units of the command
+    setpoint: FloatArray  # (3,) roll, pitch, yaw [rad]
+    rate: FloatArray  # (3,) body rates [rad/s]
+    wrench: FloatArray  # (4,) thrust [N] and torques [N m]
+    duty: FloatArray  # (n,) 0..1
+    motors: FloatArray  # (1,) 0 disarmed, 1 armed and idle, 2 flying
+
+
+class Feedback(NamedTuple):
+    """The manufacturer's filters, and the complementary filter's gains."""
+
+    rate: Transition
+    accel: Transition
+    velocity: Transition
+    correction_p: float
+    correction_i: float
+
+
+class Loop(NamedTuple):
+    """Gains and limits of the manufacturer's loop; vectors are (3,)."""
+
+    angle: float
+    rate_damping: float
+    yaw_rate: float
+    rate_limit: float
+    torque_per_rate: FloatArray
+    torque_per_acceleration: FloatArray
+    torque_limit: FloatArray
+    pid: FloatArray  # (3, 3) rows horizontal, height, yaw, columns P, D, I
+    integral_limit: FloatArray
+    trim: float
+    tilt_limit: float
+    thrust_limit: FloatArray
+    mixer: FloatArray  # (n, 4)
+    thrust_map: tuple[float, float, float]
+    minimum_duty: float
+    ground_thrust: float
+
+
+class LoopState(NamedTuple):
+    """What the manufacturer's estimators and loops remember beside `ControlState`."""
+
+    angle: FloatArray  # (2, 3) of each IMU, as the next two
+    rate: FloatArray
+    acceleration: FloatArray
+    accel: FloatArray  # (2, 3) filtered accelerometers, then their slope
+    accel_slope: FloatArray
+    correction: FloatArray  # (2, 2) integral of the complementary filter, roll and pitch
+    seen: FloatArray  # (4,) filtered pose x, y, z, yaw, then its slope
+    velocity: FloatArray
+    asked: FloatArray  # (3,) torques before their limit
+    pid: FloatArray  # (4,) outputs: roll and pitch [rad], thrust deviation [N], yaw rate [rad/s]
+    desired: FloatArray  # (4,) set-point x, y, z, yaw
+
+
+def low_pass_transition(corner_hz: float, dt_s: float) -> Transition:
+    """Exact step of a second-order Butterworth low-pass.
+
+    [ y' - u ]   exp(-a dt) [ cos + sin     sin / a   ] [ y - u ]
+    [ dy'/dt ] =            [ -2 a sin      cos - sin ] [ dy/dt ]       of the angle a dt, a = 2 pi f / sqrt 2
+    """
+    a = math.sqrt(2.0) * math.pi * corner_hz
+    decay, c, s = math.exp(-a * dt_s), math.cos(a * dt_s), math.sin(a * dt_s)
+    return decay * (c + s), decay * s / a, -2.0 * a * decay * s, decay * (c - s)
+
+
+def second_order(wn_rad_s: float, zeta: float, dt_s: float) -> Transition:
+    """Exact step of wn^2 / (s^2 + 2 zeta wn s + wn^2).
+
+    exp(A dt) by its series, in the scaled state [y, dy/dt / wn], where ||A dt|| is about wn dt.
+    """
+    A = wn_rad_s * dt_s * np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
+    term = total = np.eye(2)
+    for n in range(1, 30):
+        term = term @ A / n
+        total = total + term
+    return float(total[0, 0]), float(total[0, 1] / wn_rad_s), float(total[1, 0] * wn_rad_s), float(total[1, 1])
+
+
+@jit
+def _low_pass(value: FloatArray, slope: FloatArray, transition: Transition, target: FloatArray) -> None:
+    f11, f12, f21, f22 = transition
+    for i in range(3):
+        behind, rate = value[i] - target[i], slope[i]
+        value[i] = target[i] + f11 * behind + f12 * rate
+        slope[i] = f21 * behind + f22 * rate
+
+
+@jit
+def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
+    """Roll and pitch [rad] that a resting accelerometer reading (specific force, FRD) means, T Eq 2.30-2.32."""
+    norm = math.sqrt(f_x * f_x + f_y * f_y + f_z * f_z)
+    if norm < EPSILON:
+        return 0.0, 0.0
+    a_x, a_y, a_z = -f_x / norm, -f_y / norm, -f_z / norm
+    phi = math.atan2(a_y, a_z)
+    return phi, math.atan2(-a_x, a_y * math.sin(phi) + a_z * math.cos(phi))
+
+
+@jit
+def advance_estimate(
+    estimate: FloatArray,
+    accel_filtered: FloatArray,
+    estimator: Estimator,
+    reading: FloatArray,
+    yaw_seen: float,
+    dt: float,
+) -> None:
+    """Advance the thesis's nine states in place by one sample.
+
+    reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
+    """
+    f11, f12, f21, f22 = estimator.gyro_filter
+    for i in range(3):
+        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
+        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
+        estimate[6 + i] = f21 * behind + f22 * slope
+        accel_filtered[i] += estimator.accel_gain * (reading[3 + i] - accel_filtered[i])
+    phi_acc, theta_acc = tilt_from_accel(accel_filtered[0], accel_filtered[1], accel_filtered[2])
+    phi, theta, psi = estimate[0], estimate[1], estimate[2]
+    p, q, r = estimate[3], estimate[4], estimate[5]
+    turn = q * math.sin(phi) + r * math.cos(phi)
+    phi += dt * (p + math.tan(theta) * turn) + estimator.correction * wrapped(phi_acc - phi)
+    psi += dt * turn / math.cos(theta) + estimator.correction * wrapped(yaw_seen - psi)
+    theta += dt * (q * math.cos(estimate[0]) - r * math.sin(estimate[0])) + estimator.correction * (theta_acc - theta)
+    estimate[0], estimate[1], estimate[2] = wrapped(phi), wrapped(theta), wrapped(psi)
+
+
+@jit
+def estimate_attitude(
+    state: LoopState, feedback: Feedback, reading: FloatArray, estimate: FloatArray, dt: float
+) -> None:
+    """Advance the estimates of two IMUs by one sample, and leave their mean in estimate (9,). reading: (2, 6), FRD."""
+    for k in range(IMUS):
+        _low_pass(state.rate[k], state.acceleration[k], feedback.rate, reading[k, :3])
+        _low_pass(state.accel[k], state.accel_slope[k], feedback.accel, reading[k, 3:])
+        phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
+        phi, theta = state.angle[k, 0], state.angle[k, 1]
+        p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
+        turn = q * math.sin(phi) + r * math.cos(phi)
+        error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
+        state.correction[k, 0] += dt * feedback.correction_i * error_phi
+        state.correction[k, 1] += dt * feedback.correction_i * error_theta
+        dphi = p + math.tan(theta) * turn + feedback.correction_p * error_phi + state.correction[k, 0]
+        dtheta = q * math.cos(phi) - r * math.sin(phi) + feedback.correction_p * error_theta + state.correction[k, 1]
+        state.angle[k, 0] = wrapped(phi + dt * dphi)
+        state.angle[k, 1] = wrapped(theta + dt * dtheta)
+        state.angle[k, 2] += dt * turn / math.cos(theta)
+    for axis in range(3):
+        estimate[axis] = 0.5 * (state.angle[0, axis] + state.angle[1, axis])
+        estimate[3 + axis] = 0.5 * (state.rate[0, axis] + state.rate[1, axis])
+        estimate[6 + axis] = 0.5 * (state.acceleration[0, axis] + state.acceleration[1, axis])
+
+
+@jit
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+@jit
+def _force(mixer: FloatArray, wrench: FloatArray, i: int) -> float:
+    force = 0.0
+    for k in range(4):
+        force += mixer[i, k] * wrench[k]
+    return force
+
+
+@jit
+def _piv(state: ControlState, gains: Controller, axis: int, error: float, rate_error: float, dt: float) -> float:
+    p, v, i = gains.pose[axis]
+    limit = gains.integral_limit[axis]
+    state.integral[axis] = _clip(state.integral[axis] + i * error * dt, -limit, limit)
+    return float(p * error + v * rate_error + state.integral[axis])
+
+
+@jit
+def _outer_loop(
+    state: ControlState,
+    gains: Controller,
+    reference: FloatArray,
+    pose: FloatArray,
+    velocity: FloatArray,
+    yaw_rate: float,
+    dt: float,
+) -> None:
+    """Pose error to attitude, thrust and yaw rate (T Eq 2.22-2.29)."""
+    c, s = np.cos(pose[3]), np.sin(pose[3])
+    e_n, e_e = reference[0] - pose[0], reference[1] - pose[1]
+    v_n, v_e = reference[3] - velocity[0], reference[4] - velocity[1]
+    ahead = _piv(state, gains, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
+    right = _piv(state, gains, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
+    down = _piv(state, gains, 2, reference[2] - pose[2], reference[5] - velocity[2], dt)
+    turn = _piv(state, gains, 3, wrapped(reference[6] - pose[3]), reference[7] - yaw_rate, dt)
+    state.setpoint[0] = _clip(right, -gains.tilt_limit, gains.tilt_limit)
+    state.setpoint[1] = _clip(-ahead, -gains.tilt_limit, gains.tilt_limit)
+    state.setpoint[2] = reference[6]
+    state.wrench[0] = _clip(-down, gains.thrust_limit[0], gains.thrust_limit[1])
+    state.rate[2] = _clip(turn, -gains.yaw_rate_limit, gains.yaw_rate_limit)
+
+
+@jit
+def _stand(state: ControlState, yaw: float, thrust: float, duty: float) -> None:
+    for axis in range(3):
+        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
+    state.setpoint[2] = yaw
+    state.wrench[0] = thrust
+    for i in range(len(state.duty)):
+        state.duty[i] = duty
+
+
+@jit
+def control(
+    state: ControlState,
+    gains: Controller,
+    reference: FloatArray,
+    pose: FloatArray,
+    velocity: FloatArray,
+    estimate: FloatArray,
+    dt: float,
+) -> None:
+    """One pass of the thesis's cascade; the commands are left in `state`.
+
+    reference: (9,) from `trajectory`. pose, velocity: (4,) and (3,) from motion capture. estimate: (9,).
+    """
+    state.motors[0] = min(reference[8], FLYING)
+    if reference[8] >= LANDING and pose[2] > -LANDED_M:
+        state.motors[0] = DISARMED if reference[8] == SHUTDOWN else IDLE
+    if state.motors[0] != FLYING:
+        duty = gains.minimum_duty if state.motors[0] == IDLE else 0.0
+        _stand(state, reference[6], len(state.duty) * gains.full_thrust * duty * duty, duty)
+        return
+    _outer_loop(state, gains, reference, pose, velocity, estimate[5], dt)
+    for axis in range(2):
+        rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
+        state.rate[axis] = _clip(rate, -gains.rate_limit, gains.rate_limit)
+    for axis in range(3):
+        torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
+        torque += gains.rate_gain[axis, 1] * estimate[6 + axis]
+        state.wrench[1 + axis] = _clip(torque, -gains.torque_limit[axis], gains.torque_limit[axis])
+    for i in range(len(state.duty)):
+        force = _force(gains.mixer, state.wrench, i)
+        state.duty[i] = _clip(np.sqrt(max(force, 0.0) / gains.full_thrust), gains.minimum_duty, 1.0)
+
+
+@jit
+def thrust_of(thrust_map: tuple[float, float, float], volts: float) -> float:
+    """Thrust of a rotor at a motor voltage [N], by the manufacturer's map; never negative."""
+    a, b, c = thrust_map
+    return max(a * volts * volts + b * volts + c, 0.0)
+
+
+@jit
+def voltage_of(thrust_map: tuple[float, float, float], force: float) -> float:
+    """Motor voltage for a thrust [V]: the inverse of the map; 0 for no thrust."""
+    a, b, c = thrust_map
+    return 0.0 if force <= 0.0 else (-b + math.sqrt(b * b + 4.0 * a * (force - c))) / (2.0 * a)
+
+
+@jit
+def _see(state: LoopState, feedback: Feedback, pose: FloatArray) -> None:
+    """Filter the cameras' pose (4,); yaw is unwrapped first."""
+    f11, f12, f21, f22 = feedback.velocity
+    for i in range(4):
+        behind, rate = state.seen[i] - pose[i], state.velocity[i]
+        if i == 3:
+            behind = wrapped(behind)
+        state.seen[i] = pose[i] + f11 * behind + f12 * rate
+        state.velocity[i] = f21 * behind + f22 * rate
+
+
+@jit
+def _pid(integral: FloatArray, loop: Loop, row: int, axis: int, error: float, speed: float, dt: float) -> float:
+    p, d, i = loop.pid[row]
+    limit = loop.integral_limit[row]
+    integral[axis] = _clip(integral[axis] + i * error * dt, -limit, limit)
+    return float(p * error - d * speed + integral[axis])
+
+
+@jit
+def _position(control: ControlState, state: LoopState, loop: Loop, pose: FloatArray, dt: float) -> None:
+    c, s = math.cos(pose[3]), math.sin(pose[3])
+    e_n, e_e, v_n, v_e = state.desired[0] - pose[0], state.desired[1] - pose[1], state.velocity[0], state.velocity[1]
+    ahead = _pid(control.integral, loop, 0, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
+    right = _pid(control.integral, loop, 0, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
+    down = _pid(control.integral, loop, 1, 2, state.desired[2] - pose[2], state.velocity[2], dt)
+    turn = _pid(control.integral, loop, 2, 3, wrapped(state.desired[3] - pose[3]), state.velocity[3], dt)
+    state.pid[0], state.pid[1], state.pid[2], state.pid[3] = right, -ahead, -down, turn
+    control.setpoint[0] = _clip(right, -loop.tilt_limit, loop.tilt_limit)
+    control.setpoint[1] = _clip(-ahead, -loop.tilt_limit, loop.tilt_limit)
+    control.wrench[0] = _clip(loop.trim - down, loop.thrust_limit[0], loop.thrust_limit[1])
+
+
+@jit
+def _attitude(control: ControlState, state: LoopState, loop: Loop, estimate: FloatArray) -> None:
+    for axis in range(3):
+        rate = loop.yaw_rate * state.pid[3]
+        if axis < 2:
+            rate = loop.angle * (control.setpoint[axis] - estimate[axis]) - loop.rate_damping * estimate[3 + axis]
+        control.rate[axis] = _clip(rate, -loop.rate_limit, loop.rate_limit)
+        torque = loop.torque_per_rate[axis] * (control.rate[axis] - estimate[3 + axis])
+        state.asked[axis] = torque - loop.torque_per_acceleration[axis] * estimate[6 + axis]
+        control.wrench[1 + axis] = _clip(state.asked[axis], -loop.torque_limit[axis], loop.torque_limit[axis])
+
+
+@jit
+def decide(
+    control: ControlState,
+    state: LoopState,
+    loop: Loop,
+    feedback: Feedback,
+    reference: FloatArray,
+    pose: FloatArray,
+    estimate: FloatArray,
+    volts: float,
+    dt: float,
+) -> None:
+    """One pass of the manufacturer's loop, with arguments as of `control`. volts: of the battery."""
+    control.motors[0] = min(reference[8], FLYING)
+    if reference[8] >= LANDING and pose[2] > -LANDED_M:
+        control.motors[0] = DISARMED
+    _see(state, feedback, pose)
+    state.desired[0], state.desired[1], state.desired[2] = reference[0], reference[1], reference[2]
+    state.desired[3] = reference[6]
+    for i in range(4):
+        state.pid[i] = 0.0
+    if control.motors[0] != FLYING:
+        _stand(control, reference[6], 0.0 if control.motors[0] == DISARMED else loop.ground_thrust, 0.0)
+    if control.motors[0] == DISARMED:
+        for axis in range(3):
+            state.asked[axis] = 0.0
+        return
+    control.setpoint[2] = reference[6]
+    if control.motors[0] == FLYING:
+        _position(control, state, loop, pose, dt)
+    _attitude(control, state, loop, estimate)
+    for i in range(len(control.duty)):
+        duty = voltage_of(loop.thrust_map, _force(loop.mixer, control.wrench, i)) / volts
+        control.duty[i] = _clip(duty, loop.minimum_duty, 1.0)

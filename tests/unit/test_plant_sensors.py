@@ -1,0 +1,282 @@
+"""The IMUs against kinematics, scipy and the sampling theorem; their mount; the two of the recordings."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant_cases import fly, nominal_airframe
+from scipy.signal import bilinear, freqz, lfilter, periodogram
+
+from mavdiag.errors import UsageError
+from mavdiag.telemetry import FloatArray
+from sitl_plant.physics.airframe import draw_airframe
+from sitl_plant.physics.dynamics import GRAVITY, RIGID
+from sitl_plant.physics.faults import Injection, SensorFault, sensor_condition
+from sitl_plant.physics.parameters import specimen_of
+from sitl_plant.physics.rotors import RotorState
+from sitl_plant.physics.sensors import (
+    CHANNELS,
+    HARMONICS,
+    IMUS,
+    RIGID_MOUNT,
+    YAW_RATE,
+    Imu,
+    ImuState,
+    SensorCondition,
+    TwinImu,
+    TwinImuState,
+    advance_imu,
+    advance_imus,
+    advance_mount,
+    butterworth,
+    butterworth3,
+    feel,
+    gain_of,
+    high_pass,
+    isolating_hz,
+    mode,
+)
+from sitl_plant.plant import PlantConfig
+from sitl_plant.vehicle import SoftMount, qdrone2, vehicle_named
+
+HEALTHY = sensor_condition(())
+
+
+def imu(noise: float = 0.0) -> Imu:
+    return Imu(np.zeros(3), np.zeros(CHANNELS), np.full(CHANNELS, noise), butterworth(250.0, 0.001))
+
+
+def read(sensor: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray) -> FloatArray:
+    state = ImuState(np.zeros((CHANNELS, 2)), np.zeros(CHANNELS), np.zeros(CHANNELS))
+    out = np.empty((len(normals), CHANNELS))
+    for row in range(len(normals)):
+        advance_imu(state, sensor, condition, truth, normals, row, 0.001)
+        out[row] = state.reading
+    return out
+
+
+def test_resting_sensor_reads_minus_g() -> None:
+    x, dx, truth = np.zeros(RIGID), np.zeros((1, RIGID)), np.empty(6)
+    x[6] = 1.0
+    feel(x, dx, np.array([0.01, 0.005, 0.0]), truth)
+    np.testing.assert_allclose(truth, [0, 0, 0, 0, 0, -GRAVITY])
+
+
+def test_lever_arm_is_the_acceleration_of_a_point_on_the_body() -> None:
+    """Oracle: a body at rest in the middle that nods as theta(t) = A sin w t; its point is differentiated twice."""
+    amplitude, w, t, h = 0.4, 7.0, 0.3, 1e-4
+    r = np.array([0.01, 0.005, -0.02])
+
+    def pitch(at: float) -> float:
+        return amplitude * math.sin(w * at)
+
+    def place(at: float) -> FloatArray:
+        c, s = math.cos(pitch(at)), math.sin(pitch(at))
+        return np.array([c * r[0] + s * r[2], r[1], -s * r[0] + c * r[2]])  # R_y(theta) r, world NED
+
+    acceleration = (place(t + h) - 2 * place(t) + place(t - h)) / h**2
+    c, s = math.cos(pitch(t)), math.sin(pitch(t))
+    in_body = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) @ (acceleration - [0, 0, GRAVITY])
+
+    x, dx, truth = np.zeros(RIGID), np.zeros((1, RIGID)), np.empty(6)
+    x[6], x[8] = math.cos(pitch(t) / 2), math.sin(pitch(t) / 2)
+    x[11] = amplitude * w * math.cos(w * t)
+    dx[0, 11] = -amplitude * w**2 * math.sin(w * t)
+    feel(x, dx, r, truth)
+    np.testing.assert_allclose(truth[3:], in_body, atol=1e-5)
+    np.testing.assert_allclose(truth[:3], [0.0, x[11], 0.0])
+
+
+def test_filter_is_the_second_order_butterworth_of_scipy() -> None:
+    from scipy.signal import butter
+
+    for corner in (30.0, 98.0, 250.0):
+        b, a = butter(2, corner, fs=1000.0)
+        b0, b1, b2, a1, a2 = butterworth(corner, 0.001)
+        np.testing.assert_allclose([b0, b1, b2, 1.0, a1, a2], [*b, *a], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [5])
+def test_noise_has_the_density_of_the_data_sheet(seed: int) -> None:
+    """3.8 mdps/sqrt(Hz), one-sided, below the filter corner; 3 dB less at 250 Hz."""
+    from scipy.signal import welch
+
+    density = 3.8e-3 * math.pi / 180
+    normals = np.random.default_rng(seed).standard_normal((40_000, CHANNELS))
+    out = read(imu(density * math.sqrt(500.0)), HEALTHY, np.zeros(CHANNELS), normals)
+    f, power = welch(out, fs=1000.0, nperseg=500, axis=0)
+    power = power.mean(axis=1)
+    assert power[(f > 5) & (f < 60)].mean() == pytest.approx(density**2, rel=0.05)
+    assert power[(f > 245) & (f < 255)].mean() == pytest.approx(density**2 / 2, rel=0.1)
+
+
+def test_sensor_faults_act_as_written() -> None:
+    """reading = scale truth + offset + drift t, once the filter has settled; the other axes are untouched."""
+    faults = (
+        Injection(SensorFault("gyro", 1, scale=2.0, offset=0.1, drift_per_s=0.5)),
+        Injection(SensorFault("accel", 2, scale=0.5)),
+    )
+    truth = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
+    out = read(imu(), sensor_condition(faults), truth, np.zeros((1000, CHANNELS)))
+    assert out[-1, 1] == pytest.approx(2 * 0.3 + 0.1 + 0.5, abs=0.002)
+    np.testing.assert_allclose(out[-1, [0, 2, 3, 4, 5]], [0.3, 0.3, 1.0, 1.0, 0.5], atol=1e-9)
+
+
+DT = 0.001
+
+
+@pytest.mark.parametrize(("hz", "damping"), [(25.0, 0.1), (50.0, 0.1), (165.0, 0.05), (300.0, 1.2)])
+def test_the_filter_is_the_bilinear_transform_of_a_driven_mode(hz: float, damping: float) -> None:
+    warped = 2 / DT * math.tan(math.pi * hz * DT)
+    b, a = bilinear([2 * damping * warped, warped**2], [1, 2 * damping * warped, warped**2], 1 / DT)
+    b0, b1, b2, a1, a2 = mode(hz, damping, DT).filter
+    np.testing.assert_allclose([b0, b1, b2], b, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose([1.0, a1, a2], a, rtol=1e-9)
+    _, (still, line) = freqz(b, a, [0.0, hz], fs=1 / DT)
+    assert abs(still) == pytest.approx(1.0)  # slow motion passes
+    assert abs(line) == pytest.approx(math.sqrt(1 + 1 / (2 * damping) ** 2))  # Den Hartog, Mechanical Vibrations, 2.12
+    assert gain_of(mode(hz, damping, DT).filter, hz, DT) == pytest.approx(abs(line))
+
+
+@pytest.mark.parametrize("share", [1 / 10, 1 / 30])
+def test_an_isolator_passes_the_share_that_was_asked_for(share: float) -> None:
+    found = isolating_hz(167.0, share, 0.1, DT)
+    assert found < 167.0 / math.sqrt(2)
+    assert gain_of(mode(found, 0.1, DT).filter, 167.0, DT) == pytest.approx(share)
+
+
+def test_all_axes_but_yaw_pass_the_mount() -> None:
+    mount, memory = mode(50.0, 0.1, DT), np.zeros((6, 2))
+    given = np.random.default_rng(2).standard_normal((400, 6))
+    felt = given.copy()
+    for row in felt:
+        advance_mount(memory, mount, row)
+    b0, b1, b2, a1, a2 = mount.filter
+    expected = lfilter([b0, b1, b2], [1.0, a1, a2], given, axis=0)
+    expected[:, YAW_RATE] = given[:, YAW_RATE]
+    np.testing.assert_allclose(felt, expected, atol=1e-12)
+    advance_mount(memory, RIGID_MOUNT, felt[0])
+    np.testing.assert_allclose(felt[0], expected[0])
+
+
+def line(samples_accel: FloatArray) -> float:
+    """Power of the lateral acceleration from 150 to 185 Hz."""
+    hz, power = periodogram(samples_accel[:, :2], 1 / DT, axis=0)
+    return float(power[(hz > 150) & (hz < 185)].sum())
+
+
+@pytest.mark.parametrize(("mount", "low", "high"), [(1 / 10, 0.09, 0.13), (1 / 30, 0.025, 0.05), (None, 4.0, 10.05)])
+def test_the_rotors_line_is_weaker_behind_an_isolator_and_stronger_at_a_resonance(
+    mount: float | None, low: float, high: float
+) -> None:
+    """The line is not one frequency: four rotors within some hertz of 167."""
+    soft = SoftMount(165.0, 0.05) if mount is None else SoftMount(isolating_hz(167.0, mount, 0.1, DT), 0.1)
+    vehicle = qdrone2()
+    quiet = replace(vehicle, imu=replace(vehicle.imu, accel_noise_density=0.0))
+    hover = PlantConfig(drone=1, trajectory="hover", seed=2)
+    rigid, mounted = (
+        fly(replace(hover, vehicle=one), 10.0) for one in (quiet, replace(quiet, imu=replace(quiet.imu, mount=soft)))
+    )
+    ratio = math.sqrt(line(mounted.accel) / line(rigid.accel))
+    assert low < ratio < high
+    assert np.abs(mounted.gyro).max() < 0.2  # the loops stay stable
+    assert mounted.accel[:, 2].mean() == pytest.approx(rigid.accel[:, 2].mean(), abs=0.01)
+
+
+def test_a_mode_that_the_sample_rate_cannot_carry_is_refused() -> None:
+    with pytest.raises(UsageError, match="resonance of 0 to 450 Hz"):
+        mode(480.0, 0.1, DT)
+
+
+VEHICLE = vehicle_named("qdrone2-recorded")
+LSB = 1.3316e-4  # DronePropA, from published samples: 250 deg/s over 2^15
+RANGE = 4.363
+
+
+def plain() -> TwinImu:
+    """Both IMUs without vibration, noise or bias."""
+    filters = np.array([butterworth3(125.0, 0.001)] * 3 + [butterworth3(400.0, 0.001)] * 3)
+    nothing = np.zeros((IMUS, CHANNELS))
+    line = np.zeros((IMUS, CHANNELS, HARMONICS, 4, 2))
+    span, lsb = np.repeat([4.3633231, 156.9064], 3), np.repeat([LSB, 0.0047884], 3)
+    shape = high_pass(40.0, 0.001)
+    return TwinImu(np.zeros((IMUS, 3)), nothing, nothing, nothing, line, 942.0, shape, filters, span, lsb, 2)
+
+
+def read_sensors(truth: FloatArray) -> FloatArray:
+    """Readings (n, 2, 6) while both IMUs feel truth (n,) on every channel."""
+    shapes = (IMUS * CHANNELS, 2), (IMUS * CHANNELS, 3), (CHANNELS,), (IMUS, CHANNELS), (HARMONICS, 4, 2)
+    state = TwinImuState(*(np.zeros(shape) for shape in shapes))
+    still, imu, healthy = RotorState(*(np.zeros(4) for _ in range(5))), plain(), sensor_condition(())
+    out, normals = np.empty((len(truth), IMUS, CHANNELS)), np.zeros((1, 24))
+    for step, value in enumerate(truth):
+        felt = np.full((IMUS, CHANNELS), value)
+        advance_imus(state, imu, healthy, felt, still, normals, 0, step, 0.001)
+        out[step] = state.reading
+    return out
+
+
+def tone(frequency_hz: float, amplitude: float = 0.5) -> FloatArray:
+    return np.asarray(amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(4000) / 1000 + 0.4))
+
+
+def lines(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Frequencies and amplitudes, of whole 1 Hz bins, from the last 1 s."""
+    return np.arange(501.0), np.abs(np.fft.rfft(signal[-1000:])) / 500
+
+
+@pytest.mark.parametrize("corner", [40.0, 125.0, 400.0])
+def test_filters_are_those_of_scipy(corner: float) -> None:
+    from scipy.signal import butter
+
+    b, a, b0, b1, b2, a1, a2 = butterworth3(corner, 0.001)
+    numerator, denominator = butter(3, corner, fs=1000.0)
+    np.testing.assert_allclose(np.polymul([b, b], [b0, b1, b2]), numerator, atol=1e-12)
+    np.testing.assert_allclose(np.polymul([1.0, a], [1.0, a1, a2]), denominator, atol=1e-12)
+    numerator, denominator = butter(2, corner, "highpass", fs=1000.0)
+    np.testing.assert_allclose([*high_pass(corner, 0.001)], [*numerator, *denominator[1:]], atol=1e-12)
+
+
+def test_the_gyro_has_the_steps_and_the_range_of_the_recordings() -> None:
+    out = read_sensors(tone(3.0, 6.0))
+    counts = out[:, :, :3] / LSB
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
+    assert np.abs(out[:, :, :3]).max() == pytest.approx(RANGE, abs=1e-3)
+    assert np.abs(out[:, :, 3:]).max() > 5.9
+    steps = out[:, :, 3:] / 0.0047884
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+
+
+def test_the_gyro_is_held_for_two_steps_and_the_accelerometer_is_not() -> None:
+    out = read_sensors(tone(21.0))
+    np.testing.assert_array_equal(out[0::2, :, :3], out[1::2, :, :3])
+    assert np.mean(out[0::2, 0, 3] == out[1::2, 0, 3]) < 0.05
+
+
+def test_150_hz_is_halved_by_the_filter_and_the_hold_mirrors_it_to_350_hz() -> None:
+    """1 / sqrt(1 + (150/125)^6) = .50 of an analogue filter; a hold over 2 ms leaves cos(pi f T) and its image sin."""
+    _, amplitude = lines(read_sensors(tone(150.0, 1.0))[:, 0, 0])
+    assert amplitude[150] == pytest.approx(0.5 * np.cos(np.pi * 0.15), rel=0.12)  # bilinear: a little less
+    assert amplitude[350] / amplitude[150] == pytest.approx(np.tan(np.pi * 0.15), rel=1e-2)
+
+
+def test_300_hz_comes_out_of_the_gyro_at_200_hz() -> None:
+    """500 samples a second: 500 - 300 = 200."""
+    _, amplitude = lines(read_sensors(tone(300.0, 2.0))[:, 0, 0])
+    assert 100 + int(amplitude[100:251].argmax()) == 200
+
+
+def test_specimens_are_the_measured_ones_or_drawn_between_them() -> None:
+    recorded = VEHICLE.recorded
+    assert recorded is not None
+    rng = np.random.default_rng(31)
+    drawn = [draw_airframe(VEHICLE, aged=False, rng=rng) for _ in range(60)]
+    levels = np.array([specimen_of(one, recorded).gyro_line for one in drawn])
+    assert levels.min() >= 0.0144
+    assert levels.max() <= 0.0326
+    assert levels.max() / levels.min() > 2.0
+    assert specimen_of(drawn[7], recorded) == specimen_of(drawn[7], recorded)
+    known = [one.name for one in recorded.specimens]
+    assert known == ["drone 1", "drone 2", "drone 3"]
+    assert specimen_of(nominal_airframe(VEHICLE), recorded).name == "nominal"
