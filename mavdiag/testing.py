@@ -1,5 +1,7 @@
 """Rows from plain arrays: for the examples in the docstrings, and for tests."""
 
+from dataclasses import fields
+
 import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
@@ -9,8 +11,6 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.telemetry import BoolArray, FloatArray
-
-__all__ = ["example_context", "example_rows"]
 
 WINDOW = 5  # samples of the rate filters
 
@@ -71,3 +71,11 @@ def example_context(
     layout = None if frame is None else layout_named(frame)
     airframe = Airframe(layout=layout, mass_kg=mass_kg, hover_rad_s=hover_rad_s)
     return LearnContext(airframe, None, dt_s, WINDOW)
+
+
+def rows_between(rows: Rows, first: int, stop: int) -> Rows:
+    """Rows [first, stop), with the rates that they complete."""
+    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
+    kept = slice(max(first - lag, 0), max(stop - lag, 0))
+    columns = (getattr(rates, column.name)[kept] for column in fields(rates)[2:])
+    return Rows(rows.block.rows(first, stop), type(rates)(rates.segment, rates.dt_s, *columns))

@@ -37,6 +37,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from mavdiag.jit import cached, jit, source_digest
@@ -213,11 +214,12 @@ Memories: TypeAlias = Mapping[Signal, Memory]
 class Looked:
     """What was found of the samples of one signal that were not lost.
 
-    runs: (n, 1 + columns) how long each repeated. jitter: (n,) in periods. resolution: (n,) [unit], 0 while unknown.
+    runs: (n, 1 + columns) how long each repeated. Of the gyro jitter: (n,) in periods. resolution: (n,) [unit], 0 while
+    unknown.
     """
 
     series: Series
-    runs: IntArray
+    runs: NDArray[np.int32]
     jitter: FloatArray
     resolution: FloatArray
 
@@ -332,7 +334,7 @@ def _believe(par: FloatArray, mem: FloatArray, counts: IntArray, t_ns: IntArray,
 
 @jit
 def _measure(
-    par: FloatArray, mem: FloatArray, counts: IntArray, stamp_ns: int, v: FloatArray, i: int, runs: IntArray
+    par: FloatArray, mem: FloatArray, counts: IntArray, stamp_ns: int, v: FloatArray, i: int, runs: NDArray[np.int32]
 ) -> float:
     """Count repetitions, and follow jitter and finest step, after a sample; returns the resolution, 0 if unknown."""
     columns, same, coarsest = v.shape[1], True, 0.0
@@ -364,7 +366,7 @@ def _compiled(digest: int) -> Callable[..., int]:
         t_ns: IntArray,
         v: FloatArray,
         keep: BoolArray,
-        runs: IntArray,
+        runs: NDArray[np.int32],
         jitter: FloatArray,
         resolution: FloatArray,
     ) -> int:
@@ -388,8 +390,9 @@ def _compiled(digest: int) -> Callable[..., int]:
                     _believe(par, mem, counts, t_ns, v, k)
             i += run
         for k in range(i):
-            resolution[k] = _measure(par, mem, counts, t_ns[k], v, k, runs)
-            jitter[k] = math.sqrt(mem[JITTER])
+            finest = _measure(par, mem, counts, t_ns[k], v, k, runs)
+            if len(jitter):
+                resolution[k], jitter[k] = finest, math.sqrt(mem[JITTER])
         return i
 
     return look_at
@@ -440,13 +443,15 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
         series = _joined(memory.waiting, series)
     n, columns = series.values.shape
     figures, counts, keep = memory.figures.copy(), memory.counts.copy(), np.empty(n, dtype=np.bool_)
-    runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int64), np.empty(n), np.empty(n)
+    measured = n if habit.signal is Signal.BODY_RATE else 0
+    runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int32), np.empty(measured), np.empty(measured)
     found = (keep, runs, jitter, resolution)
     done = _look_at(habit.parameters, figures, counts, series.t_ns, series.values, *found)
     after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
     keep[done:] = False
     used = slice(0, done) if np.count_nonzero(keep) == done else keep
-    return after, Looked(_cut(series, used), runs[used], jitter[used], resolution[used])
+    figures_used = used if measured else slice(0, 0)
+    return after, Looked(_cut(series, used), runs[used], jitter[figures_used], resolution[figures_used])
 
 
 def _joined(one: Series, other: Series) -> Series:

@@ -75,7 +75,7 @@ def test_import_mavdiag_is_light() -> None:
 
 
 def test_the_detector_starts_without_heavy_imports() -> None:
-    heavy = {"numba", "matplotlib", "control", "scipy.signal", "pandas", "sitl_plant"}
+    heavy = {"matplotlib", "control", "scipy.signal", "pandas", "sitl_plant"}
     assert not loaded_by("import detector.daemon") & heavy
 
 

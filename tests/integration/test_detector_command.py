@@ -21,7 +21,6 @@ from mavdiag.link.ports import open_endpoint
 from mavdiag.telemetry import Telemetry
 
 HEAVY = {
-    "numba",
     "matplotlib",
     "control",
     "pandas",

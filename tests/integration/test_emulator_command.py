@@ -164,17 +164,6 @@ def test_a_signal_ends_the_flight_in_good_order(number: signal.Signals, tmp_path
     assert [line["record"] for line in read_lines(truth)][:2] == ["flight", "state"]
 
 
-@pytest.mark.parametrize("command", ["record", "campaign"])
-def test_without_numba_no_empty_file_is_left(command: str, tmp_path: Path) -> None:
-    code = "import sys; sys.modules['numba'] = None; from sitl_plant.__main__ import main; main()"
-    run = [sys.executable, "-c", code, command, "-o", str(tmp_path / "file")]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout) == (2, "")
-    told = "sitl-plant: the plant needs numba, which is not installed: pip install 'mavdiag[plant]'"
-    assert done.stderr.splitlines() == [told]
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_vehicles_have_the_system_id_that_is_asked_for(tmp_path: Path) -> None:
     for number in (1, 7):
         path = tmp_path / f"{number}.tlog"

@@ -1,7 +1,6 @@
 """The compiled free run equals scipy's filter, from the first measured rate at rest and in any blocks."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
@@ -11,9 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mavdiag.identify import ArxModel, Method
 from mavdiag.identify.model import ModelRecord
 from mavdiag.monitors.run_length import RunLength, RunLengthSpec
-from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Axis
-from mavdiag.testing import example_rows
+from mavdiag.testing import example_rows, rows_between
 
 
 @st.composite
@@ -25,14 +23,6 @@ def models(draw: st.DrawFn) -> ArxModel:
     return ArxModel(a, np.array([0.0] * nk + b), 0.01, (na, nb, nk), Method.PUBLISHED)
 
 
-def cut(rows: Rows, first: int, stop: int) -> Rows:
-    """Rows [first, stop), with the rates that they complete."""
-    rates, lag = rows.rates, len(rows.block) - len(rows.rates)
-    kept = slice(max(first - lag, 0), max(stop - lag, 0))
-    columns = {name: getattr(rates, name)[kept] for name in ("t_ns", "u", "y", "gyro", "valid", "commanded")}
-    return Rows(rows.block.rows(first, stop), replace(rates, **columns))
-
-
 @given(model=models(), edges=st.lists(st.integers(0, 120), max_size=8), seed=st.integers(0, 2**32 - 1))
 def test_a_stream_equals_the_whole_and_scipy(model: ArxModel, edges: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -41,7 +31,7 @@ def test_a_stream_equals_the_whole_and_scipy(model: ArxModel, edges: list[int], 
     whole = monitor.step(monitor.start(), rows)[1].signal
     state, parts = monitor.start(), []
     for first, stop in itertools.pairwise(sorted({0, 120, *edges})):
-        state, found = monitor.step(state, cut(rows, first, stop))
+        state, found = monitor.step(state, rows_between(rows, first, stop))
         parts.append(found.signal)
     assert_array_equal(np.concatenate(parts), whole)
     u, y = rows.rates.u[:, 1], rows.rates.y[:, 1]

@@ -98,12 +98,14 @@ def calls() -> Iterator[list[str]]:
     What the envelope is asked about a statistic is marked with `:apply`.
     """
     seen: list[str] = []
-    names = ("step", "measure", "cut", "isolate", "assess")
+    names = ("step", "measure", "cut", "isolate", "assess", "judge")
 
     def watch(frame: FrameType, event: str, arg: Any) -> None:
         name = frame.f_code.co_name
         if event == "call" and name in (*names, "apply"):
-            seen.append(frame.f_globals.get("__name__", "") + ("" if name in names else f":{name}"))
+            module = frame.f_globals.get("__name__", "")
+            whose = type(frame.f_locals["self"]).__module__ if name == "judge" else module  # of a monitor's own file
+            seen.append(whose + ("" if name in names else f":{name}"))
 
     sys.setprofile(watch)
     try:

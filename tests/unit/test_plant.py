@@ -2,8 +2,6 @@
 
 import hashlib
 import math
-import subprocess
-import sys
 from dataclasses import fields, replace
 from typing import Literal
 
@@ -302,12 +300,3 @@ def test_impossible_flights_are_refused_in_one_line(config: dict[str, str | int 
     with pytest.raises(UsageError, match=said) as caught:
         Plant(PlantConfig(**config))  # type: ignore[arg-type]  # the table mixes the types of several fields
     assert "\n" not in str(caught.value)
-
-
-def test_without_numba_the_plant_imports_and_says_what_to_install() -> None:
-    code = (
-        "import sys; sys.modules['numba'] = None; from sitl_plant.plant import Plant, PlantConfig; Plant(PlantConfig())"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    last = result.stderr.splitlines()[-1]
-    assert last.startswith("mavdiag.errors.UsageError: the plant needs numba, which is not installed: pip install ")

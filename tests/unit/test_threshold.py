@@ -12,7 +12,7 @@ from made_thresholds import calibrated
 from mavdiag.errors import IdentificationError, UsageError
 from mavdiag.monitors.base import Rows
 from mavdiag.monitors.vibration_level import VibrationLevel, VibrationLevelSpec
-from mavdiag.testing import example_context, example_rows
+from mavdiag.testing import example_context, example_rows, rows_between
 from mavdiag.thresholds.heldout import Flights, Scores, folds, held_out_scores, score
 from mavdiag.thresholds.rule import (
     Guard,
@@ -119,7 +119,7 @@ def test_b4_blocks_do_not_depend_on_chunks_and_run_through_segments() -> None:
         chunks = []
         for rows in (one, other):
             edges = [0, *sorted(rng.integers(0, len(rows.block), 20).tolist()), len(rows.block)]
-            chunks += [Rows(rows.block.rows(a, b), rows.rates) for a, b in itertools.pairwise(edges) if b > a]
+            chunks += [rows_between(rows, a, b) for a, b in itertools.pairwise(edges) if b > a]
         found = score(monitor, chunks)
         np.testing.assert_allclose(found.maxima, expected.maxima, rtol=1e-12)
         np.testing.assert_allclose(found.spans_s, expected.spans_s)
@@ -184,7 +184,7 @@ def test_one_flight_is_scored_piece_by_piece() -> None:
 
 def test_the_pieces_do_not_depend_on_chunks() -> None:
     whole = example_rows(3000, 0.01, vibration=np.ones((3000, 3)))
-    chunks = [Rows(whole.block.rows(i, i + 20), whole.rates) for i in range(0, 3000, 20)]
+    chunks = [rows_between(whole, i, i + 20) for i in range(0, 3000, 20)]
     for (a, b), (c, d) in zip(folds([[whole]]), folds([chunks]), strict=True):
         assert times(a) == times(c)
         assert times(b) == times(d)
