@@ -6,6 +6,7 @@ one line on stderr.
 
 import contextlib
 import os
+import threading
 import time
 from contextlib import ExitStack, closing
 from datetime import datetime
@@ -33,6 +34,7 @@ from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
+from mavdiag.chain import warm
 from mavdiag.inspections import Inspections
 from mavdiag.link.keys import KeptSigning, open_signing
 from mavdiag.link.ports import open_endpoint
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
     from detector.web.feed import Feed
 
 __all__ = ["app", "detect", "main"]
+
+COMPILE_S = 3.0  # of compiling before it is said; to load what was compiled takes half a second (our choice)
 
 app = commandline.application("Watch vehicles over MAVLink for damaged propellers.")
 
@@ -176,6 +180,7 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         notifier = stack.enter_context(closing(Notifier(os.environ)))
         baseline, baselines = _baselines(settings)
         airframe = _airframe(settings)
+        _warm()
         signing = _signing(settings, stack, reset=reset_stamp)
         link = stack.enter_context(open_endpoint(settings.connect))
         behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
@@ -205,6 +210,16 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
             inspections=Inspections(settings.journal, _say),
         )
         daemon.run(stop)
+
+
+def _warm() -> None:
+    """Compile what judges before the first frame comes; say so where it takes long, as after an installation."""
+    late = threading.Timer(COMPILE_S, _say, ["compiling what judges; only the first start after an installation does"])
+    late.start()
+    try:
+        warm()
+    finally:
+        late.cancel()
 
 
 def _signing(settings: Settings, stack: ExitStack, *, reset: bool) -> KeptSigning | None:

@@ -28,15 +28,17 @@ from mavdiag.decision.events import EventSpec
 from mavdiag.decision.grading import known_fault_types
 from mavdiag.errors import BaselineError
 from mavdiag.link.samples import joined
+from mavdiag.link.samples import warm as warm_samples
 from mavdiag.monitors import MONITORS, monitor_of
 from mavdiag.monitors.base import FaultKind, Monitor
-from mavdiag.monitors.columns import columns_of
+from mavdiag.monitors.columns import COVERED, OUTPUTS, SIGNAL, columns_of
 from mavdiag.rows.align import AlignSpec, measure_grid
 from mavdiag.rows.block import Block
 from mavdiag.rows.conditions import Condition
 from mavdiag.rows.front import Front, FrontState, Rows
 from mavdiag.rows.gate import Border
 from mavdiag.rows.grid import LEAST_SAMPLES
+from mavdiag.rows.quality import warm as warm_rows
 from mavdiag.rows.rates import RateSpec
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import Axis, BoolArray, FloatArray, Signal, Telemetry
@@ -377,6 +379,19 @@ def _gauge(slot: Slot, found: Statistic) -> Gauge:
         reference=monitor.reference,
         valid=bool(found.valid[-1]),
     )
+
+
+def warm() -> None:
+    """Compile what judges, or load it from where it is kept, before time counts.
+
+    The first time after an installation it takes some 20 s of processor time, later half a second.
+    """
+    warm_rows()
+    warm_samples()
+    none, nothing = np.zeros(64), np.empty((0, 0))
+    for monitor in MONITORS:
+        x, flags, at = np.empty((OUTPUTS, 0)), np.empty((COVERED + 1, 0)), np.empty(0, dtype=np.int64)
+        monitor.run(none.copy(), none.copy(), x, flags, 0, np.empty((SIGNAL + 1, 0)), nothing, at)
 
 
 def front_of(baseline: Baseline) -> Front:

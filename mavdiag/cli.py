@@ -3,7 +3,7 @@
 from typing import NoReturn
 
 from mavdiag import commandline
-from mavdiag.commands import ack, balance, baseline, history, identify, inspect, model, report, scan, shim, watch
+from mavdiag.commands import ack, balance, baseline, history, identify, inspect, model, report, scan, shim, warm, watch
 from mavdiag.demo import command as demo
 
 app = commandline.application("Find a damaged propeller: learn a healthy airframe, judge its flights by it.", "mavdiag")
@@ -16,6 +16,7 @@ app.command("balance")(balance.balance)
 app.command("inspect")(inspect.inspect)
 app.command("watch")(watch.watch)
 app.command("ack")(ack.ack)
+app.command("warm")(warm.warm)
 app.command("shim")(shim.shim)
 app.add_typer(baseline.app, name="baseline")
 app.add_typer(model.app, name="model")

@@ -42,6 +42,7 @@ from pydantic import BaseModel, ConfigDict
 
 from mavdiag.jit import cached, jit, source_digest
 from mavdiag.rows.running import follow
+from mavdiag.rows.savgol import SavgolFilter
 from mavdiag.rows.windows import forgetting
 from mavdiag.telemetry import BoolArray, FloatArray, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
@@ -446,12 +447,22 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
     measured = n if habit.signal is Signal.BODY_RATE else 0
     runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int32), np.empty(measured), np.empty(measured)
     found = (keep, runs, jitter, resolution)
-    done = _look_at(habit.parameters, figures, counts, series.t_ns, series.values, *found)
+    values = np.require(series.values, requirements=("C", "W"))  # one kind of array, for one compilation
+    done = _look_at(habit.parameters, figures, counts, np.require(series.t_ns, requirements="W"), values, *found)
     after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
     keep[done:] = False
     used = slice(0, done) if np.count_nonzero(keep) == done else keep
     figures_used = used if measured else slice(0, 0)
     return after, Looked(_cut(series, used), runs[used], jitter[figures_used], resolution[figures_used])
+
+
+def warm() -> None:
+    """Compile what looks at samples and filters rows, or load it from where it is kept."""
+    never, values = np.empty(0, dtype=np.int64), np.empty((0, 1))
+    none = np.empty((0, 2), dtype=np.int32)
+    counts, figures = np.zeros(RUNS + 2, dtype=np.int64), np.zeros(COLUMN + 4)
+    _look_at(np.zeros(LEAPS + 3), figures, counts, never, values, np.empty(0, dtype=np.bool_), none, *np.empty((2, 0)))
+    SavgolFilter.smoother(5).batch(np.zeros(8))
 
 
 def _joined(one: Series, other: Series) -> Series:

@@ -157,7 +157,7 @@ class SavgolFilter:
         """
         if block.ndim != 2 or block.shape[1] != len(state.history):
             raise UsageError(f"block of shape {block.shape} does not fit a stream of {len(state.history)} columns")
-        rows = np.concatenate((state.history, block.T), axis=1)
+        rows = np.ascontiguousarray(np.concatenate((state.history, block.T), axis=1))
         known = max(0, rows.shape[1] - self.window + 1)
         out = np.empty((len(rows), known))  # column by column
         if known:
