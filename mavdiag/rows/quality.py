@@ -447,8 +447,9 @@ def look(habit: Habit, memory: Memory | None, series: Series) -> tuple[Memory, L
     measured = n if habit.signal is Signal.BODY_RATE else 0
     runs, jitter, resolution = np.empty((n, 1 + columns), dtype=np.int32), np.empty(measured), np.empty(measured)
     found = (keep, runs, jitter, resolution)
-    values = np.require(series.values, requirements=("C", "W"))  # one kind of array, for one compilation
-    done = _look_at(habit.parameters, figures, counts, np.require(series.t_ns, requirements="W"), values, *found)
+    # one kind of array, for one compilation
+    t_ns, values = (np.require(array, requirements=("C", "W")) for array in (series.t_ns, series.values))
+    done = _look_at(habit.parameters, figures, counts, t_ns, values, *found)
     after = Memory(figures, counts, _cut(series, slice(done, None)) if done < n else None)
     keep[done:] = False
     used = slice(0, done) if np.count_nonzero(keep) == done else keep

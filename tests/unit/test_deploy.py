@@ -50,7 +50,7 @@ def test_the_unit_is_supervised_and_has_no_rights_to_spare() -> None:
     assert float(service["WatchdogSec"][0]) >= 5  # the loop gives a sign of life once a second
     assert service["ExecStart"] == [PROGRAM]
     assert service["ExecStartPre"] == [f"{PROGRAM} --check"]
-    for name in ("DynamicUser", "NoNewPrivileges", "ProtectHome", "RestrictNamespaces", "MemoryDenyWriteExecute"):
+    for name in ("DynamicUser", "NoNewPrivileges", "ProtectHome", "RestrictNamespaces", "RestrictSUIDSGID"):
         assert service[name] == ["yes"], name
     assert service["ProtectSystem"] == ["strict"]
     assert service["CapabilityBoundingSet"] == [""]
