@@ -63,6 +63,20 @@ def lowest(session: nox.Session) -> None:
     """The lowest versions that pyproject.toml allows, in an environment of their own: a core part of the suite."""
     session.install("uv")
     own = ("uv", "pip", "install", "--python", f"{session.bin}/python", "--resolution", "lowest-direct")
-    session.run(*own, "-e", ".[plant,fleet,web,history]", "--group", "test")
+    session.run(*own, "-e", ".[fleet,web,history]", "--group", "test")
     # what the newest indirect requirements say of the oldest direct ones is no fault of ours
     session.run("python", "-m", "pytest", "-W", "ignore::DeprecationWarning", "-m", "not realtime", *CORE)
+
+
+@nox.session
+def results(session: nox.Session) -> None:
+    """Sections of docs/results.md: `nox -s results -- SECTION --shared FOLDER`."""
+    session.run("python", "benchmarks/results.py", *session.posargs)
+
+
+@nox.session(venv_backend="venv")
+def constraints(session: nox.Session) -> None:
+    """constraints.txt, the versions that an installation of the development environment takes, made again."""
+    session.install("uv")
+    groups = ("--group", "test", "--group", "check", "--all-extras", "--universal", "--no-annotate", "--no-header")
+    session.run("uv", "pip", "compile", "pyproject.toml", *groups, "--quiet", "-o", "constraints.txt", *session.posargs)
