@@ -80,3 +80,10 @@ def constraints(session: nox.Session) -> None:
     session.install("uv")
     groups = ("--group", "test", "--group", "check", "--all-extras", "--universal", "--no-annotate", "--no-header")
     session.run("uv", "pip", "compile", "pyproject.toml", *groups, "--quiet", "-o", "constraints.txt", *session.posargs)
+
+
+@nox.session(venv_backend="venv")
+def mutants(session: nox.Session) -> None:
+    """A mutation run over monitors and decision, in an environment of its own."""
+    session.install("cosmic-ray", "-e", ".[history]", "--group", "test", "-c", "constraints.txt")
+    session.run("python", "benchmarks/mutants.py", *session.posargs)
