@@ -66,8 +66,8 @@ def survivors(room: str, count: int, seed: int, folder: Path) -> tuple[int, list
     cosmic_ray("exec", "mutants.toml", session.name)
     with sqlite3.connect(session) as store:
         found = store.execute(
-            "select module_path, start_pos_row, operator_name, test_outcome, diff from mutation_specs join work_results "
-            "using (job_id) order by module_path, start_pos_row"
+            "select module_path, start_pos_row, operator_name, test_outcome, diff "
+            "from mutation_specs join work_results using (job_id) order by module_path, start_pos_row"
         ).fetchall()
     lived = [one for one in found if "SURVIVED" in one[3].upper()]
     return len(found), [
