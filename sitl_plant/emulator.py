@@ -26,7 +26,7 @@ from sitl_plant.autopilot.wire import Forward, Reply
 from sitl_plant.options import FlightPlan
 from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import STEP_NS, Plant, PlantSamples, Renewal
+from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
 EPOCH_US = 1_767_225_600_000_000  # of records, 2026-01-01T00:00:00Z: equal options give equal files
 RECORD_STEPS = 1000
@@ -187,7 +187,7 @@ def obey(plant: Plant, order: PlantOrder) -> None:
             plant.lead(order)
         case Injection():
             plant.inject(order)
-        case Renewal.CLEAR:
+        case "clear":
             plant.clear()
 
 

@@ -18,7 +18,7 @@ from typing import TextIO
 
 from mavdiag.errors import UsageError
 from sitl_plant.physics.faults import Injection, SensorFault
-from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples, Renewal, SteadyWind
+from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples
 
 STATE_EVERY_NS = 1_000_000_000
 
@@ -82,16 +82,12 @@ class Truth:
         return lines
 
     def _change(self, change: Change) -> list[str]:
-        match change.what:
-            case Injection() as cause:
-                self._causes.append(cause)
-                return []
-            case SteadyWind(speed, towards):
-                return [self._line("wind", change.t_ns, {"wind_m_s": speed, "wind_towards_rad": towards})]
-            case Renewal() as renewal:
-                if renewal is Renewal.CLEAR:
-                    self._causes.clear()
-                return [self._line(renewal, change.t_ns, {})]
+        if isinstance(change.what, Injection):
+            self._causes.append(change.what)
+            return []
+        if change.what == "clear":
+            self._causes.clear()
+        return [self._line(change.what, change.t_ns, dict(change.values))]
 
     def _onset(self, t_ns: int, cause: Injection) -> str:
         rotor = None if isinstance(cause.cause, SensorFault) else cause.rotor

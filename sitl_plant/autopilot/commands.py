@@ -13,7 +13,7 @@ it turn at nine tenths of its speed.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
@@ -25,7 +25,7 @@ from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
 from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of, target
 from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
+from sitl_plant.plant import PlantConfig, PlantSamples
 
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
@@ -51,7 +51,7 @@ _MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
 # FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
 ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17
 
-PlantOrder: TypeAlias = Leg | Injection | Renewal
+PlantOrder: TypeAlias = Leg | Injection | Literal["clear"]
 """What the plant is to do: be led, take a cause, be made as new."""
 
 _Answer: TypeAlias = tuple[MavResult, list[Action]]
@@ -206,7 +206,7 @@ class Autopilot:
             elif kind != OK:
                 name, damage = _MOTORS[kind]
                 self._failures[motor] = Injection(damage, motor, name=name)
-        self._orders += [Renewal.CLEAR, *self._failures.values()]
+        self._orders += ["clear", *self._failures.values()]
         return MavResult.ACCEPTED, []
 
     def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
