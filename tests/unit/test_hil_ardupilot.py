@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sitl_plant.hil.ardupilot import Lockstep, servo_frame
-from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
+from sitl_plant.hil.simulation import Simulation, output_map
 from sitl_plant.physics.faults import Injection, fault_injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import vehicle_named
@@ -19,7 +19,7 @@ OFF, HOVER, CLIMB = [1000] * 4, [1520] * 4, [1600] * 4
 
 
 def lockstep(*faults: Injection, **options: float) -> tuple[Lockstep, Simulation]:
-    simulation = Simulation(HilPlan(PlantConfig(seed=3, **options), faults))  # type: ignore[arg-type]
+    simulation = Simulation(PlantConfig(seed=3, **options), faults)  # type: ignore[arg-type]
     return Lockstep(simulation, output_map(simulation.config.vehicle, "ardupilot")), simulation
 
 

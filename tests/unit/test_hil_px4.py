@@ -10,7 +10,7 @@ from hil_bytes import controls_bytes, frames_in, mavlink_bytes, x25
 
 from mavdiag.link.codec import Decoder
 from sitl_plant.hil.px4 import WANTED, Bridge
-from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
+from sitl_plant.hil.simulation import Simulation, output_map
 from sitl_plant.plant import PlantConfig
 
 RATE_HZ = 250
@@ -18,7 +18,7 @@ HOME = (47.397742, 8.545594)
 
 
 def bridge() -> Bridge:
-    simulation = Simulation(HilPlan(PlantConfig(seed=3)))
+    simulation = Simulation(PlantConfig(seed=3))
     return Bridge(simulation, output_map(simulation.config.vehicle, "px4"), RATE_HZ)
 
 

@@ -22,8 +22,8 @@ from sitl_plant.physics.airframe import (
     in_session_number,
     with_propellers,
 )
+from sitl_plant.physics.kernel import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
-from sitl_plant.physics.streams import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import qdrone2

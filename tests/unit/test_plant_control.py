@@ -112,9 +112,8 @@ def gains() -> Controller:
 
 
 def fresh() -> ControlState:
-    return ControlState(
-        np.array([0.0, 0.0, -WEIGHT, 0.0]), np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(4), np.zeros(1)
-    )
+    z = np.zeros
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1), z(4), z(3), z(4))
 
 
 def ask(
@@ -129,7 +128,8 @@ def ask(
 ) -> FloatArray:
     reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0, motors])
     for _ in range(steps):
-        control(state, gains(), reference, np.array([0.0, 0.0, 0.0, yaw]), np.zeros(3), np.array(estimate), 0.001)
+        pose = np.array([0.0, 0.0, 0.0, yaw])
+        control(state, gains(), reference, pose, np.zeros(3), estimate[5], np.array(estimate), 15.0, 0.001)
     return state.duty
 
 
@@ -219,7 +219,8 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
     """A vehicle that is led to land keeps flying until it stands."""
     state = fresh()
     reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
-    control(state, gains(), reference, np.array([0.0, 0.0, -height, 0.0]), np.zeros(3), np.zeros(9), 0.001)
+    pose = np.array([0.0, 0.0, -height, 0.0])
+    control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), 15.0, 0.001)
     assert state.motors[0] == armed
     if duty is not None:
         np.testing.assert_array_equal(state.duty, duty)
