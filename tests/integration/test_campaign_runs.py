@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from page_reading import check
 
-from mavdiag.archive.cluster import dask_executor
 from mavdiag.archive.pool import TaskExecutor
 from mavdiag.baseline import Baseline
-from mavdiag.errors import UsageError
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
 from mavdiag.report.campaign import read_campaign
@@ -29,7 +27,6 @@ from sitl_plant.campaign import worker
 from sitl_plant.campaign.plan import Design, make_plan
 from sitl_plant.campaign.summary import summarise
 from sitl_plant.campaign.worker import Journal, Results, local_executor, run_campaign, source_key
-from sitl_plant.vehicle import qdrone2
 
 TINY = Design(
     seed=4, airframes=1, learn_flights=2, learn="square", flights=3, hours=0.003, duration_s=12.0,
@@ -185,23 +182,6 @@ def test_conditions_are_flown_judged_and_told(tmp_path: Path, monkeypatch: pytes
     assert (again.reused, again.flights) == (5, results.flights)
 
 
-def test_flights_of_one_session_share_its_draw() -> None:
-    airframe = worker.specimen(0, 1, True, qdrone2())
-    days = [worker._on_the_day(0, airframe, 1, session, "sessions")[0] for session in (0, 1, 1, 2)]
-    assert days[0] is airframe
-    assert days[1].gyro_bias.tolist() == days[2].gyro_bias.tolist() != days[3].gyro_bias.tolist()
-    worn = [worker._on_the_day(0, airframe, 1, session, "wear")[1] for session in (1, 2)]
-    assert worn[0] is not None
-    assert worn[1] is not None
-    assert worn[0].loss_per_h == worn[1].loss_per_h  # of the airframe
-    assert worn[0].hours != worn[1].hours  # of the day
-
-
-def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="choose another --output"):
-        Journal(tmp_path)
-
-
 def test_b14_a_retrained_classifier_makes_another_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("mavdiag", "sitl_plant"):
         shutil.copytree(str(resources.files(package)), tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -223,12 +203,6 @@ def test_b13_fresh_keeps_the_results_if_the_scheduler_cannot_be_used(
     code, _, _ = sitl_plant(["campaign", "-o", str(path), "--fresh", "--scheduler", "tcp://h:1"], monkeypatch, capsys)
     assert code == 2
     assert path.read_text() == "a result\n"
-
-
-def test_dask_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
-    with pytest.raises(UsageError, match=r"pip install .mavdiag\[fleet\]"), dask_executor("tcp://127.0.0.1:1"):
-        pass
 
 
 def sitl_plant(

@@ -85,14 +85,6 @@ def test_direct_telemetry_of_a_hexarotor_is_that_of_the_wire() -> None:
             np.testing.assert_allclose(direct.need(signal).values[-len(theirs) :], theirs, rtol=0.0, atol=ROUNDING)
 
 
-def test_l1_the_yaw_set_point_wraps_on_the_wire_and_the_nose_turns() -> None:
-    config = PlantConfig(trajectory="circle", nose="path", speed_m_s=1.0)
-    yaw = telemetry_of(frames_of(config, "px4", 100.0, 7.0), "px4").need(Signal.ATTITUDE_SETPOINT).values[:, 2]
-    assert np.abs(np.diff(yaw)).max() > 6.0
-    assert np.abs(yaw).max() <= np.pi
-    assert np.ptp(np.unwrap(yaw)) == pytest.approx(14.0, abs=0.1)  # 2 rad/s
-
-
 def test_a_take_off_is_told_as_it_is() -> None:
     plan = flight_plan(takeoff=True, duration=24.0, profile="ardupilot")
     frames = frames_of(plan.config, "ardupilot", 100.0, 24.0)

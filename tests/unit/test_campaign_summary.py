@@ -35,11 +35,6 @@ def test_the_rate_has_the_exact_poisson_interval(count: int) -> None:
         assert found.low == 0.0
 
 
-def test_nothing_seen_tells_nothing() -> None:
-    assert (wilson(0, 0).low, wilson(0, 0).high) == (0.0, 1.0)
-    assert poisson_rate(0, 0.0).high is None
-
-
 def line(
     index: int,
     cause: str,
@@ -179,37 +174,6 @@ def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
     assert (found[0.5]["flights"], found[0.5]["detected"].hits, found[0.5]["detected"].of) == (3, 2, 2)
     assert (found[0.5]["declared"].hits, found[1.0]["detected"].hits, found[1.0]["detected"].of) == (1, 0, 1)
     assert calm["detection"] == []
-
-
-def test_all_conditions_together_have_a_row() -> None:
-    summary = summarise(in_conditions())
-    (calm, wind), every = summary["conditions"], summary["every"]
-    assert every["condition"] == "all"
-    assert every["flown_h"] == pytest.approx(calm["flown_h"] + wind["flown_h"])
-    assert every["judged_h"] == pytest.approx(calm["judged_h"] + wind["judged_h"])
-    assert (every["alarms"].count, every["faults"].count) == (2, 1)
-    assert every["faults"].high == pytest.approx(poisson_rate(1, every["judged_h"]).high)
-    assert (every["flagged"].hits, every["flagged"].of) == (1, 13)
-    assert every["detection"] == wind["detection"]
-
-
-def test_each_monitor_tells_what_it_judged_in_each_condition() -> None:
-    own = (MonitorResult("latency", 1, 0, None, 30.0), MonitorResult("other", 0, 0, None, 0.0))
-    flights = (flown(0, "wind-5", monitors=own), flown(1, "wind-5", monitors=()))
-    (row,) = summarise(Results(PLAN, (), flights, 0, 0))["conditions"]
-    latency, other = row["monitors"]
-    assert (latency["name"], latency["rate"].count) == ("latency", 1)
-    assert latency["judged_share"] == pytest.approx(30 / 120)
-    assert latency["rate"].hours == pytest.approx(30 / 3600)
-    assert (other["judged_share"], other["rate"].high) == (0.0, None)
-
-
-def test_the_tables_of_conditions_print(capsys: pytest.CaptureFixture[str]) -> None:
-    print_summary(summarise(in_conditions()))
-    shown = capsys.readouterr().out
-    for text in ("wind-2", "Healthy flight by condition", "Healthy flight by monitor", "2/2, 1/2"):
-        assert text in shown
-    assert shown.count("│ all  ") == 5  # in the three tables of conditions, and those of alarms and faults
 
 
 def test_no_column_is_cut_where_the_output_is_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,18 +27,6 @@ def test_injected_in_flight_is_as_configured_before_it() -> None:
     np.testing.assert_array_equal(np.vstack([before.gyro, after.gyro]), configured.gyro)
 
 
-def test_a_past_onset_means_now_and_a_coming_one_waits() -> None:
-    healthy = Plant(HOVER).advance(900)
-    plant = Plant(HOVER)
-    plant.advance(500)
-    plant.inject(fault_injection("F3/SV3", 3, onset_s=0.7))
-    np.testing.assert_array_equal(plant.advance(200).gyro, healthy.gyro[500:700])
-    plant.inject(fault_injection("F1/SV1", 1, onset_s=0.1))
-    assert not np.array_equal(plant.advance(200).gyro, healthy.gyro[700:900])
-    noted = [change.what for change in plant.take_changes()]
-    assert [one.onset_s for one in noted if isinstance(one, Injection)] == pytest.approx([0.7, 0.7])
-
-
 @pytest.mark.parametrize("name", ["qdrone2", "qdrone2-recorded"])
 def test_cleared_is_healthy_again(name: str) -> None:
     """A hover with one rotor at 0.85 takes a higher duty there; cleared, all are alike again, and the gyro reads 0."""
@@ -84,11 +72,6 @@ def test_what_cannot_be_injected_is_refused_and_not_noted(injection: Injection, 
     with pytest.raises(UsageError, match=says):
         plant.inject(injection)
     assert plant.take_changes() == ()
-
-
-def test_a_wind_of_no_number_is_refused() -> None:
-    with pytest.raises(UsageError, match="finite"):
-        Plant(HOVER).set_wind(math.nan)
 
 
 def test_the_truth_has_every_change_with_its_time() -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,28 +62,6 @@ def test_gravity_gives_roll_and_pitch(roll: float, pitch: float) -> None:
     np.testing.assert_allclose(tilt_from_accel(*reading[3:]), [roll, pitch], atol=1e-9)
 
 
-def test_weightless_sensor_has_no_direction() -> None:
-    """T Eq 2.30: below epsilon the vector is replaced by level."""
-    assert tilt_from_accel(1e-5, 0.0, 0.0) == (0.0, 0.0)
-
-
-def test_static_tilt_is_found_with_the_time_constant_of_the_filter() -> None:
-    """From level, the estimate goes as 1 - exp(-t / tau)."""
-    tau = 2.0
-    estimate = run(resting(0.2, -0.1), 3.0, estimator(tau), yaw=0.3)
-    share = 1 - math.exp(-3.0 / tau)
-    np.testing.assert_allclose(estimate[:3], [0.2 * share, -0.1 * share, 0.3 * share], rtol=2e-3)
-    np.testing.assert_allclose(estimate[3:], 0.0, atol=1e-12)
-
-
-def test_short_turn_is_followed_by_the_gyro() -> None:
-    reading = resting(0.0, 0.0)
-    reading[0] = 0.5
-    estimate = run(reading, 0.4, estimator(1e6))
-    delay = math.sqrt(2) / (2 * math.pi * 60.0) - 0.5 * DT  # of the low-pass, less half a step of the integration
-    assert estimate[0] == pytest.approx(0.5 * (0.4 - delay), rel=1e-5)
-
-
 def test_rate_filter_is_a_second_order_butterworth_step() -> None:
     """1 - exp(-a t) (cos a t + sin a t), a = w / sqrt 2; the acceleration state is its slope."""
     reading = resting(0.0, 0.0)
@@ -139,34 +118,18 @@ def forces(duty: FloatArray) -> FloatArray:
     return np.asarray(3.364e-6 * (full_speed * duty) ** 2)
 
 
-def test_at_rest_it_carries_the_weight_equally() -> None:
-    np.testing.assert_allclose(forces(ask(fresh())), WEIGHT / 4, rtol=1e-9)
-
-
-def test_target_ahead_pushes_the_rear_rotors_more() -> None:
-    """Rotors 1 and 3 are the rear ones: the nose must go down (T Eq 2.3, 2.27)."""
-    state = fresh()
-    f = forces(ask(state, target=(0.2, 0.0, 0.0)))
-    assert state.setpoint[1] == pytest.approx(-0.5 * 0.2, rel=0.01)
-    assert min(f[0], f[2]) > max(f[1], f[3])
-
-
-def test_target_to_the_right_pushes_the_left_rotors_more() -> None:
-    """Rotors 3 and 4 are the left ones: the right side must go down (T Eq 2.2, 2.26)."""
-    state = fresh()
-    f = forces(ask(state, target=(0.0, 0.2, 0.0)))
-    assert state.setpoint[0] == pytest.approx(0.5 * 0.2, rel=0.01)
-    assert min(f[2], f[3]) > max(f[0], f[1])
-
-
-def test_target_above_needs_more_thrust() -> None:
-    assert forces(ask(fresh(), target=(0.0, 0.0, -0.2))).sum() == pytest.approx(WEIGHT + 14 * 0.2, rel=0.01)
-
-
-def test_turn_to_the_right_speeds_up_what_turns_left() -> None:
-    """Rotors 2 and 3 turn counter-clockwise; their drag turns the body clockwise, to the right."""
-    f = forces(ask(fresh(), target_yaw=0.5))
-    assert min(f[1], f[2]) > max(f[0], f[3])
+@pytest.mark.parametrize(
+    ("asked", "more", "less"),
+    [
+        ({"target": (0.2, 0.0, 0.0)}, [0, 2], [1, 3]),  # ahead: the rear rotors push more (T Eq 2.3, 2.27)
+        ({"target": (0.0, 0.2, 0.0)}, [2, 3], [0, 1]),  # to the right: the left ones (T Eq 2.2, 2.26)
+        ({"target_yaw": 0.5}, [1, 2], [0, 3]),  # turned right: those whose drag turns the body clockwise
+    ],
+)
+def test_the_rotors_that_lead_to_the_target_push_more(asked: dict[str, Any], more: list[int], less: list[int]) -> None:
+    f = forces(ask(fresh(), **asked))
+    assert f[more].min() > f[less].max()
+    assert f.sum() == pytest.approx(WEIGHT, rel=1e-3)
 
 
 def test_errors_are_turned_into_the_vehicle_axes() -> None:
@@ -238,24 +201,6 @@ def test_second_order_filter_is_the_exponential_of_its_matrix(wn: float, zeta: f
 
     exact = expm(np.array([[0.0, 1.0], [-wn * wn, -2 * zeta * wn]]) * 0.001)
     np.testing.assert_allclose(np.reshape(second_order(wn, zeta, 0.001), (2, 2)), exact, rtol=1e-12, atol=1e-15)
-
-
-def test_feedback_filter_delays_by_what_was_measured() -> None:
-    """wn 120 rad/s, zeta 1: -3 dB at 12.3 Hz and 2 zeta / wn = 16.7 ms at low frequency."""
-    f11, f12, f21, f22 = second_order(120.0, 1.0, 0.001)
-    y, slope, w = 0.0, 0.0, 2 * math.pi * 12.3
-    out = []
-    for k in range(2000):
-        u = math.sin(w * k * 0.001)
-        y, slope = u + f11 * (y - u) + f12 * slope, f21 * (y - u) + f22 * slope
-        out.append(y)
-    assert max(out[-400:]) == pytest.approx(1 / math.sqrt(2), rel=0.02)
-    y, slope = 0.0, 0.0
-    for k in range(2000):  # a ramp is followed late by 16.7 ms, and the slope is the ramp's
-        u = k * 0.001
-        y, slope = u + f11 * (y - u) + f12 * slope, f21 * (y - u) + f22 * slope
-    assert 1.999 - y == pytest.approx(0.0167, abs=0.0006)
-    assert slope == pytest.approx(1.0, rel=2e-3)  # at the end of each held input
 
 
 def test_the_motor_map_is_the_printed_one_and_is_inverted() -> None:

@@ -56,21 +56,6 @@ def test_before_the_start_it_hovers_at_the_first_point() -> None:
         np.testing.assert_array_equal(waiting[3:6], 0.0)
 
 
-def test_circle_and_figure8_have_the_size_asked_for() -> None:
-    for shape in (Shape.CIRCLE, Shape.FIGURE8):
-        track = np.array([at(path(shape, 2.0, 0.5, 0.0, 1.0), t)[:2] for t in np.arange(0.0, 20.0, 0.01)])
-        assert np.ptp(track[:, 0]) == pytest.approx(2.0, abs=1e-3)
-    crossing = at(path(Shape.FIGURE8, 2.0, 0.5, 0.0, 1.0), 0.0)
-    assert np.linalg.norm(crossing[3:5]) == pytest.approx(0.5)
-
-
-def test_heading_turns_the_path_and_the_nose() -> None:
-    east = at(path(Shape.SQUARE, 1.0, 0.5, math.pi / 2, 1.0), 1.0)
-    np.testing.assert_allclose(east[:2], [0.0, 0.5], atol=1e-12)
-    np.testing.assert_allclose(east[3:5], [0.0, 0.5], atol=1e-12)
-    assert east[6] == pytest.approx(math.pi / 2)
-
-
 @pytest.mark.parametrize("nose", list(Nose))
 @pytest.mark.parametrize("shape", list(Shape))
 def test_yaw_rate_is_the_slope_of_yaw_which_stays_within_pi(shape: Shape, nose: Nose) -> None:
@@ -124,10 +109,6 @@ def ends(shape: Shape, count: int) -> FloatArray:
     return np.asarray(flown(shape, 10.0 * count + 0.1)[999::1000][:count])
 
 
-def test_there_are_five_at_two_speeds() -> None:
-    assert sorted(shape.recorded or (0, 0) for shape in RECORDED) == [(t, sp) for t in range(1, 6) for sp in (1, 2)]
-
-
 @pytest.mark.parametrize("level", [1, 2])
 def test_each_goes_where_the_recordings_go(level: int) -> None:
     diagonals = ends(Shape(f"t1-sp{level}"), 6)[:, :2]
@@ -151,22 +132,6 @@ def test_the_limiter_holds_and_rates_are_slopes(shape: Shape) -> None:
     np.testing.assert_allclose(slope[steady], rows[:-1][steady, 3:6], atol=1e-9)
     np.testing.assert_allclose(nose[steady], rows[:-1][steady, 7], atol=1e-9)
     assert np.all(rows[:, 8] == FLYING)
-
-
-@pytest.mark.parametrize("shape", [Shape.T2_SP1, Shape.T3_SP2])
-def test_take_off_reaches_the_first_point_and_landing_begins_where_the_path_is(shape: Shape) -> None:
-    one = path(shape, 1.0, 0.5, 0.0, 1.0, takeoff=True, land_s=50.0, ground_s=(3.3, 10.5))
-    out, first = np.empty(REFERENCE), np.empty(REFERENCE)
-    assert one.start == pytest.approx(10.5 + (0.2 if shape is Shape.T3_SP2 else 1.0) / 0.5 + 2.0)
-    reference(one, one.start, first)
-    for t, motors in ((3.2, 0.0), (3.4, 1.0), (10.4, 1.0), (10.6, 2.0)):
-        reference(one, t, out)
-        assert out[8] == motors
-        np.testing.assert_array_equal(out[:2], first[:2])
-    before, after = np.empty(REFERENCE), np.empty(REFERENCE)
-    reference(one, 50.0 - 1e-6, before)
-    reference(one, 50.0, after)
-    np.testing.assert_allclose(after[:3], before[:3], atol=1e-5)
 
 
 def test_a_flight_that_is_too_short_is_refused_by_its_own_heights() -> None:
