@@ -13,14 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from page_reading import check
 
 from mavdiag.archive.pool import TaskExecutor
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, judge_in_full
 from mavdiag.learning import learn
-from mavdiag.report.campaign import read_campaign
-from mavdiag.report.page import campaign_page
 from mavdiag.telemetry import Log
 from sitl_plant.__main__ import main
 from sitl_plant.campaign import worker
@@ -81,19 +78,6 @@ def test_flights_come_out_as_flown(finished: tuple[Path, Results]) -> None:
     assert gone.latency_s is not None
     assert gone.latency_s > 0.0
     assert summarise(results)["flights"] == 4
-
-
-def test_a_report_draws_the_results(finished: tuple[Path, Results]) -> None:
-    path, results = finished
-    campaign = read_campaign(path)
-    assert [one.key for one in campaign.flights] == [one.key for one in results.flights]
-    page = check(campaign_page(campaign, str(path), "now"))
-    assert "Of 1 judged flights with a damaged propeller 1 had an alarm" in page.said
-    for flight in results.flights:
-        assert flight.score_after is None or flight.onset_s is not None
-        found = [one for one in flight.monitors if one.name not in NOT_OF_PROPELLERS]
-        alarmed = any(one.before for one in found), any(one.after for one in found)
-        assert tuple((score or 0.0) > 1 for score in (flight.score_before, flight.score_after)) == alarmed
 
 
 def test_one_and_two_worker_processes_give_the_same_numbers(finished: tuple[Path, Results], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ import math
 from collections import Counter
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from mavdiag.errors import UsageError
@@ -18,17 +17,13 @@ from sitl_plant.campaign.plan import (
     Conditions,
     Design,
     FlightTask,
-    Group,
     LearnTask,
     built,
     causes_named,
-    injections_of,
     make_plan,
     task_sequence,
     with_conditions,
 )
-from sitl_plant.physics.faults import RotorDamage, SensorFault
-from sitl_plant.plant import PlantConfig
 from sitl_plant.vehicle import qdrone2, vehicle_named
 
 
@@ -57,14 +52,6 @@ def test_seeds_follow_from_what_is_flown() -> None:
     assert words(0, flight) == words(0, replace(flight, phenomenology=0.25, loss=0.1))
     assert words(0, flight) != words(1, flight)
     assert words(0, flight) != words(0, replace(flight, rotor=flight.rotor % 4 + 1))
-
-
-@pytest.mark.parametrize("name", CAUSES)
-def test_every_cause_can_be_injected_from_its_onset_on(name: str) -> None:
-    (injection,) = injections_of(name, 3, 5.0, 1.0, np.random.default_rng(1))
-    assert (injection.rotor, injection.onset_s) == (3, 5.0)
-    assert isinstance(injection.cause, SensorFault if CAUSES[name].group is Group.SENSOR else RotorDamage)
-    PlantConfig(injections=(injection,))
 
 
 def test_conditions_replace_levels() -> None:

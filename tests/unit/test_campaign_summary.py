@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, poisson
 
-from mavdiag.monitors import BY_NAME
 from sitl_plant.campaign.plan import Conditions, Design, Plan
 from sitl_plant.campaign.summary import poisson as poisson_rate
 from sitl_plant.campaign.summary import print_summary, summarise, wilson
@@ -174,18 +173,6 @@ def test_each_condition_tells_its_hours_alarms_and_detections() -> None:
     assert (found[0.5]["flights"], found[0.5]["detected"].hits, found[0.5]["detected"].of) == (3, 2, 2)
     assert (found[0.5]["declared"].hits, found[1.0]["detected"].hits, found[1.0]["detected"].of) == (1, 0, 1)
     assert calm["detection"] == []
-
-
-def test_no_column_is_cut_where_the_output_is_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
-    own = tuple(MonitorResult(name, 0, 0, None, 30.0) for name in BY_NAME)
-    flights = (flown(0, "propellers-1", monitors=own), flown(1, "turbulence-5", monitors=own))
-    print_summary(summarise(Results(PLAN, (), flights, 0, 0)))
-    shown = capsys.readouterr().out
-    heading = next(line for line in shown.splitlines() if all(name in line for name in BY_NAME))
-    assert "condition" in heading
-    assert "│ propellers-1 " in shown
-    assert "…" not in shown
-    assert max(map(len, shown.splitlines())) < 250  # a table is as wide as it must be
 
 
 def test_the_tables_print(capsys: pytest.CaptureFixture[str]) -> None:

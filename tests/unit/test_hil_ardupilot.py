@@ -88,27 +88,6 @@ def test_a_smaller_count_is_a_restarted_autopilot_and_the_plant_stands_on_the_gr
     assert low["position"][2] == pytest.approx(0.001, abs=0.002)
 
 
-FOREIGN = {
-    "empty": b"",
-    "short": servo_bytes(1, OFF)[:-1],
-    "long": servo_bytes(1, OFF) + b"\0",
-    "another magic": servo_bytes(1, OFF, magic=18459),
-    "32 channels with the magic of 16": servo_bytes(1, OFF, channels=32, magic=18458),
-    "no rate": servo_bytes(1, OFF, rate_hz=0),
-    "MAVLink": bytes.fromhex("fd0900000001010000000000000002030c510303"),
-}
-
-
-@pytest.mark.parametrize("data", FOREIGN.values(), ids=FOREIGN.keys())
-def test_what_is_no_servo_frame_is_counted_and_ignored(data: bytes) -> None:
-    link, simulation = lockstep()
-    link.feed(servo_bytes(7, OFF), "a", 0.0)
-    t_s = simulation.t_s
-    assert link.feed(data, "b", 0.0) is None
-    assert (link.counts.foreign, simulation.t_s) == (1, t_s)
-    assert link.feed(servo_bytes(8, OFF), "a", 0.0) is not None
-
-
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=100))
 def test_no_datagram_raises(data: bytes) -> None:

@@ -1,6 +1,5 @@
 """PX4's simulator messages by their bytes: what is sent, how often, and what the controls do."""
 
-import math
 from collections import Counter
 from itertools import chain
 
@@ -78,15 +77,6 @@ def test_controls_turn_the_motors_only_if_armed() -> None:
     assert rows[-1][10] > 488_010
 
 
-def test_px4_asks_for_the_truth_at_another_rate() -> None:
-    link = bridge()
-    hear(link, mavlink_bytes(76, 115.0, 8e3, 0, 0, 0, 0, 0, 511, 0, 0, 0))
-    assert Counter(msgid for msgid, _ in sent(link, RATE_HZ))[115] == pytest.approx(125, abs=2)
-    hear(link, mavlink_bytes(76, 115.0, -1.0, 0, 0, 0, 0, 0, 511, 0, 0, 0))
-    hear(link, mavlink_bytes(76, 27.0, 1e3, 0, 0, 0, 0, 0, 511, 0, 0, 0))
-    assert Counter(msgid for msgid, _ in sent(link, RATE_HZ))[115] == pytest.approx(125, abs=2)
-
-
 @pytest.mark.parametrize(
     ("kind", "autopilot", "base_mode", "in_hil"),
     [(18, 8, 0, None), (2, 12, 81, False), (2, 12, 81 | 32, True)],
@@ -96,13 +86,6 @@ def test_a_heartbeat_tells_of_hil_mode(kind: int, autopilot: int, base_mode: int
     link = bridge()
     hear(link, mavlink_bytes(0, 0, kind, autopilot, base_mode, 4, 3))
     assert link.in_hil is in_hil
-
-
-def test_outputs_that_are_no_numbers_stand_still() -> None:
-    link = bridge()
-    hear(link, controls_bytes(0, [math.nan, math.inf, -math.inf, 1e30]))
-    link.advance()
-    assert link.simulation.now.duty[0].tolist() == [1.0, 0.0, 1.0, 0.0]  # rotors 2, 3, 4, 1 at outputs 1 to 4
 
 
 def test_a_restarted_autopilot_finds_the_vehicle_on_the_ground() -> None:

@@ -1,7 +1,6 @@
 """One specimen: sessions, propellers, wear; a payload taken up and dropped in flight."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from sitl_plant.physics.airframe import (
     NO_PAYLOAD,
     Payload,
     PickUp,
-    Wear,
     drone,
     in_session_number,
     with_propellers,
@@ -49,22 +47,6 @@ def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
     assert in_session_number(DRONE, 1, 0.01).thrust_coefficient_n_s2.tolist() != first.thrust_coefficient_n_s2.tolist()
     with pytest.raises(UsageError, match="session must be zero or more"):
         in_session_number(DRONE, -1)
-
-
-def test_wear_takes_thrust_in_proportion_to_the_hours() -> None:
-    """In hover all rotors turn faster by 1 / sqrt(1 - loss)."""
-    hover = PlantConfig(trajectory="hover", airframe=quiet_airframe())
-    new = fly(hover, 5.0)
-    worn = fly(replace(hover, wear=Wear((0.002,) * 4, 10.0)), 5.0)
-    ratio = worn.rotor_speed[-1].mean() / new.rotor_speed[-1].mean()
-    assert ratio == pytest.approx(1 / math.sqrt(1 - 0.02), rel=1e-4)
-    fast = fly(replace(hover, wear=Wear((1.0,) * 4, 0.0)), 36.0)
-    ratio = fast.rotor_speed[-1].mean() / new.rotor_speed[-1].mean()
-    assert ratio == pytest.approx(1 / math.sqrt(1 - 0.01), rel=1e-3)  # 36 s at 100 % an hour
-    with pytest.raises(UsageError, match="wear needs"):
-        Wear((-0.1,) * 4)
-    with pytest.raises(UsageError, match="each of 4 rotors"):
-        PlantConfig(wear=Wear((0.1,) * 3))
 
 
 def test_outages_are_a_poisson_process_of_uniform_lengths() -> None:

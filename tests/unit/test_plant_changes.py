@@ -10,7 +10,7 @@ from plant_cases import quiet_airframe
 from mavdiag.errors import UsageError
 from sitl_plant.physics.airframe import drone
 from sitl_plant.physics.faults import Injection, RotorDamage, SensorFault, fault_injection
-from sitl_plant.plant import Change, Plant, PlantConfig
+from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.truth import Truth
 from sitl_plant.vehicle import vehicle_named
 
@@ -100,10 +100,3 @@ def test_the_truth_has_every_change_with_its_time() -> None:
     assert found[1]["cause"]["sensor"] == "accel"
     assert found[0]["wind_m_s"] == 2.0
     assert found[2]["unix_ns"] == 10**18 + 750_000_000
-
-
-def test_the_last_changes_are_kept_if_nobody_takes_them() -> None:
-    plant = Plant(HOVER)
-    for _ in range(1001):
-        plant.renew_battery()
-    assert plant.take_changes() == (Change(0, "battery"),) * 1000

@@ -40,26 +40,6 @@ def test_unbalance_is_what_the_thesis_prints(code: str) -> None:
         assert sum(mass * distance for mass, distance in parts) == pytest.approx(2.970)
 
 
-def test_phenomenology_scales_only_the_fitted_terms() -> None:
-    fault = parse_fault("F2/SV3")
-    full, half, none = fault.damage(1.0), fault.damage(0.5), fault.damage(0.0)
-    assert (none.fluctuation_rms, none.thrust_lag_s) == (0.0, 0.0)
-    assert half.fluctuation_rms == pytest.approx(full.fluctuation_rms / 2)
-    assert half.thrust_lag_s == pytest.approx(full.thrust_lag_s / 2)
-    for damage in (full, half, none):
-        assert damage.unbalance_g_mm == 2.64
-        assert damage.thrust_factor == pytest.approx(0.988)
-        assert damage.drag_factor == pytest.approx(1.03)
-    for wrong in (-0.1, 1.1, float("nan")):
-        with pytest.raises(UsageError, match="phenomenology"):
-            fault.damage(wrong)
-
-
-@pytest.mark.parametrize("code", ["F2/SV2", "f2/sv2", " F2-SV2 ", "F2\\SV2", "F2SV2"])
-def test_codes_are_read_in_the_ways_people_write_them(code: str) -> None:
-    assert parse_fault(code).code == "F2/SV2"
-
-
 @given(st.text(max_size=12))
 def test_other_text_is_refused_in_one_line(text: str) -> None:
     message = "F2/SV2"

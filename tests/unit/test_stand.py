@@ -7,14 +7,14 @@ import pytest
 
 from mavdiag.airframe.balance import unbalance_force_n
 from mavdiag.errors import UsageError
-from sitl_plant.stand import Peak, Propeller, Stand, fit_scale, peak_of, stand_run, stand_test
+from sitl_plant.stand import Peak, Stand, fit_scale, peak_of, stand_run, stand_test
 
 QUIET = Stand(noise_rms_m_s2=0.0, second_m_s2=0.0, wander_rms=0.0)
 SEEDS = range(5)
 
 
 def peak(stand: Stand, unbalance: float, rpm: float = 5000.0, seed: int = 0) -> Peak:
-    accel = stand_run(stand, Propeller("p", unbalance), rpm, np.random.default_rng(seed))
+    accel = stand_run(stand, unbalance, rpm, np.random.default_rng(seed))
     return peak_of(accel, stand.rate_hz, rpm)
 
 
