@@ -29,7 +29,7 @@ from mavdiag.link.samples import joined
 from mavdiag.telemetry import Log, Telemetry
 from sitl_plant.autopilot.telemetry import LinkSpec, TelemetryStream, telemetry_digest
 from sitl_plant.hil.ardupilot import Lockstep
-from sitl_plant.hil.simulation import HilPlan, Simulation, output_map
+from sitl_plant.hil.simulation import Simulation, output_map
 from sitl_plant.physics.faults import FAULTS, Injection, fault_injection
 from sitl_plant.plant import PlantConfig, PlantSamples
 from sitl_plant.vehicle import airframe_of, qdrone2
@@ -98,7 +98,7 @@ def fly(course: Course, seed: int, faults: tuple[Injection, ...] = (), until_s: 
     """Fly a course over the bytes of ArduPilot's protocol."""
     vehicle = qdrone2()
     recorder = Recorder(seed, len(vehicle.rotors))
-    simulation = Simulation(HilPlan(PlantConfig(drone=2, seed=seed, wind_m_s=0.5), faults), recorder.watch)
+    simulation = Simulation(PlantConfig(drone=2, seed=seed, wind_m_s=0.5), faults, recorder.watch)
     outputs = output_map(vehicle, "ardupilot")
     lockstep = Lockstep(simulation, outputs)
     pilot = Pilot(vehicle, [int(rotor) + 1 for rotor in np.argsort(outputs.places)], course.at)

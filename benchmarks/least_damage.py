@@ -174,7 +174,7 @@ def line_limits(setup: Setup, airframe: Airframe, baseline: Baseline) -> tuple[f
     passed = 1 / math.sqrt(1 + (line_hz / imu.filter_hz) ** 4)
     if imu.mount is not None:
         mount = mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S)
-        passed *= float(gain_of(mount.filter, line_hz, STEP_S))
+        passed *= float(gain_of(mount, line_hz, STEP_S))
     per_g_mm = passed * known.hover_rad_s**2 / (G_MM_PER_KG_M * vehicle.body.mass_kg)
     variance = imu.accel_noise_density**2 * min(FILTER_NOISE * imu.filter_hz, 0.5 / STEP_S) + MG_M_S2**2 / 12
     sensor = variance / (rate_hz / 2)

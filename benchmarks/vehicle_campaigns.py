@@ -13,7 +13,7 @@ from contextlib import closing
 from pathlib import Path
 
 from sitl_plant.campaign.plan import CAUSES, Design, Group, make_plan
-from sitl_plant.campaign.summary import Summary, summarise
+from sitl_plant.campaign.summary import Row, summarise
 from sitl_plant.campaign.worker import Journal, local_executor, run_campaign
 from sitl_plant.vehicle import vehicle_named
 
@@ -21,7 +21,7 @@ VEHICLES = ("qdrone2", "quad-plus", "hexa-x", "hexa-plus", "octo-x")
 FAULTS = tuple(name for name, cause in CAUSES.items() if cause.group is Group.FAULT)
 
 
-def flown(vehicle: str, flights: int, seed: int) -> Summary:
+def flown(vehicle: str, flights: int, seed: int) -> Row:
     """One vehicle's campaign."""
     design = Design(
         vehicle=vehicle_named(vehicle),
@@ -45,16 +45,16 @@ def flown(vehicle: str, flights: int, seed: int) -> Summary:
         return summarise(run_campaign(make_plan(design), journal, executor, lambda stage, done, total: None))
 
 
-def line(summary: Summary, vehicle: str) -> str:
+def line(summary: Row, vehicle: str) -> str:
     """The vehicle's row of the table in the documents."""
-    row = next(row for row in summary.detection if row.factor == "all")
-    alarms = next(row for row in summary.alarms if row.factor == "all").rate
+    row = next(row for row in summary["detection"] if row["factor"] == "all")
+    alarms = next(row for row in summary["alarms"] if row["factor"] == "all")["rate"]
     cells = (
         vehicle,
         str(len(vehicle_named(vehicle).rotors)),
-        f"{row.detected.hits} of {row.detected.of}",
-        f"{row.rotor_right.hits} of {row.rotor_right.of}",
-        "-" if row.latency_median_s is None else f"{row.latency_median_s:.1f} s",
+        f"{row['detected'].hits} of {row['detected'].of}",
+        f"{row['rotor_right'].hits} of {row['rotor_right'].of}",
+        "-" if row["latency_median_s"] is None else f"{row['latency_median_s']:.1f} s",
         f"{alarms.count} in {alarms.hours:.2f} h",
     )
     return f"| {' | '.join(cells)} |"

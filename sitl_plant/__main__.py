@@ -72,7 +72,7 @@ def run(
         signing = None if kept is None else kept.signing
         links = [Link(end, plan.dialect, plan.rate_hz, plant.rotors, signing, fresh=fresh) for end in ends]
         stop = stack.enter_context(commandline.stop_signals())
-        _announce(plan, [link.endpoint.address for link in links], as_json)
+        typer.echo(_announced(plan, [link.endpoint.address for link in links], as_json))
         written = _written(lines, plan, time.time_ns() if pace == 1.0 else None)
 
         def watch(samples: PlantSamples) -> None:
@@ -81,7 +81,7 @@ def run(
                 kept.step(time.time_ns())
 
         report = fly(plant, plan.dialect, links, duration_s=plan.duration_s, speed=pace, stop=stop, watch=watch)
-    _conclude(report, as_json)
+    typer.echo(_concluded(report, as_json))
 
 
 @app.command()
@@ -111,25 +111,20 @@ def _written(file: TextIO | None, plan: FlightPlan, started_unix_ns: int | None)
     return Truth(plan.config, plan.dialect.profile.name, plan.rate_hz, started_unix_ns, file)
 
 
-def _announce(plan: FlightPlan, addresses: list[str], as_json: bool) -> None:
-    config = plan.config
+def _announced(plan: FlightPlan, addresses: list[str], as_json: bool) -> str:
+    config, profile, rate_hz = plan.config, plan.dialect.profile.name, plan.rate_hz
     if as_json:
-        line = json.dumps(
-            {"event": "flying", "addresses": addresses, "profile": plan.dialect.profile.name, "rate_hz": plan.rate_hz}
-        )
-    else:
-        fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
-        link = f"{plan.dialect.profile.name} at {plan.rate_hz:g} Hz on {', '.join(addresses)}"
-        path = "as it is told" if config.trajectory == "commanded" else f"a {config.trajectory}"
-        line = f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
-    typer.echo(line)
+        return json.dumps({"event": "flying", "addresses": addresses, "profile": profile, "rate_hz": rate_hz})
+    fault = f", {config.fault} on rotor {config.rotor} from {config.onset_s:g} s" if config.fault else ", healthy"
+    path = "as it is told" if config.commanded else f"a {config.trajectory}"
+    link = f"{profile} at {rate_hz:g} Hz on {', '.join(addresses)}"
+    return f"{config.vehicle.name} number {config.drone} flies {path}{fault}; {link}"
 
 
-def _conclude(report: FlightReport, as_json: bool) -> None:
+def _concluded(report: FlightReport, as_json: bool) -> str:
     if as_json:
-        typer.echo(json.dumps({"event": "landed"} | asdict(report)))
-        return
-    typer.echo(
+        return json.dumps({"event": "landed"} | asdict(report))
+    return (
         f"{report.flown_s:.1f} s flown in {report.wall_s:.1f} s at {100 * report.cpu_s / report.wall_s:.0f} % CPU; "
         f"{report.messages} messages sent, {report.dropped} dropped, {report.received} received; "
         f"late by {report.late_p50_ms:.1f} ms (half), {report.late_p99_ms:.1f} (99 %), {report.late_max_ms:.1f} (all)"

@@ -7,7 +7,7 @@ message is late by at most one tick and by what the machine adds, and the report
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,11 +22,11 @@ from mavdiag.logs.tlog import tlog_record
 from sitl_plant.autopilot.commands import Autopilot, PlantOrder
 from sitl_plant.autopilot.dialect import Dialect
 from sitl_plant.autopilot.stream import FilteredSamples, ImuFilters, Message, Streamer
-from sitl_plant.autopilot.wire import Forward, Reply
+from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.options import FlightPlan
 from sitl_plant.physics.faults import Injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import STEP_NS, Plant, PlantSamples, Renewal
+from sitl_plant.plant import STEP_NS, Plant, PlantSamples
 
 EPOCH_US = 1_767_225_600_000_000  # of records, 2026-01-01T00:00:00Z: equal options give equal files
 RECORD_STEPS = 1000
@@ -98,7 +98,7 @@ class Link:
             sent += 1
         return sent
 
-    def act(self, action: Reply | Forward) -> None:
+    def act(self, action: Action) -> None:
         """Send an answer, or pass a frame on in its sender's name."""
         if isinstance(action, Reply):
             self.endpoint.send(self._encoder.encode(action.msgid, *action.fields))
@@ -118,8 +118,7 @@ class _Clock:
         self._speed = speed
         self._start_s = time.monotonic() - (t_ns * 1e-9 / speed if speed else 0.0)
         self._late = np.zeros(_LATENESS_BINS, dtype=np.int64)
-        self.late_max_s = 0.0
-        self.slips = 0
+        self.late_max_s, self.slips = 0.0, 0
 
     def due_s(self, t_ns: int) -> float:
         """When flight time `t_ns` has come, on the monotonic clock."""
@@ -140,46 +139,6 @@ class _Clock:
         return float(np.searchsorted(within, share * within[-1]) + 1) * _LATENESS_BIN_S if within[-1] else 0.0
 
 
-class _Flight:
-    """One flight: the links served, the counts."""
-
-    def __init__(self, links: Sequence[Link], autopilot: Autopilot, clock: _Clock) -> None:
-        self._links, self._autopilot, self._clock = links, autopilot, clock
-        self._endpoints = [link.endpoint for link in links]
-        self.messages = self.received = 0
-
-    def send_until(self, from_ns: int, until_ns: int, tick_ns: int) -> None:
-        """Send what waits, tick by tick, and serve the links in between."""
-        for index in range(len(self._links)):
-            self._serve(index, from_ns)  # also lets an endpoint reconnect that has nothing to wait for
-        for t_ns in [*range(from_ns + tick_ns, until_ns, tick_ns), until_ns]:
-            due_s = self._clock.due_s(t_ns)
-            self._wait(due_s, t_ns)
-            for link in self._links:
-                self.messages += link.send_due(t_ns)
-            self._clock.note(due_s)
-
-    def watch(self, samples: PlantSamples) -> list[PlantOrder]:
-        """Say what the autopilot has to say after a block; what the plant is to do from now on."""
-        actions, orders = self._autopilot.watch(samples)
-        for action in actions:
-            self._links[action.link].act(action)
-        return orders
-
-    def _wait(self, due_s: float, t_ns: int) -> None:
-        while (left_s := due_s - time.monotonic()) > 0.001:
-            for endpoint in wait(self._endpoints, left_s - 0.001):
-                self._serve(self._endpoints.index(endpoint), t_ns)
-        if left_s > 0:
-            time.sleep(left_s)
-
-    def _serve(self, index: int, now_ns: int) -> None:
-        for frame in self._links[index].receive():
-            self.received += 1
-            for action in self._autopilot.step(index, frame, now_ns):
-                self._links[action.link].act(action)
-
-
 def obey(plant: Plant, order: PlantOrder) -> None:
     """Do with the plant what the autopilot wants."""
     match order:
@@ -187,7 +146,7 @@ def obey(plant: Plant, order: PlantOrder) -> None:
             plant.lead(order)
         case Injection():
             plant.inject(order)
-        case Renewal.CLEAR:
+        case "clear":
             plant.clear()
 
 
@@ -206,10 +165,20 @@ def fly(
     speed: flight seconds a second, None for as fast as it goes. watch: is shown every block's truth.
     """
     started_s, started_cpu_s = time.monotonic(), time.process_time()
-    filters = ImuFilters(dialect, plant.config.seed)
+    filters, clock = ImuFilters(dialect, plant.config.seed), _Clock(plant.t_ns, speed)
     autopilot = Autopilot(dialect.sysid, [link.schedule for link in links], dialect, plant.config)
-    clock = _Clock(plant.t_ns, speed)
-    flight = _Flight(links, autopilot, clock)
+    endpoints, messages, received = [link.endpoint for link in links], 0, 0
+
+    def serve(index: int, now_ns: int) -> None:
+        nonlocal received
+        for frame in links[index].receive():
+            received += 1
+            act(autopilot.step(index, frame, now_ns))
+
+    def act(actions: Iterable[Action]) -> None:
+        for action in actions:
+            links[action.link].act(action)
+
     steps = max(1, round(BLOCK_S * (speed or 10.0) * 1e9 / STEP_NS))
     tick_ns = max(STEP_NS, round(TICK_S * (speed or 10.0) * 1e9))
     end_ns = round(duration_s * 1e9) if duration_s is not None else 1 << 62
@@ -217,18 +186,29 @@ def fly(
         from_ns = plant.t_ns
         filtered = filters.step(plant.advance(min(steps, -((from_ns - end_ns) // STEP_NS))))
         watch(filtered.samples)
-        for link in links:
+        for index, link in enumerate(links):
             link.queue(filtered, autopilot.dialect)
-        flight.send_until(from_ns, plant.t_ns, tick_ns)
-        for order in flight.watch(filtered.samples):
+            serve(index, from_ns)  # also lets an endpoint reconnect that has nothing to wait for
+        for t_ns in [*range(from_ns + tick_ns, plant.t_ns, tick_ns), plant.t_ns]:
+            due_s = clock.due_s(t_ns)
+            while (left_s := due_s - time.monotonic()) > 0.001:
+                for endpoint in wait(endpoints, left_s - 0.001):
+                    serve(endpoints.index(endpoint), t_ns)
+            if left_s > 0:
+                time.sleep(left_s)
+            messages += sum(link.send_due(t_ns) for link in links)
+            clock.note(due_s)
+        actions, orders = autopilot.watch(filtered.samples)
+        act(actions)
+        for order in orders:
             obey(plant, order)
     return FlightReport(
         flown_s=plant.t_ns * 1e-9,
         wall_s=time.monotonic() - started_s,
         cpu_s=time.process_time() - started_cpu_s,
-        messages=flight.messages,
-        dropped=sum(link.endpoint.traffic.dropped for link in links),
-        received=flight.received,
+        messages=messages,
+        dropped=sum(endpoint.traffic.dropped for endpoint in endpoints),
+        received=received,
         late_p50_ms=1e3 * clock.late_s(0.50),
         late_p99_ms=1e3 * clock.late_s(0.99),
         late_max_ms=1e3 * clock.late_max_s,

@@ -11,9 +11,11 @@ flight takes effect with the next step.
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
-from typing import Literal
+from itertools import compress
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -24,9 +26,8 @@ from sitl_plant.physics.airframe import NEVER, NO_PAYLOAD, Airframe, Payload, Pi
 from sitl_plant.physics.control import ESTIMATE
 from sitl_plant.physics.dynamics import RIGID
 from sitl_plant.physics.faults import Injection, fault_injection, rotor_condition, sensor_condition
-from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, fly
+from sitl_plant.physics.kernel import LOG, Block, Model, Recorded, Rows, Streams, fly
 from sitl_plant.physics.parameters import STEP_S, air_of, initial_state, make_model, recorded_set, reload
-from sitl_plant.physics.streams import MOST_OUTAGES_PER_MIN, Streams
 from sitl_plant.physics.trajectory import ARM_S, LIFT_S, Leg, Nose, Path, Shape, landing_time, path
 from sitl_plant.vehicle import Vehicle, qdrone2
 
@@ -34,6 +35,7 @@ STEP_NS = round(STEP_S * 1e9)
 WEAR_STEPS = 1000  # wear is held for a second
 SETTLING_STEPS = 10_000  # hover flown, and not shown, before t = 0: filters, integrals and the wind are settled
 CHANGES_MAX = 1000  # changes kept for who takes them
+MOST_OUTAGES_PER_MIN = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +72,25 @@ class PlantConfig:
     landed_s: float | None = None  # a flight from the ground is over, disarmed; None for never
 
     def __post_init__(self) -> None:
-        if self.trajectory not in list(Shape):
-            raise UsageError(f"no trajectory {self.trajectory!r}: give one of {', '.join(Shape)}")
-        if self.nose not in list(Nose):
-            raise UsageError(f"no nose {self.nose!r}: give one of {', '.join(Nose)}")
-        self._check_ground()
-        for name in ("speed_m_s", "size_m"):
+        for name, known in (("trajectory", Shape), ("nose", Nose)):
+            if getattr(self, name) not in list(known):
+                raise UsageError(f"no {name} {getattr(self, name)!r}: give one of {', '.join(known)}")
+        recorded, ground = self.flown_vehicle.recorded, self.start == "ground"
+        if self.commanded and (not ground or self.landed_s is not None or recorded):
+            raise UsageError(
+                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
+            )
+        if ground and not self.altitude_m > 0.0:
+            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
+        flight = self.path()
+        if ground and flight.land < flight.start:
+            shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
+            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
+        for name in ("speed_m_s", "size_m", "heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise UsageError(f"{name} must be positive, not {value:g}")
-        for name in ("heading_rad", "altitude_m", "wind_m_s", "wind_towards_rad"):
-            if not math.isfinite(getattr(self, name)):
-                raise UsageError(f"{name} must be a finite number")
-        if self.outages_per_min and self.flown_vehicle.recorded is not None:
+            if not math.isfinite(value) or (name in ("speed_m_s", "size_m") and value <= 0.0):
+                raise UsageError(f"{name} must be a finite number, and speed and size positive, not {value:g}")
+        if self.outages_per_min and recorded is not None:
             raise UsageError("the recorded QDrone 2 does not fly through outages of motion capture; leave them out")
         if self.seed < 0:
             raise UsageError(f"seed must be zero or more, not {self.seed}")
@@ -93,18 +101,6 @@ class PlantConfig:
             raise UsageError(f"motion capture may fail up to {most}, not {self.outages_per_min:g}")
         if self.wear is not None and len(self.wear.loss_per_h) != len(self.flown_vehicle.rotors):
             raise UsageError(f"wear needs a loss for each of {len(self.flown_vehicle.rotors)} rotors")
-
-    def _check_ground(self) -> None:
-        if self.commanded and (self.start != "ground" or self.landed_s is not None or self.flown_vehicle.recorded):
-            raise UsageError(
-                "a commanded flight starts on the ground and lands when told to; not with recorded vehicles"
-            )
-        if self.start == "ground" and not self.altitude_m > 0.0:
-            raise UsageError(f"altitude_m must be positive for a start on the ground, not {self.altitude_m:g}")
-        flight = self.path()
-        if self.start == "ground" and flight.land < flight.start:
-            shortest = flight.start + landing_time(self.altitude_m, Shape(self.trajectory))
-            raise UsageError(f"a flight with take-off and landing needs {shortest:.1f} s, not {self.landed_s:g}")
 
     def gusts(self) -> Dryden | None:
         """The turbulence at the height of the path, None if it was not asked for."""
@@ -135,35 +131,15 @@ class PlantConfig:
         return (fault_injection(self.fault, self.rotor, self.onset_s, self.phenomenology), *self.injections)
 
 
-@dataclass(frozen=True, slots=True)
-class SteadyWind:
-    """A mean wind [m/s]. towards_rad: where it blows to; 0 is north, pi/2 east. Raises UsageError for no number."""
+class Change(NamedTuple):
+    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on.
 
-    speed_m_s: float
-    towards_rad: float = math.pi / 4
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.speed_m_s) and math.isfinite(self.towards_rad)):
-            raise UsageError(f"a wind needs finite numbers, not {self.speed_m_s:g} m/s to {self.towards_rad:g} rad")
-
-    def vector(self) -> FloatArray:
-        """(3,) world NED [m/s]."""
-        return self.speed_m_s * np.array([math.cos(self.towards_rad), math.sin(self.towards_rad), 0.0])
-
-
-class Renewal(StrEnum):
-    """What is made as new."""
-
-    CLEAR = "clear"  # all causes are gone
-    BATTERY = "battery"  # a full battery
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One change in flight, in effect from flight time `t_ns` on; an injection from its own onset on."""
+    what: a cause, or what else the truth file records, with its `values`.
+    """
 
     t_ns: int
-    what: Injection | SteadyWind | Renewal
+    what: Injection | Literal["clear", "wind", "battery"]
+    values: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,20 +216,19 @@ class Plant:
         self.config = config
         self.airframe = config.airframe or drone(config.vehicle, config.drone)
         self.rotors = rotors = len(self.airframe.vehicle.rotors)
-        gusts = config.gusts()
-        blown, wind = gusts is not None, SteadyWind(config.wind_m_s, config.wind_towards_rad).vector()
-        self._streams = Streams(
-            config.seed, STEP_S, None if gusts is None else (gusts, config.wind_towards_rad), config.outages_per_min
-        )
+        gusts, towards, vehicle = config.gusts(), config.wind_towards_rad, self.airframe.vehicle
+        turbulence = None if gusts is None else (gusts, towards)
+        self._streams = Streams(config.seed, STEP_S, turbulence, config.outages_per_min)
         azimuth = self._streams.angle.uniform(0.0, 2.0 * np.pi, rotors)
-        self._step = -SETTLING_STEPS
+        self._step, self._loaded = -SETTLING_STEPS, False
         self._set_injections(self._placed(config.all_injections()))
-        self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, blown)
-        self._loaded = False
+        wind = _wind(config.wind_m_s, towards)
+        self._model: Model = make_model(self.airframe, config.payload, config.path(), wind, gusts is not None)
         self._state = initial_state(self._model, azimuth, self.airframe.charge_used_ah)
         self._own: Recorded | None = None
-        if self.airframe.vehicle.recorded is not None:
-            self._model, self._own, own_noise = recorded_set(self.airframe, self._model, self._state, config.seed)
+        if vehicle.recorded is not None:
+            args = self.airframe, vehicle.recorded, self._model, self._state, config.seed
+            self._own, own_noise = recorded_set(*args)
             self._streams.take_imus(own_noise)
         self._changes: deque[Change] = deque(maxlen=CHANGES_MAX)
         self.advance(SETTLING_STEPS)
@@ -299,18 +274,23 @@ class Plant:
         self._state.imu.drifted[:] = 0.0
         if self._own is not None:
             self._own.imu_state.drifted[:] = 0.0
-        self._note(Renewal.CLEAR)
+        self._note("clear")
 
-    def set_wind(self, wind: SteadyWind) -> None:
-        """Let another mean wind blow, with gusts by the vehicle's file; turbulence that was asked for stays."""
-        air = air_of(self.airframe.vehicle, wind.vector(), self.config.gusts() is not None)
+    def set_wind(self, speed_m_s: float, towards_rad: float = math.pi / 4) -> None:
+        """Let another mean wind blow, with gusts by the vehicle's file; turbulence that was asked for stays.
+
+        towards_rad: where it blows to; 0 is north, pi/2 east. Raises UsageError for no number.
+        """
+        if not (math.isfinite(speed_m_s) and math.isfinite(towards_rad)):
+            raise UsageError(f"a wind needs finite numbers, not {speed_m_s:g} m/s to {towards_rad:g} rad")
+        air = air_of(self.airframe.vehicle, _wind(speed_m_s, towards_rad), self.config.gusts() is not None)
         self._model = self._model._replace(air=air)
-        self._note(wind)
+        self._note("wind", {"wind_m_s": speed_m_s, "wind_towards_rad": towards_rad})
 
     def renew_battery(self) -> None:
         """Put a full battery in."""
         self._state.battery[:] = self._model.battery.open_circuit, 0.0
-        self._note(Renewal.BATTERY)
+        self._note("battery")
 
     def lead(self, leg: Leg) -> None:
         """Lead a commanded flight along `leg` from the next step on. Raises UsageError for one with its own path."""
@@ -324,8 +304,10 @@ class Plant:
         self._changes.clear()
         return taken
 
-    def _note(self, what: Injection | SteadyWind | Renewal) -> None:
-        self._changes.append(Change(self.t_ns, what))
+    def _note(
+        self, what: Injection | Literal["clear", "wind", "battery"], values: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
+        self._changes.append(Change(self.t_ns, what, values))
 
     def _placed(self, injections: tuple[Injection, ...]) -> tuple[Injection, ...]:
         for injection in injections:
@@ -364,8 +346,7 @@ class Plant:
 
     def _renew_condition(self) -> None:
         spans = [injection.span(STEP_S) for injection in self._injections]
-        here = zip(self._injections, spans, strict=True)
-        present = [injection for injection, (first, end) in here if first <= self._step < end]
+        present = list(compress(self._injections, [first <= self._step < end for first, end in spans]))
         self._rotors = rotor_condition(self.airframe, present, STEP_S)
         self._sensors = sensor_condition(present)
         changes = [step for span in spans for step in span]
@@ -375,14 +356,17 @@ class Plant:
         if self.config.pickup is not None:
             first, end = self.config.pickup.span(STEP_S)
             changes += [first, end]
-            self._load(self.config.pickup, first <= self._step < end)
+            hangs = first <= self._step < end
+            if hangs != self._loaded:
+                payloads = (self.config.payload, *((self.config.pickup.payload,) if hangs else ()))
+                self._model = reload(self._model, self._state, self.airframe, payloads)
+                self._loaded = hangs
         self._changes_at = min((step for step in changes if step > self._step), default=NEVER)
 
-    def _load(self, pickup: PickUp, hangs: bool) -> None:
-        if hangs != self._loaded:
-            payloads = (self.config.payload, pickup.payload) if hangs else (self.config.payload,)
-            self._model = reload(self._model, self._state, self.airframe, payloads)
-            self._loaded = hangs
+
+def _wind(speed_m_s: float, towards_rad: float) -> FloatArray:
+    """(3,) world NED [m/s]."""
+    return speed_m_s * np.array([math.cos(towards_rad), math.sin(towards_rad), 0.0])
 
 
 def _samples(rows: Rows, first: int, model: Model) -> PlantSamples:

@@ -23,7 +23,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from typer import Option
 
 from mavdiag.errors import UsageError
@@ -40,41 +39,18 @@ HEALTHY = ("H1", "H2", "H3")  # T Fig 3.14
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """The stand and its accelerometer; every value is an estimate. Vectors are x, y, z.
+    """The stand and its accelerometer; every value is an estimate. Vectors are x, y, z."""
 
-    mass_kg: of all that vibrates. natural_hz, damping: of each axis on its spring. share: how much of the turning force
-    acts along each axis; z gets only what misalignment gives it. second_m_s2: line at two per revolution, by the
-    blades. wander_rms: share of the speed. drop_s: settling time that is not recorded.
-    """
-
-    mass_kg: float = 1.2
-    natural_hz: tuple[float, float, float] = (300.0, 40.0, 500.0)
+    mass_kg: float = 1.2  # of all that vibrates
+    natural_hz: tuple[float, float, float] = (300.0, 40.0, 500.0)  # of each axis on its spring
     damping: float = 0.05
-    share: tuple[float, float, float] = (1.0, 1.0, 0.05)
+    share: tuple[float, float, float] = (1.0, 1.0, 0.05)  # of the turning force; z gets what misalignment gives it
     noise_rms_m_s2: float = 0.05
-    second_m_s2: float = 0.2
-    wander_rms: float = 2e-4
+    second_m_s2: float = 0.2  # line at two per revolution, by the blades
+    wander_rms: float = 2e-4  # share of the speed
     rate_hz: float = 4000.0
     duration_s: float = 12.0
-    drop_s: float = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Propeller:
-    """What is mounted. unbalance_g_mm: what was done to it, known by weighing. own_g_mm: its residue, as a vector."""
-
-    name: str
-    unbalance_g_mm: float
-    own_g_mm: tuple[float, float] = (0.0, 0.0)
-    angle_rad: float = 0.0
-
-    @property
-    def total_g_mm(self) -> float:
-        """Length of the sum of both vectors [g mm]: what the stand really feels."""
-        return math.hypot(
-            self.own_g_mm[0] + self.unbalance_g_mm * math.cos(self.angle_rad),
-            self.own_g_mm[1] + self.unbalance_g_mm * math.sin(self.angle_rad),
-        )
+    drop_s: float = 2.0  # settling time that is not recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +89,7 @@ class StandReport:
     bars: tuple[Bar, ...]
 
 
-def stand_run(stand: Stand, propeller: Propeller, speed_rpm: float, rng: np.random.Generator) -> FloatArray:
+def stand_run(stand: Stand, unbalance_g_mm: float, speed_rpm: float, rng: np.random.Generator) -> FloatArray:
     """One run: acceleration (n, 3) along x, y, z [m/s^2], without gravity, after settling.
 
     Raises UsageError for a speed outside 1000 to 12,000 rpm.
@@ -126,20 +102,16 @@ def stand_run(stand: Stand, propeller: Propeller, speed_rpm: float, rng: np.rand
     slow = np.fft.irfft(np.fft.rfft(rng.standard_normal(n)) / (1.0 + 1j * frequency / WANDER_CORNER_HZ), n)
     speed = speed_rpm * RPM * (1.0 + stand.wander_rms * slow / slow.std())
     theta = rng.uniform(0.0, 2.0 * math.pi) + np.cumsum(speed) * dt
-    force = propeller.total_g_mm / G_MM_PER_KG_M * speed**2
+    force = unbalance_g_mm / G_MM_PER_KG_M * speed**2
     blades = stand.second_m_s2 * np.cos(2.0 * theta + rng.uniform(0.0, 2.0 * math.pi))
-    accel = np.empty((n, 3))
+    w, accel = 2.0 * math.pi * frequency, np.empty((n, 3))
     for axis, turning in enumerate((np.sin(theta), np.cos(theta), np.cos(theta))):
-        answer = np.fft.irfft(_accelerance(stand, axis, frequency) * np.fft.rfft(force * turning), n)
+        w_n = 2.0 * math.pi * stand.natural_hz[axis]
+        accelerance = -(w**2) / (stand.mass_kg * (w_n**2 - w**2 + 2j * stand.damping * w_n * w))  # a / F
+        answer = np.fft.irfft(accelerance * np.fft.rfft(force * turning), n)
         accel[:, axis] = stand.share[axis] * (answer + blades)
     accel += stand.noise_rms_m_s2 * rng.standard_normal((n, 3))
     return accel[round(stand.drop_s * stand.rate_hz) :]
-
-
-def _accelerance(stand: Stand, axis: int, frequency_hz: FloatArray) -> NDArray[np.complex128]:
-    """a / F = -w^2 / (m (w_n^2 - w^2 + 2 j d w_n w)) of one axis, for a time factor e^(j w t)."""
-    w, w_n = 2.0 * math.pi * frequency_hz, 2.0 * math.pi * stand.natural_hz[axis]
-    return np.asarray(-(w**2) / (stand.mass_kg * (w_n**2 - w**2 + 2j * stand.damping * w_n * w)))
 
 
 def peak_of(accel: FloatArray, rate_hz: float, speed_rpm: float) -> Peak:
@@ -151,18 +123,12 @@ def peak_of(accel: FloatArray, rate_hz: float, speed_rpm: float) -> Peak:
 
     frequency_hz, density = welch(accel, rate_hz, nperseg=len(accel), axis=0)
     inside = np.flatnonzero(np.abs(frequency_hz - speed_rpm / 60.0) < PEAK_HALF_WIDTH_HZ)
-    if not len(inside):
-        raise UsageError("no spectral line near the rotation frequency; record 2 s or more")
     x, y, z = np.sqrt(2.0 * frequency_hz[1] * density[inside].sum(axis=0)).tolist()
     return Peak(float(frequency_hz[inside[np.argmax(density[inside, 1])]]), (x, y, z))
 
 
 def fit_scale(known_g_mm: Sequence[float], peaks_m_s2: Sequence[float]) -> Scale:
     """Least squares of U = s A through the origin.
-
-    [ U_1 ]   [ A_1 ]
-    [ ... ] = [ ... ] s
-    [ U_n ]   [ A_n ]
 
     Raises UsageError unless there are two known unbalances or more and some acceleration.
     """
@@ -171,9 +137,9 @@ def fit_scale(known_g_mm: Sequence[float], peaks_m_s2: Sequence[float]) -> Scale
         raise UsageError("a scale needs two known unbalances or more, each with its acceleration")
     s = float(U @ A / (A @ A))
     error = U - s * A
-    variance = float(error @ error) / (len(U) - 1)
-    r2 = 1.0 - float(error @ error) / float(np.sum((U - U.mean()) ** 2)) if np.ptp(U) else 1.0
-    return Scale(s, math.sqrt(variance / float(A @ A)), r2)
+    squares = float(error @ error)
+    r2 = 1.0 - squares / float(np.sum((U - U.mean()) ** 2)) if np.ptp(U) else 1.0
+    return Scale(s, math.sqrt(squares / (len(U) - 1) / float(A @ A)), r2)
 
 
 def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand()) -> StandReport:  # frozen
@@ -184,19 +150,19 @@ def stand_test(speed_rpm: float = 5000.0, seed: int = 0, stand: Stand = Stand())
     mounted = [*((code, 0.0) for code in HEALTHY), *((fault.code, fault.propeller.printed_g_mm) for fault in FAULTS)]
     permitted = qdrone2().propulsion.unbalance_max_g_mm
     peaks = []
-    for (name, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):
+    for (_, unbalance), child in zip(mounted, np.random.SeedSequence(seed).spawn(len(mounted)), strict=True):
         rng = np.random.default_rng(child)
-        size, angle = permitted * rng.random(), rng.uniform(0.0, 2.0 * math.pi)
-        own = (size * math.cos(angle), size * math.sin(angle))
-        propeller = Propeller(name, unbalance, own, rng.uniform(0.0, 2.0 * math.pi))
-        peaks.append(peak_of(stand_run(stand, propeller, speed_rpm, rng), stand.rate_hz, speed_rpm))
+        size, angle, towards = permitted * rng.random(), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.0, 2.0 * math.pi)
+        x, y = (size * turn(angle) + unbalance * turn(towards) for turn in (math.cos, math.sin))
+        peaks.append(peak_of(stand_run(stand, math.hypot(x, y), speed_rpm, rng), stand.rate_hz, speed_rpm))
+    known = [unbalance for _, unbalance in mounted]
     damaged = slice(len(HEALTHY), None)
-    scale = fit_scale([known for _, known in mounted[damaged]], [peak.amplitude_m_s2[1] for peak in peaks[damaged]])
-    bars = tuple(
-        Bar(name, known, peak, scale.g_mm_per_m_s2 * peak.amplitude_m_s2[1])
-        for (name, known), peak in zip(mounted, peaks, strict=True)
+    scale = fit_scale(known[damaged], [peak.amplitude_m_s2[1] for peak in peaks[damaged]])
+    bars = (
+        Bar(name, unbalance, peak, scale.g_mm_per_m_s2 * peak.amplitude_m_s2[1])
+        for (name, unbalance), peak in zip(mounted, peaks, strict=True)
     )
-    return StandReport(speed_rpm, scale, bars)
+    return StandReport(speed_rpm, scale, tuple(bars))
 
 
 def stand(
@@ -211,11 +177,7 @@ def stand(
     report = stand_test(rpm, seed)
     if as_json:
         typer.echo(json.dumps(asdict(report)))
-    else:
-        _print(report)
-
-
-def _print(report: StandReport) -> None:
+        return
     from rich.console import Console
     from rich.table import Table
 

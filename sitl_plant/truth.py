@@ -18,7 +18,7 @@ from typing import TextIO
 
 from mavdiag.errors import UsageError
 from sitl_plant.physics.faults import Injection, SensorFault
-from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples, Renewal, SteadyWind
+from sitl_plant.plant import STEP_NS, Change, PlantConfig, PlantSamples
 
 STATE_EVERY_NS = 1_000_000_000
 
@@ -31,19 +31,11 @@ class Truth:
     """
 
     def __init__(
-        self,
-        config: PlantConfig,
-        profile: str,
-        rate_hz: float,
-        started_unix_ns: int | None,
-        file: TextIO | None = None,
+        self, config: PlantConfig, profile: str, rate_hz: float, started_unix_ns: int | None, file: TextIO | None = None
     ) -> None:
         self._config, self._started_unix_ns, self._file, self._t_ns = config, started_unix_ns, file, 0
         self._link = {"profile": profile, "rate_hz": rate_hz}
-        self._begin()
-
-    def _begin(self) -> None:
-        self._causes = list(self._config.all_injections()[:1]) if self._config.fault else []
+        self._causes: list[Injection] = []
         self._tell([self.head()])
 
     def _tell(self, lines: list[str]) -> None:
@@ -55,14 +47,14 @@ class Truth:
     def write(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> None:
         """Write the lines of a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
         if self._file is not None:
-            if int(samples.t_ns[0]) < self._t_ns:
-                self._begin()
+            begins = [self.head()] if int(samples.t_ns[0]) < self._t_ns else []
             self._t_ns = int(samples.t_ns[-1])
-            self._tell(self.step(samples, changes))
+            self._tell(begins + self.step(samples, changes))
 
     def head(self) -> str:
-        """The first line."""
+        """The first line of a flight, which now begins."""
         config = self._config
+        self._causes = list(config.all_injections()[:1]) if config.fault else []
         line: dict[str, object] = {"record": "flight", "vehicle": config.vehicle.name}
         line |= {name: getattr(config, name) for name in ("drone", "trajectory", "nose", "start", "fault")}
         line |= {name: getattr(config, name) if config.fault else None for name in ("rotor", "onset_s")}
@@ -74,24 +66,20 @@ class Truth:
 
     def step(self, samples: PlantSamples, changes: Sequence[Change] = ()) -> list[str]:
         """The lines that fall into a block (n >= 1). changes: `Plant.take_changes`, made before the block."""
-        lines = [line for change in changes for line in self._change(change)]
+        lines = []
+        for t_ns, what, values in changes:
+            if isinstance(what, Injection):
+                self._causes.append(what)
+                continue
+            if what == "clear":
+                self._causes.clear()
+            lines.append(self._line(what, t_ns, dict(values)))
         for row, t_ns in enumerate(samples.t_ns.tolist()):
-            lines += [self._onset(t_ns, one) for one in self._causes if t_ns - STEP_NS < _ns(one.onset_s) <= t_ns]
+            began = (cause for cause in self._causes if t_ns - STEP_NS < _ns(cause.onset_s) <= t_ns)
+            lines += [self._onset(t_ns, cause) for cause in began]
             if t_ns % STATE_EVERY_NS == 0:
                 lines.append(self._state(samples, row, t_ns))
         return lines
-
-    def _change(self, change: Change) -> list[str]:
-        match change.what:
-            case Injection() as cause:
-                self._causes.append(cause)
-                return []
-            case SteadyWind(speed, towards):
-                return [self._line("wind", change.t_ns, {"wind_m_s": speed, "wind_towards_rad": towards})]
-            case Renewal() as renewal:
-                if renewal is Renewal.CLEAR:
-                    self._causes.clear()
-                return [self._line(renewal, change.t_ns, {})]
 
     def _onset(self, t_ns: int, cause: Injection) -> str:
         rotor = None if isinstance(cause.cause, SensorFault) else cause.rotor
@@ -102,11 +90,10 @@ class Truth:
         return json.dumps({"record": record, "t_s": t_ns * 1e-9, **values, "unix_ns": unix_ns})
 
     def _state(self, samples: PlantSamples, row: int, t_ns: int) -> str:
-        present = any(_ns(one.onset_s) <= t_ns < _ns(one.end_s) for one in self._causes)
+        present = any(_ns(cause.onset_s) <= t_ns < _ns(cause.end_s) for cause in self._causes)
         columns = {"position_m": samples.position, "velocity_m_s": samples.velocity, "quaternion": samples.quaternion}
         columns |= {"omega_rad_s": samples.omega, "rotor_speed_rad_s": samples.rotor_speed}
-        columns |= {"battery_v": samples.battery_v}
-        truth = {name: column[row].tolist() for name, column in columns.items()}
+        truth = {name: column[row].tolist() for name, column in {**columns, "battery_v": samples.battery_v}.items()}
         return json.dumps({"record": "state", "t_s": t_ns * 1e-9, "fault_present": present, **truth})
 
 

@@ -421,6 +421,15 @@ def qdrone2() -> Vehicle:
     return vehicle_named("qdrone2")
 
 
+def _parse(text: str, name: str) -> Vehicle:
+    try:
+        return TypeAdapter(Vehicle).validate_python(_table(text, name))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "vehicle"
+        raise InputError(f"{name}: {where}: {first['msg']}") from error
+
+
 def _table(text: str, name: str) -> dict[str, Any]:
     table = parse_toml(text, name)
     base = table.pop("base", None)
@@ -431,18 +440,7 @@ def _table(text: str, name: str) -> dict[str, Any]:
     return _merged(_table((_FOLDER / f"{base}.toml").read_text(encoding="utf-8"), base), table)
 
 
-def _parse(text: str, name: str) -> Vehicle:
-    try:
-        return TypeAdapter(Vehicle).validate_python(_table(text, name))
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "vehicle"
-        raise InputError(f"{name}: {where}: {first['msg']}") from error
-
-
-def _merged(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    merged = {**base, **own}
-    for name in base.keys() & own.keys():
-        if isinstance(base[name], dict) and isinstance(own[name], dict):
-            merged[name] = _merged(base[name], own[name])
-    return merged
+def _merged(base: Any, own: Any) -> Any:
+    if not (isinstance(base, dict) and isinstance(own, dict)):
+        return own
+    return {**base, **{name: _merged(base.get(name), value) for name, value in own.items()}}

@@ -13,7 +13,7 @@ it turn at nine tenths of its speed.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId, Severity
@@ -22,10 +22,10 @@ from sitl_plant.autopilot.mission import Mission
 from sitl_plant.autopilot.pilot import Pilot, Place, Waypoint
 from sitl_plant.autopilot.schedule import Schedule
 from sitl_plant.autopilot.stream import HOME_ALT_M, to_local
-from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of, target
+from sitl_plant.autopilot.wire import DEGREES, Action, Forward, Order, Reply, number, optional, order_of
 from sitl_plant.physics.faults import Injection, RotorDamage, fault_injection
 from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import PlantConfig, PlantSamples, Renewal
+from sitl_plant.plant import PlantConfig, PlantSamples
 
 ROUTES_MAX = 64  # components remembered; further ones are answered but nothing is routed to them
 ALL_STREAMS = 0  # MAV_DATA_STREAM_ALL
@@ -40,19 +40,16 @@ NO_POSITION, NO_VELOCITY, NO_YAW = 0b111, 0b111_000, 1 << 10  # POSITION_TARGET_
 SYSTEM_MOTOR = 101  # FAILURE_UNIT
 OK, OFF, SLOW = 0, 1, 5  # FAILURE_TYPE
 SLOW_SHARE = 0.9  # of the commanded speed (our choice)
-
-_MOTORS: Mapping[int, tuple[str, RotorDamage]] = {
+MOTORS = {
     OFF: ("motor off", RotorDamage(speed_factor=0.0)),
     SLOW: ("motor slow", RotorDamage(speed_factor=SLOW_SHARE)),
 }
-
-
 # MAV_PROTOCOL_CAPABILITY: MAVLINK2, PARAM_FLOAT, MISSION_INT, COMMAND_INT; SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT,
 # FLIGHT_TERMINATION; PARAM_ENCODE_BYTEWISE, PARAM_ENCODE_C_CAST
 ALWAYS, IN_COMMAND, BYTEWISE, C_CAST = 1 << 13 | 1 << 1 | 1 << 2 | 1 << 3, 1 << 7 | 1 << 8 | 1 << 11, 1 << 4, 1 << 17
 
-PlantOrder: TypeAlias = Leg | Injection | Renewal
-"""What the plant is to do: be led, take a cause, be made as new."""
+PlantOrder: TypeAlias = Leg | Injection | Literal["clear"]
+"""What the plant is to do: be led, take a cause, be rid of all causes."""
 
 _Answer: TypeAlias = tuple[MavResult, list[Action]]
 
@@ -86,10 +83,7 @@ class Autopilot:
             **dict.fromkeys(self._mission.handled, self._mission.step),
         }
         self._commands: Mapping[int, Callable[[int, Order], _Answer]] = {
-            MavCmd.SET_MESSAGE_INTERVAL: lambda link, order: (
-                self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0),
-                [],
-            ),
+            MavCmd.SET_MESSAGE_INTERVAL: self._set_interval,
             MavCmd.GET_MESSAGE_INTERVAL: lambda link, order: self._tell_interval(link, order.whole(1)),
             MavCmd.REQUEST_MESSAGE: self._request,
             MavCmd.REQUEST_PROTOCOL_VERSION: lambda link, order: self._tell_protocol(link),
@@ -110,9 +104,13 @@ class Autopilot:
             return []
         if source in self._routes or len(self._routes) < ROUTES_MAX:
             self._routes[source] = link
-        meant = target(frame)
-        actions: list[Action] = [Forward(to, frame) for to in self._links_towards(meant) if to != link]
-        if meant[0] in (0, self._identity[0]) and meant[1] in (Component.ALL, self._identity[1]):
+        system, component = (int(number(frame, name)) for name in ("target_system", "target_component"))  # 0: everyone
+        actions: list[Action] = []
+        if (system, component) != self._identity:
+            ways = ((to, s, c) for (s, c), to in self._routes.items() if to != link)
+            meant = {to for to, s, c in ways if system in (0, s) and component in (Component.ALL, c)}
+            actions += [Forward(to, frame) for to in sorted(meant)]
+        if system in (0, self._identity[0]) and component in (Component.ALL, self._identity[1]):
             handler = self._handlers.get(frame.msgid)
             actions += handler(link, frame, now_ns) if handler else []
         return actions
@@ -132,16 +130,8 @@ class Autopilot:
         self._told_ns = now_ns if tells else self._told_ns
         return actions, orders
 
-    def _links_towards(self, target: tuple[int, int]) -> list[int]:
-        if target == self._identity:
-            return []
-        system, component = target
-        routes = self._routes.items()
-        return sorted({to for (s, c), to in routes if system in (0, s) and component in (Component.ALL, c)})
-
     def _command(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
-        order = order_of(frame)
-        replies: list[Action] = []
+        order, replies = order_of(frame), list[Action]()
         if order.command in self._commands:
             result, replies = self._commands[order.command](link, order)
         elif order.command in ORDERS:
@@ -150,17 +140,23 @@ class Autopilot:
             result = MavResult.UNSUPPORTED
         return [_ack(link, frame, order.command, result), *replies]
 
+    def _set_interval(self, link: int, order: Order) -> _Answer:
+        return self._schedules[link].set_interval(order.whole(1), order.param[1] or 0.0), []
+
     def _request(self, link: int, order: Order) -> _Answer:
-        told: Mapping[int, Callable[[], _Answer]] = {
-            MessageId.AUTOPILOT_VERSION: lambda: self._tell_version(link),
-            MessageId.PROTOCOL_VERSION: lambda: self._tell_protocol(link),
-            MessageId.MESSAGE_INTERVAL: lambda: self._tell_interval(link, order.whole(2)),
-            MessageId.AVAILABLE_MODES: lambda: self._tell_modes(link, order.whole(2)),
-            MessageId.MISSION_CURRENT: lambda: (MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]),
-        }
-        if order.whole(1) in told:
-            return told[order.whole(1)]()
-        return self._schedules[link].ask_once(order.whole(1)), []
+        match order.whole(1):
+            case MessageId.AUTOPILOT_VERSION:
+                return self._tell_version(link)
+            case MessageId.PROTOCOL_VERSION:
+                return self._tell_protocol(link)
+            case MessageId.MESSAGE_INTERVAL:
+                return self._tell_interval(link, order.whole(2))
+            case MessageId.AVAILABLE_MODES:
+                return self._tell_modes(link, order.whole(2))
+            case MessageId.MISSION_CURRENT:
+                return MavResult.ACCEPTED, [self._mission.current(link, self._pilot.first)]
+            case msgid:
+                return self._schedules[link].ask_once(msgid), []
 
     def _tell_version(self, link: int) -> _Answer:
         can = ALWAYS | (BYTEWISE if self._firmware.encoding is Encoding.BYTES else C_CAST)
@@ -194,7 +190,7 @@ class Autopilot:
             motors = {order.whole(3)} if order.whole(3) else every
         if not self._parameters.value("SYS_FAILURE_EN", 1):
             return MavResult.DENIED, []
-        if order.whole(1) != SYSTEM_MOTOR or (kind != OK and not fault and kind not in _MOTORS):
+        if order.whole(1) != SYSTEM_MOTOR or (kind != OK and not fault and kind not in MOTORS):
             return MavResult.UNSUPPORTED, []
         if not motors or not motors <= every:
             return MavResult.DENIED, []
@@ -204,9 +200,9 @@ class Autopilot:
                 scale = self._config.phenomenology
                 self._failures[motor] = fault_injection(f"F{fault}/SV{severity}", motor, phenomenology=scale)
             elif kind != OK:
-                name, damage = _MOTORS[kind]
+                name, damage = MOTORS[kind]
                 self._failures[motor] = Injection(damage, motor, name=name)
-        self._orders += [Renewal.CLEAR, *self._failures.values()]
+        self._orders += ["clear", *self._failures.values()]
         return MavResult.ACCEPTED, []
 
     def _set_mode(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
@@ -226,8 +222,7 @@ class Autopilot:
     def _set_stream(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         stream, rate_hz, start = (number(frame, name) for name in ("req_stream_id", "req_message_rate", "start_stop"))
         streams = self._dialect.streams
-        every = [msgid for messages in streams.values() for msgid in messages]
-        messages = every if stream == ALL_STREAMS else streams.get(int(stream), ())
+        messages = sum(streams.values(), ()) if stream == ALL_STREAMS else streams.get(int(stream), ())
         if start in (0, 1):
             self._schedules[link].set_stream(messages, rate_hz * start)
         return []
@@ -314,26 +309,24 @@ def waypoints(orders: Sequence[Order], firmware: Firmware) -> tuple[Waypoint, ..
         meant = (Waypoint(item=0),) if seq == 0 and firmware.needs_guided else _waypoint(seq, order, here, firmware)
         if meant is None:
             return None
-        plan += (replace(one, speed=speed) for one in meant)
-        here = next((one.place for one in reversed(meant) if one.place is not None), here)
+        plan += (waypoint._replace(speed=speed) for waypoint in meant)
+        here = next((waypoint.place for waypoint in reversed(meant) if waypoint.place is not None), here)
     return tuple(plan)
 
 
 def _waypoint(seq: int, order: Order, here: Place, firmware: Firmware) -> tuple[Waypoint, ...] | None:
     """What a mission item means after a place; None for one that cannot be flown."""
+    place, wait_s, down = _place(order, firmware, here), order.param[0] or 0.0, Waypoint(lands=True, item=seq)
     if order.command in _GOES:
-        place = _place(order, firmware, here)
-        waits = order.param[0] or 0.0 if order.command != MavCmd.NAV_TAKEOFF else 0.0
-        yaw = None if order.param[3] is None or order.command == MavCmd.NAV_TAKEOFF else math.radians(order.param[3])
-        return None if place is None else (Waypoint(place, yaw, wait_s=waits, item=seq),)
+        climbs = order.command == MavCmd.NAV_TAKEOFF
+        yaw = None if order.param[3] is None or climbs else math.radians(order.param[3])
+        return None if place is None else (Waypoint(place, yaw, wait_s=0.0 if climbs else wait_s, item=seq),)
     if order.command == MavCmd.NAV_DELAY:
-        return (Waypoint(wait_s=max(order.param[0] or 0.0, 0.0), item=seq),)
+        return (Waypoint(wait_s=max(wait_s, 0.0), item=seq),)
     if order.command == MavCmd.NAV_LAND:
-        place = _place(order, firmware, here)
-        above = () if place is None else (Waypoint((place[0], place[1], here[2]), item=seq),)
-        return (*above, Waypoint(lands=True, item=seq))
+        return (down,) if place is None else (Waypoint((place[0], place[1], here[2]), item=seq), down)
     if order.command == MavCmd.NAV_RETURN_TO_LAUNCH:
-        return (Waypoint((0.0, 0.0, here[2]), item=seq), Waypoint(lands=True, item=seq))
+        return Waypoint((0.0, 0.0, here[2]), item=seq), down
     return (Waypoint(item=seq),) if order.command > MavCmd.NAV_DELAY else None  # conditions and actions are passed over
 
 
@@ -342,29 +335,19 @@ def follow_set_point(pilot: Pilot, frame: Frame, yaw_now: float) -> None:
     mask, kind = int(number(frame, "type_mask")), int(number(frame, "coordinate_frame"))
     yaw = None if mask & NO_YAW else number(frame, "yaw")
     turn = yaw_now if kind in (BODY_NED, BODY_OFFSET_NED) else 0.0
-    if not mask & NO_POSITION:
-        place = _set_place(pilot, frame, kind, turn)
-        if place is not None:
-            pilot.set_point(place, yaw)
-    elif not mask & NO_VELOCITY:
-        v_x, v_y, v_z = (number(frame, name) for name in ("vx", "vy", "vz"))
-        pilot.set_velocity((*_turned(v_x, v_y, turn), v_z), yaw)
+    c, s = math.cos(turn), math.sin(turn)
 
+    def turned(*names: str) -> Place:
+        x, y, z = (number(frame, name) for name in names)
+        return c * x - s * y, s * x + c * y, z
 
-def _set_place(pilot: Pilot, frame: Frame, kind: int, turn: float) -> Place | None:
-    here = pilot.position
-    if frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT:
+    if mask & NO_POSITION:
+        if not mask & NO_VELOCITY:
+            pilot.set_velocity(turned("vx", "vy", "vz"), yaw)
+    elif frame.msgid == MessageId.SET_POSITION_TARGET_GLOBAL_INT:
         north, east = to_local(number(frame, "lat_int") * DEGREES, number(frame, "lon_int") * DEGREES)
-        return north, east, -(number(frame, "alt") - HOME_ALT_M * (kind in ABOVE_SEA))
-    x, y, z = (number(frame, name) for name in ("x", "y", "z"))
-    if kind == LOCAL_NED:
-        return x, y, z
-    if kind in (OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
-        ahead, right = _turned(x, y, turn)
-        return here[0] + ahead, here[1] + right, here[2] + z
-    return None
-
-
-def _turned(x: float, y: float, angle: float) -> tuple[float, float]:
-    c, s = math.cos(angle), math.sin(angle)
-    return c * x - s * y, s * x + c * y
+        pilot.set_point((north, east, -(number(frame, "alt") - HOME_ALT_M * (kind in ABOVE_SEA))), yaw)
+    elif kind in (LOCAL_NED, OFFSET_NED, BODY_NED, BODY_OFFSET_NED):
+        here = (0.0, 0.0, 0.0) if kind == LOCAL_NED else pilot.position
+        north, east, down = (at + way for at, way in zip(here, turned("x", "y", "z"), strict=True))
+        pilot.set_point((north, east, down), yaw)

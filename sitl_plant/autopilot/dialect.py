@@ -14,6 +14,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.errors import UsageError
@@ -49,8 +50,7 @@ class Kind(IntEnum):
     REAL32 = 9
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(NamedTuple):
     """One parameter. span: the lowest and highest value that it may be set to; None if it cannot be set."""
 
     name: str
@@ -65,56 +65,50 @@ class Parameters:
     def __init__(self, rows: Sequence[Parameter], encoding: Encoding = Encoding.CAST) -> None:
         kind = {Encoding.BYTES: Kind.INT32, Encoding.FLOAT: Kind.REAL32}.get(encoding)
         self._bytewise = encoding is Encoding.BYTES
-        self._rows = tuple(replace(row, kind=kind) if kind and row.kind is not Kind.REAL32 else row for row in rows)
-        self._given = tuple(rows)
-        self._index = {row.name: index for index, row in enumerate(rows)}
-        self._values = [row.value for row in rows]
+        self._rows = {row.name: row for row in rows}
+        self._kinds = {row.name: kind if kind and row.kind is not Kind.REAL32 else row.kind for row in rows}
+        self._names = list(self._rows)
+        self._values = {row.name: row.value for row in rows}
 
     def value(self, name: str, default: float = 0.0) -> float:
         """The value in force; the default for a name that there is not."""
-        return self._values[self._index[name]] if name in self._index else default
+        return self._values.get(name, default)
 
     def change(self, name: str, value: float) -> bool:
         """Whether a value was taken: the name is known, can be set, and the value is within its span."""
-        span = self._rows[self._index[name]].span if name in self._index else None
-        if span is None or not span[0] <= value <= span[1]:
+        row = self._rows.get(name)
+        if row is None or row.span is None or not row.span[0] <= value <= row.span[1]:
             return False
-        whole = self._given[self._index[name]].kind is not Kind.REAL32
-        self._values[self._index[name]] = float(round(value)) if whole else value
+        self._values[name] = value if row.kind is Kind.REAL32 else float(round(value))
         return True
 
     def all(self, link: int) -> list[Action]:
         """The answer to PARAM_REQUEST_LIST."""
-        return [self._reply(link, index) for index in range(len(self._rows))]
+        return [self._reply(link, name) for name in self._names]
 
     def read(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_REQUEST_READ, by index or by name; nothing for an unknown one."""
-        index = int(number(frame, "param_index"))
-        if index < 0:
-            index = self._index.get(text(frame, "param_id"), -1)
-        return [self._reply(link, index)] if 0 <= index < len(self._rows) else []
+        index, name = int(number(frame, "param_index")), text(frame, "param_id")
+        if index >= 0:
+            name = self._names[index] if index < len(self._names) else ""
+        return [self._reply(link, name)] if name in self._rows else []
 
     def set(self, link: int, frame: Frame) -> list[Action]:
         """The answer to PARAM_SET: the value in force; nothing for an unknown name."""
-        name = text(frame, "param_id")
-        if name not in self._index:
+        name, value = text(frame, "param_id"), number(frame, "param_value")
+        if name not in self._rows:
             return []
-        row, asked = self._rows[self._index[name]], int(number(frame, "param_type"))
-        if not self._bytewise or asked == row.kind:
-            self.change(name, self._decoded(frame, row.kind))
-        return [self._reply(link, self._index[name])]
+        if self._bytewise and self._kinds[name] is not Kind.REAL32:
+            value = float(struct.unpack_from("<i", frame.payload)[0])  # param_value is first on the wire
+        if not self._bytewise or int(number(frame, "param_type")) == self._kinds[name]:
+            self.change(name, value)
+        return [self._reply(link, name)]
 
-    def _decoded(self, frame: Frame, kind: Kind) -> float:
+    def _reply(self, link: int, name: str) -> Reply:
+        kind, value = self._kinds[name], self._values[name]
         if self._bytewise and kind is not Kind.REAL32:
-            (held,) = struct.unpack_from("<i", frame.payload)  # param_value is first on the wire
-            return float(held)
-        return number(frame, "param_value")
-
-    def _reply(self, link: int, index: int) -> Reply:
-        row, value = self._rows[index], self._values[index]
-        if self._bytewise and row.kind is not Kind.REAL32:
             value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
-        return Reply(link, MessageId.PARAM_VALUE, (row.name, value, row.kind, len(self._rows), index))
+        return Reply(link, MessageId.PARAM_VALUE, (name, value, kind, len(self._names), self._names.index(name)))
 
 
 OWN_PARAMETERS = (
@@ -136,8 +130,7 @@ class Mode(StrEnum):
     MISSION = "mission"
 
 
-@dataclass(frozen=True, slots=True)
-class ModeCode:
+class ModeCode(NamedTuple):
     """One flight mode. custom_mode: its number in HEARTBEAT."""
 
     custom_mode: int
@@ -327,20 +320,10 @@ def _px4_rotors(vehicle: Vehicle) -> tuple[Parameter, ...]:
     return tuple(rows)
 
 
-_STATE: dict[int, float] = {
-    MessageId.HEARTBEAT: 1.0,
-    MessageId.SYS_STATUS: 2.0,
-    MessageId.EXTENDED_SYS_STATE: 1.0,
-    MessageId.ATTITUDE: 50.0,
-    MessageId.ATTITUDE_QUATERNION: 50.0,
-    MessageId.LOCAL_POSITION_NED: 30.0,
-    MessageId.GLOBAL_POSITION_INT: 5.0,
-    MessageId.GPS_RAW_INT: 2.0,
-    MessageId.VFR_HUD: 2.0,
-    MessageId.HOME_POSITION: 0.5,
-    MessageId.BATTERY_STATUS: 0.5,
-    MessageId.GPS_GLOBAL_ORIGIN: 0.0,
-}
+_STATE: dict[int, float] = {MessageId.HEARTBEAT: 1.0, MessageId.SYS_STATUS: 2.0, MessageId.EXTENDED_SYS_STATE: 1.0}
+_STATE |= {MessageId.ATTITUDE: 50.0, MessageId.ATTITUDE_QUATERNION: 50.0, MessageId.LOCAL_POSITION_NED: 30.0}
+_STATE |= {MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.GPS_RAW_INT: 2.0, MessageId.VFR_HUD: 2.0}
+_STATE |= {MessageId.HOME_POSITION: 0.5, MessageId.BATTERY_STATUS: 0.5, MessageId.GPS_GLOBAL_ORIGIN: 0.0}
 
 
 def _messages(profile: Profile, *more: MessageId) -> dict[int, float]:
@@ -366,21 +349,12 @@ _STREAMS: Mapping[int, tuple[int, ...]] = {
     ),
 }
 
-_PX4_UNASKED: Mapping[int, float] = {  # PX4, mavlink_main.cpp, MAVLINK_MODE_NORMAL; as far as carried here
-    MessageId.HEARTBEAT: 1.0,
-    MessageId.ATTITUDE: 15.0,
-    MessageId.ATTITUDE_QUATERNION: 10.0,
-    MessageId.ATTITUDE_TARGET: 2.0,
-    MessageId.SYS_STATUS: 1.0,
-    MessageId.EXTENDED_SYS_STATE: 1.0,
-    MessageId.LOCAL_POSITION_NED: 1.0,
-    MessageId.GLOBAL_POSITION_INT: 5.0,
-    MessageId.GPS_RAW_INT: 1.0,
-    MessageId.VFR_HUD: 4.0,
-    MessageId.HOME_POSITION: 0.5,
-    MessageId.BATTERY_STATUS: 0.5,
-    MessageId.ESC_STATUS: 1.0,
-}
+# PX4, mavlink_main.cpp, MAVLINK_MODE_NORMAL; as far as carried here
+_PX4_UNASKED: dict[int, float] = {MessageId.HEARTBEAT: 1.0, MessageId.ATTITUDE: 15.0, MessageId.ATTITUDE_TARGET: 2.0}
+_PX4_UNASKED |= {MessageId.ATTITUDE_QUATERNION: 10.0, MessageId.SYS_STATUS: 1.0, MessageId.EXTENDED_SYS_STATE: 1.0}
+_PX4_UNASKED |= {MessageId.LOCAL_POSITION_NED: 1.0, MessageId.GLOBAL_POSITION_INT: 5.0, MessageId.GPS_RAW_INT: 1.0}
+_PX4_UNASKED |= {MessageId.VFR_HUD: 4.0, MessageId.HOME_POSITION: 0.5, MessageId.BATTERY_STATUS: 0.5}
+_PX4_UNASKED |= {MessageId.ESC_STATUS: 1.0}
 
 _QDRONE2, _SPEC, _ARDUPILOT, _PX4 = (PROFILES[name] for name in ("qdrone2", "spec", "ardupilot", "px4"))
 

@@ -4,7 +4,7 @@ https://mavlink.io/en/services/mission.html. An interrupted upload is asked for 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import MessageId
@@ -18,14 +18,12 @@ ASK_AGAIN_S, GIVE_UP_S = 1.0, 8.0
 
 @dataclass(slots=True)
 class _Upload:
-    """An upload under way: from whom, how many items, which came, when the last one came and the last was asked for."""
-
     link: int
     source: tuple[int, int]
     count: int
-    frames: list[Frame]
-    heard_ns: int
+    heard_ns: int  # when the last item came, and the last was asked for
     asked_ns: int
+    frames: list[Frame] = field(default_factory=list)
 
     def ask(self) -> Reply:
         return Reply(self.link, MessageId.MISSION_REQUEST_INT, (*self.source, len(self.frames), MISSION))
@@ -63,12 +61,10 @@ class Mission:
 
     def step(self, link: int, frame: Frame, now_ns: int) -> list[Action]:
         """Answer one message of the protocol. A type of mission that is not carried is empty, or refused."""
-        if int(number(frame, "mission_type")) == MISSION:
+        if int(number(frame, "mission_type")) == MISSION or frame.msgid == MessageId.MISSION_ACK:
             answer = self._handlers[frame.msgid](link, frame, now_ns)
         elif frame.msgid == MessageId.MISSION_REQUEST_LIST:
             answer = _count(link, frame, 0)
-        elif frame.msgid == MessageId.MISSION_ACK:
-            answer = None
         else:
             answer = _ack(link, frame, ACCEPTED if frame.msgid == MessageId.MISSION_CLEAR_ALL else UNSUPPORTED)
         return [] if answer is None else [answer]
@@ -104,7 +100,7 @@ class Mission:
             return _ack(link, frame, NO_SPACE)
         if count == 0:
             return self._clear(link, frame, now_ns)
-        self._upload = _Upload(link, (frame.sysid, frame.compid), count, [], now_ns, now_ns)
+        self._upload = _Upload(link, (frame.sysid, frame.compid), count, now_ns, now_ns)
         return self._upload.ask()
 
     def _take(self, link: int, frame: Frame, now_ns: int) -> Action:

@@ -7,25 +7,15 @@ refuses what would change it. Its figures are our choice; those of ArduPilot and
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mavdiag.link.messages import MavResult
 from sitl_plant.autopilot.dialect import NOSE, SPEED_MOST, Firmware, Mode, Parameters
+from sitl_plant.physics import trajectory
 from sitl_plant.physics.dynamics import wrapped
-from sitl_plant.physics.trajectory import (
-    BELOW_M,
-    CLIMB_M_S,
-    DESCENT_M_S,
-    DISARMED,
-    FLYING,
-    IDLE,
-    LANDING,
-    REFERENCE,
-    Leg,
-    follow,
-)
+from sitl_plant.physics.trajectory import CLIMB_M_S, DISARMED, FLYING, IDLE, Leg
 from sitl_plant.plant import STEP_NS, PlantSamples
 
 ACCEPT_M, SETTLE_S, LATE_S = 0.3, 0.5, 10.0  # a waypoint is reached: so near, so long after the line ends; or so late
@@ -39,8 +29,7 @@ IDLE_S = 10.0  # armed on the ground without a take-off (ArduPilot: DISARM_DELAY
 Place = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Waypoint:
+class Waypoint(NamedTuple):
     """Something to do in flight."""
 
     place: Place | None = None  # where to go, world NED [m]; None stays
@@ -63,35 +52,25 @@ def _far(place: Place) -> bool:
 class Pilot:
     """Flies one vehicle. commanded: it stands on the ground and waits; else it follows its own path and takes no order.
 
-    custom_mode: as HEARTBEAT says it. first: the mission's item that is flown, or with which it begins.
+    custom_mode: as HEARTBEAT says it. first: the mission's item that is flown, or with which it begins. position: where
+    the vehicle is, world NED [m].
     """
 
     def __init__(self, firmware: Firmware, parameters: Parameters, custom_mode: int, commanded: bool) -> None:
         self._firmware, self._parameters, self._commanded = firmware, parameters, commanded
         self.custom_mode = firmware.shown(Mode.HOLD) if commanded else custom_mode
-        self._now_s, self._position, self._flies = 0.0, (0.0, 0.0, 0.0), not commanded
-        self.armed = not commanded
+        self.position: Place = (0.0, 0.0, 0.0)
+        self._now_s, self._flies, self.armed = 0.0, not commanded, not commanded
         self._leg, self._turned = Leg(), False
         self._plan: deque[Waypoint] = deque()
         self._doing: Waypoint | None = None
-        self._ends_s = math.inf  # when the present line is over
-        self._idle_since_s = 0.0
+        self._ends_s, self._idle_since_s = math.inf, 0.0  # when the present line is over
         self._mission: tuple[Waypoint, ...] = ()
         self.first = 0
         self._texts: list[str] = []
         self._reached: list[int] = []
         if commanded:
             self._led()  # compiles it, which would take a second in flight
-
-    @property
-    def refused(self) -> MavResult:
-        """What a command gets that the vehicle's state does not allow."""
-        return self._firmware.refused
-
-    @property
-    def position(self) -> Place:
-        """Where the vehicle is, world NED [m]."""
-        return self._position
 
     def take_texts(self) -> list[str]:
         """What the pilot has to say since the last call."""
@@ -124,8 +103,8 @@ class Pilot:
         self.armed = on
         self._plan.clear()
         self._doing, self._idle_since_s, self._ends_s = None, self._now_s, math.inf
-        ground = (self._position[0], self._position[1], 0.0)
-        self._lead(ground if not self._flies else self._position, motors=IDLE if on else DISARMED)
+        north, east, down = self.position
+        self._lead((north, east, down if self._flies else 0.0), motors=IDLE if on else DISARMED)
         self._texts.append("Armed" if on else "Disarmed")
         if on and self._mode is Mode.MISSION:
             self._fly_mission()
@@ -137,7 +116,7 @@ class Pilot:
         if not self._commanded or not self.armed or self._flies or wrong_mode:
             return self._refuse("a take-off needs an armed vehicle on the ground" + " in GUIDED" * wrong_mode)
         height = self._unit(self._firmware.height) if height_m is None else height_m
-        place = (self._position[0], self._position[1], -height)
+        place = (self.position[0], self.position[1], -height)
         if _far(place):
             return MavResult.DENIED
         self.custom_mode = self._firmware.shown(self._firmware.takeoff)
@@ -198,7 +177,7 @@ class Pilot:
         """See what happened in a block (n >= 1); what to be led along from now on, None to go on as before."""
         self._now_s = (int(samples.t_ns[-1]) + STEP_NS) * 1e-9
         north, east, down = samples.position[-1].tolist()
-        self._position, self._flies = (north, east, down), bool(samples.motors[-1] == FLYING)
+        self.position, self._flies = (north, east, down), bool(samples.motors[-1] == FLYING)
         if not self._commanded:
             return None
         if self._flies:
@@ -227,7 +206,7 @@ class Pilot:
 
     def _refuse(self, why: str) -> MavResult:
         self._texts.append(f"Refused: {why}")
-        return self.refused
+        return self._firmware.refused
 
     def _unit(self, name: str) -> float:
         return self._parameters.value(name) * self._firmware.unit
@@ -242,13 +221,13 @@ class Pilot:
         return [Waypoint()]
 
     def _fly_mission(self) -> None:
-        self._start(one for one in self._mission if one.item is None or one.item >= self.first)
+        self._start(waypoint for waypoint in self._mission if waypoint.item is None or waypoint.item >= self.first)
 
     def _start(self, plan: Iterable[Waypoint]) -> None:
         self._plan = deque(plan)
-        place = next((one.place for one in self._plan if one.place is not None), None)
+        place = next((waypoint.place for waypoint in self._plan if waypoint.place is not None), None)
         if not self._flies and place is not None:  # straight up to its height
-            self._plan.appendleft(Waypoint((self._position[0], self._position[1], place[2])))
+            self._plan.appendleft(Waypoint((self.position[0], self.position[1], place[2])))
         self._next()
 
     def _finish(self, done: Waypoint) -> None:
@@ -269,7 +248,7 @@ class Pilot:
         led = self._led()
         here = (led[0], led[1], led[2])
         if doing.lands:
-            self._lead((here[0], here[1], BELOW_M), DESCENT_M_S, then=LANDING)
+            self._lead((here[0], here[1], trajectory.BELOW_M), trajectory.DESCENT_M_S, then=trajectory.LANDING)
         else:
             self._lead(doing.place or here, doing.speed or self._unit(self._firmware.speed), doing.yaw)
         turn_s = abs(self._leg.turn) / self._leg.turn_speed
@@ -277,20 +256,15 @@ class Pilot:
 
     def _arrived(self) -> bool:
         over_s = self._now_s - self._ends_s
-        return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self._position, self._leg.end) < ACCEPT_M)
+        return over_s > LATE_S or (over_s > SETTLE_S and math.dist(self.position, self._leg.end) < ACCEPT_M)
 
     def _led(self) -> tuple[float, ...]:
-        out = np.zeros(REFERENCE)
-        follow(self._leg, self._now_s, out)
+        out = np.zeros(trajectory.REFERENCE)
+        trajectory.follow(self._leg, self._now_s, out)
         return tuple(out.tolist())
 
     def _lead(
-        self,
-        end: Place,
-        speed: float = CLIMB_M_S,
-        yaw: float | None = None,
-        motors: float = FLYING,
-        then: float | None = None,
+        self, end: Place, speed: float = CLIMB_M_S, yaw: float | None = None, motors: float = FLYING, then: float = -1.0
     ) -> None:
         led = self._led()
         start = (led[0], led[1], led[2])
@@ -301,8 +275,6 @@ class Pilot:
         if up:  # neither climbs nor descends faster than take-off
             speed = min(speed, CLIMB_M_S * math.hypot(ahead, up) / up)
         speed = min(max(speed, 0.01), SPEED_MOST)
-        if motors != FLYING:
-            start = end
-        then = motors if then is None else then
+        start, then = start if motors == FLYING else end, motors if then < 0.0 else then
         self._leg = Leg(self._now_s, start, end, speed, led[6], turn, TURN_RAD_S, float(motors), float(then))
         self._turned = True

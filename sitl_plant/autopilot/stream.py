@@ -8,7 +8,6 @@ told as an autopilot with a GPS tells it, on a plane that touches the earth at i
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from itertools import repeat
 from operator import itemgetter
@@ -72,8 +71,7 @@ def integers(values: FloatArray, bits: int) -> IntArray:
     return np.clip(np.rint(values), -top - 1, top).astype(np.int64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilteredSamples:
+class FilteredSamples(NamedTuple):
     """n steps as the autopilot sends them."""
 
     samples: PlantSamples  # what the plant gave
@@ -188,25 +186,16 @@ class _Due:
 
     def __init__(self, filtered: FilteredSamples, rows: IntArray, dialect: Dialect) -> None:
         self.filtered, self.rows, self.dialect, self.profile = filtered, rows, dialect, dialect.profile
-        samples = filtered.samples
+        samples, stamp_ns = filtered.samples, filtered.stamp_ns[rows]
+        self.boot_ms, self.boot_us = stamp_ns // NS_PER_MS % (1 << 32), stamp_ns // NS_PER_US
         self.gyro, self.accel, self.motors = filtered.gyro[rows], filtered.accel[rows], samples.motors[rows]
-        self.position, self.velocity, self.attitude = (
-            values[rows] for values in (samples.position, samples.velocity, samples.attitude)
-        )
-        self.setpoint, self.volts, self.duty = samples.setpoint[rows], samples.battery_v[rows], samples.duty[rows]
-        self.charge_ah, self.thrust = samples.charge_ah[rows], samples.thrust_setpoint[rows]
-
-    @property
-    def boot_ms(self) -> IntArray:
-        return self.filtered.stamp_ns[self.rows] // NS_PER_MS % (1 << 32)
-
-    @property
-    def boot_us(self) -> IntArray:
-        return self.filtered.stamp_ns[self.rows] // NS_PER_US
+        self.position, self.velocity = samples.position[rows], samples.velocity[rows]
+        self.angles, self.volts, self.duty = samples.attitude[rows, :3], samples.battery_v[rows], samples.duty[rows]
 
     @property
     def remaining(self) -> IntArray:
-        return integers(100.0 * np.clip(1.0 - self.charge_ah / CAPACITY_AH, 0.0, 1.0), 8)
+        charge_ah = self.filtered.samples.charge_ah[self.rows]
+        return integers(100.0 * np.clip(1.0 - charge_ah / CAPACITY_AH, 0.0, 1.0), 8)
 
     @property
     def place(self) -> dict[str, IntArray]:
@@ -216,7 +205,7 @@ class _Due:
 
     @property
     def heading(self) -> FloatArray:
-        return np.asarray(np.degrees(self.attitude[:, 2]) % 360.0)
+        return np.asarray(np.degrees(self.angles[:, 2]) % 360.0)
 
     @property
     def speed(self) -> FloatArray:
@@ -242,18 +231,9 @@ def _quaternion(angles: FloatArray) -> FloatArray:
 
 def _groups(values: FloatArray | IntArray) -> Any:
     """(n, r) as (n g, 4): the rotors four by four, zeros where there is none."""
-    n, rotors = values.shape
-    groups = -(-rotors // ESC_GROUP)
-    padded = np.zeros((n, groups * ESC_GROUP), dtype=values.dtype)
-    padded[:, :rotors] = values
-    return padded.reshape(n * groups, ESC_GROUP)
-
-
-def _gps(due: _Due) -> Columns:
-    course = np.degrees(np.arctan2(due.velocity[:, 1], due.velocity[:, 0])) % 360.0
-    moves = {"vel": integers(100.0 * due.speed, 17), "cog": integers(100.0 * course, 17) % 36_000}
-    seen = {"fix_type": FIX_3D, "eph": EPH_CM, "epv": EPH_CM, "satellites_visible": SATELLITES}
-    return {"time_usec": due.boot_us, **due.place, **moves, **seen}
+    groups = -(-values.shape[1] // ESC_GROUP)
+    padded = np.pad(values, ((0, 0), (0, groups * ESC_GROUP - values.shape[1])))
+    return padded.reshape(-1, ESC_GROUP)
 
 
 def _home(due: _Due) -> Columns:
@@ -276,21 +256,17 @@ def _battery(due: _Due) -> Columns:
         "temperature": 0x7FFF,  # not measured, as the current
         "voltages": voltages,
         "current_battery": -1,
-        "current_consumed": integers(1e3 * due.charge_ah, 32),
+        "current_consumed": integers(1e3 * due.filtered.samples.charge_ah[due.rows], 32),
         "energy_consumed": -1,
         "battery_remaining": due.remaining,
     }
 
 
 def _esc_status(due: _Due) -> Columns:
-    rpm = _groups(integers(due.rpm, 32))
-    groups = len(rpm) // len(due.rows)
-    return {
-        "time_usec": np.repeat(due.boot_us, groups),
-        "index": np.tile(ESC_GROUP * np.arange(groups), len(due.rows)),
-        "rpm": rpm,
-        "voltage": _groups(np.repeat(due.volts[:, None], due.duty.shape[1], axis=1)),
-    }
+    rpm, n = _groups(integers(due.rpm, 32)), len(due.rows)
+    groups = len(rpm) // n
+    index, volts = np.tile(ESC_GROUP * np.arange(groups), n), np.broadcast_to(due.volts[:, None], due.duty.shape)
+    return {"time_usec": np.repeat(due.boot_us, groups), "index": index, "rpm": rpm, "voltage": _groups(volts)}
 
 
 def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
@@ -298,8 +274,8 @@ def _esc_telemetry(first: int) -> Callable[[_Due], Columns]:
 
     def build(due: _Due) -> Columns:
         rpm = integers(due.rpm[:, first : first + ESC_GROUP], 17)
-        volts = integers(100.0 * due.volts, 17)
-        return {"rpm": _groups(rpm), "voltage": _groups(np.repeat(volts[:, None], rpm.shape[1], axis=1))}
+        volts = np.broadcast_to(integers(100.0 * due.volts, 17)[:, None], rpm.shape)
+        return {"rpm": _groups(rpm), "voltage": _groups(volts)}
 
     return build
 
@@ -331,17 +307,17 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
         "xgyro": due.gyro,
         "fields_updated": HIGHRES_FIELDS,
     },
-    MessageId.ATTITUDE: lambda due: {"time_boot_ms": due.boot_ms, "roll": due.attitude[:, :3], "rollspeed": due.gyro},
+    MessageId.ATTITUDE: lambda due: {"time_boot_ms": due.boot_ms, "roll": due.angles, "rollspeed": due.gyro},
     MessageId.ATTITUDE_QUATERNION: lambda due: {
         "time_boot_ms": due.boot_ms,
-        "q1": _quaternion(due.attitude[:, :3]),
+        "q1": _quaternion(due.angles),
         "rollspeed": due.gyro,
     },
     MessageId.ATTITUDE_TARGET: lambda due: {
         "time_boot_ms": due.boot_ms,
-        "q": _quaternion(due.setpoint),
+        "q": _quaternion(due.filtered.samples.setpoint[due.rows]),
         "body_roll_rate": due.filtered.samples.rate_setpoint[due.rows],
-        "thrust": due.thrust,
+        "thrust": due.filtered.samples.thrust_setpoint[due.rows],
     },
     # the true position: motion capture gives it to a fraction of a millimetre
     MessageId.LOCAL_POSITION_NED: lambda due: {"time_boot_ms": due.boot_ms, "x": due.position, "vx": due.velocity},
@@ -352,12 +328,21 @@ _BUILDERS: Mapping[int, Callable[[_Due], Columns]] = {
         "vx": integers(100.0 * due.velocity, 16),
         "hdg": integers(100.0 * due.heading, 17) % 36_000,
     },
-    MessageId.GPS_RAW_INT: _gps,
+    MessageId.GPS_RAW_INT: lambda due: {
+        "time_usec": due.boot_us,
+        **due.place,
+        "vel": integers(100.0 * due.speed, 17),
+        "cog": integers(100.0 * (np.degrees(np.arctan2(*due.velocity.T[1::-1])) % 360.0), 17) % 36_000,
+        "fix_type": FIX_3D,
+        "eph": EPH_CM,
+        "epv": EPH_CM,
+        "satellites_visible": SATELLITES,
+    },
     MessageId.VFR_HUD: lambda due: {
         "airspeed": due.speed,
         "groundspeed": due.speed,
         "heading": integers(due.heading, 16) % 360,
-        "throttle": integers(100.0 * np.nan_to_num(due.thrust), 17),
+        "throttle": integers(100.0 * np.nan_to_num(due.filtered.samples.thrust_setpoint[due.rows]), 17),
         "alt": to_global(due.position)[:, 2],
         "climb": -due.velocity[:, 2],
     },

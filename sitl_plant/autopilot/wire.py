@@ -1,9 +1,8 @@
 """What the emulated autopilot reads from a frame, a command among them, and what it answers with."""
 
 import math
-from dataclasses import dataclass
 from functools import cache
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Frame, field_index
@@ -15,8 +14,7 @@ DEGREES = 1e-7
 _INTEGERS = (MessageId.COMMAND_INT, MessageId.MISSION_ITEM_INT, MessageId.SET_POSITION_TARGET_GLOBAL_INT)
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """A message of the autopilot's own, for one link; fields as declared."""
 
     link: int
@@ -24,8 +22,7 @@ class Reply:
     fields: tuple[Argument, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Forward:
+class Forward(NamedTuple):
     """A frame that goes on to another link as its sender's."""
 
     link: int
@@ -37,7 +34,6 @@ Action: TypeAlias = Reply | Forward
 
 @cache
 def _place(msgid: int, name: str) -> int | None:
-    """Where a field lies in `Frame.fields`; None if the message has none of that name."""
     try:
         return field_index(msgid, name)
     except UsageError:
@@ -63,18 +59,12 @@ def text(frame: Frame, name: str) -> str:
     return value.partition(b"\0")[0].decode(errors="replace") if isinstance(value, bytes) else ""
 
 
-def target(frame: Frame) -> tuple[int, int]:
-    """System and component that a frame is meant for; 0 is everyone."""
-    return int(number(frame, "target_system")), int(number(frame, "target_component"))
-
-
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(NamedTuple):
     """A MAV_CMD with its parameters; None for one that is not given. x, y: degrees. z: metres."""
 
     command: int
     frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which has none
-    param: tuple[float | None, float | None, float | None, float | None]  # the first four
+    param: tuple[float | None, ...]  # the first four
     x: float | None
     y: float | None
     z: float | None
@@ -86,13 +76,11 @@ class Order:
 
 def order_of(frame: Frame) -> Order:
     """The order in COMMAND_LONG, COMMAND_INT, MISSION_ITEM or MISSION_ITEM_INT."""
-    given = [optional(frame, f"param{n}") for n in range(1, 5)]
-    kind = optional(frame, "frame")
+    kind, names = optional(frame, "frame"), ("x", "y", "z")
     if frame.msgid == MessageId.COMMAND_LONG:
-        x, y, z = (optional(frame, f"param{n}") for n in (5, 6, 7))
-    else:
-        x, y, z = (optional(frame, name) for name in ("x", "y", "z"))
+        names = ("param5", "param6", "param7")
+    x, y, z = (optional(frame, name) for name in names)
     if frame.msgid in _INTEGERS:
         x, y = (None if value in (None, NOT_SET) else value * DEGREES for value in (x, y))
-    one, two, three, four = given
-    return Order(int(number(frame, "command")), None if kind is None else int(kind), (one, two, three, four), x, y, z)
+    given = tuple(optional(frame, f"param{n}") for n in range(1, 5))
+    return Order(int(number(frame, "command")), None if kind is None else int(kind), given, x, y, z)

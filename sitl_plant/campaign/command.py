@@ -16,7 +16,6 @@ from sitl_plant.options import VehicleName
 from sitl_plant.vehicle import vehicle_from
 
 if TYPE_CHECKING:
-    from sitl_plant.campaign.summary import Summary
     from sitl_plant.campaign.worker import FlightResult, Results
 
 
@@ -59,7 +58,7 @@ def campaign(
     asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     design = replace(PRESETS[preset], vehicle=vehicle_from(vehicle), seed=seed, **asked)
     summary = _run(with_conditions(design, conditions), output, workers, scheduler, fresh, parquet)
-    text = json.dumps(asdict(summary))
+    text = json.dumps(summary, default=asdict)
     if summary_file is not None:
         from mavdiag.storage import write_atomically
 
@@ -74,8 +73,8 @@ def campaign(
 
 def _run(
     design: Design, output: Path, workers: int, scheduler: str | None, fresh: bool, parquet: Path | None
-) -> "Summary":
-    # Loaded here: pydantic, the diagnosis and the plant take a second that --help should not.
+) -> dict[str, Any]:
+    # Loaded here: the diagnosis and the plant take a second that --help should not.
     from mavdiag.archive.cluster import dask_executor
     from mavdiag.archive.tables import check_parquet
     from sitl_plant.campaign.summary import summarise
@@ -96,11 +95,8 @@ def _run(
 
         results = run_campaign(plan, journal, executor, report)
     if results.reused or results.others:
-        typer.echo(
-            f"{output}: {results.reused} results reused; {results.others} lines of other campaigns, or of another "
-            "version of the sources, not counted",
-            err=True,
-        )
+        others = "lines of other campaigns, or of another version of the sources, not counted"
+        typer.echo(f"{output}: {results.reused} results reused; {results.others} {others}", err=True)
     if parquet is not None:
         _write_parquet(parquet, results)
     return summarise(results)

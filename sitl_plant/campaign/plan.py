@@ -14,12 +14,14 @@ import json
 import math
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+import pydantic.dataclasses
+from pydantic import BeforeValidator
 
 from mavdiag.errors import UsageError
 from mavdiag.monitors.base import FaultKind
@@ -37,8 +39,6 @@ CALM = "calm"
 EVERY = "all"  # every condition
 FLIGHTS_A_DAY = 4  # flights of one session, where a condition has other sessions (our choice)
 MOUNT_DAMPING = 0.1  # of isolators (estimate)
-# Factors whose levels are numbers, and their ranges.
-RANGES = {"phenomenology": (0.0, 1.0), "wind": (0.0, 10.0), "payload": (0.0, 1000.0), "loss": (0.0, 0.9)}
 
 
 class Group(StrEnum):
@@ -46,43 +46,21 @@ class Group(StrEnum):
 
     FAULT = "fault"  # one of T's nine: a propeller fault
     BLADE = "blade"  # other damage to a propeller: a propeller fault
-    MOTOR = "motor"  # a motor at another speed than commanded: another fault, though it feels like a propeller's
+    MOTOR = "motor"  # a motor at another speed than commanded: the diagnosis does not tell it from its propeller
     LOSS = "loss"  # a propeller gone: a gross loss of thrust
     SENSOR = "sensor"  # a gyro or accelerometer: another fault, or nothing; never a propeller fault
 
-
-RIGHT: Mapping[Group, FaultKind] = {
-    Group.FAULT: FaultKind.PROPELLER,
-    Group.BLADE: FaultKind.PROPELLER,
-    Group.MOTOR: FaultKind.PROPELLER,  # the diagnosis does not tell a motor from its propeller
-    Group.LOSS: FaultKind.GROSS_LOSS,
-    Group.SENSOR: FaultKind.SENSOR,
-}
-"""The kind of fault that is the right answer to a group."""
+    @property
+    def right(self) -> FaultKind:
+        """The kind of fault that is the right answer."""
+        return {Group.LOSS: FaultKind.GROSS_LOSS, Group.SENSOR: FaultKind.SENSOR}.get(self, FaultKind.PROPELLER)
 
 
-@dataclass(frozen=True, slots=True)
-class Cause:
+class Cause(NamedTuple):
     """What goes wrong: one of T's faults, a damage, or a sensor fault on a random axis, offset and drift signed so."""
 
     group: Group
     what: Fault | RotorDamage | SensorFault
-
-    @property
-    def fitted(self) -> bool:
-        """Whether it has fitted terms to scale."""
-        return isinstance(self.what, Fault)
-
-    def make(self, rng: np.random.Generator, phenomenology: float) -> RotorDamage | SensorFault:
-        """The cause of one flight. phenomenology: scale of the fitted terms."""
-        match self.what:
-            case Fault() as fault:
-                return fault.damage(phenomenology)
-            case RotorDamage() as damage:
-                return damage
-            case SensorFault() as sensor:
-                axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
-                return replace(sensor, axis=axis, offset=sign * sensor.offset, drift_per_s=sign * sensor.drift_per_s)
 
 
 _BLADES = {
@@ -111,7 +89,7 @@ CAUSES: Mapping[str, Cause] = {
 """Causes by name (T 1.2, Tables 3.1-3.3). Units: g mm; gyro in rad/s, accelerometer in m/s^2, drifts per second."""
 
 
-def causes_named(names: Sequence[str]) -> tuple[str, ...]:
+def causes_named(names: Iterable[str]) -> tuple[str, ...]:
     """The causes of some names or groups, each once. Raises UsageError for an unknown one."""
     chosen: list[str] = []
     for name in names:
@@ -126,11 +104,18 @@ def injections_of(
     name: str, rotor: int, onset_s: float, phenomenology: float, rng: np.random.Generator
 ) -> tuple[Injection, ...]:
     """What the plant is to inject from `onset_s` on; nothing for a healthy flight."""
-    return () if name == HEALTHY else (Injection(CAUSES[name].make(rng, phenomenology), rotor, onset_s),)
+    if name == HEALTHY:
+        return ()
+    cause = CAUSES[name].what
+    if isinstance(cause, Fault):
+        cause = cause.damage(phenomenology)
+    elif isinstance(cause, SensorFault):
+        axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+        cause = replace(cause, axis=axis, offset=sign * cause.offset, drift_per_s=sign * cause.drift_per_s)
+    return (Injection(cause, rotor, onset_s),)
 
 
-@dataclass(frozen=True, slots=True)
-class Manoeuvre:
+class Manoeuvre(NamedTuple):
     """A named path; nose as of `sitl_plant.physics.trajectory.Nose`."""
 
     shape: str
@@ -222,13 +207,6 @@ class Conditions:
     payload_g: float = 0.0
     condition: str = CALM  # a name of `CONDITIONS`
 
-    def applied(self) -> "Conditions":
-        """With what the named condition says of wind and payload."""
-        row = CONDITIONS[self.condition]
-        wind = self.wind_m_s if row.wind_m_s is None else row.wind_m_s
-        payload = self.payload_g if row.payload_g is None else row.payload_g
-        return replace(self, wind_m_s=wind, payload_g=payload)
-
 
 def built(vehicle: Vehicle, condition: str) -> Vehicle:
     """The vehicle as a condition has it built: filter and mount of its IMU."""
@@ -246,11 +224,8 @@ def built(vehicle: Vehicle, condition: str) -> Vehicle:
 
 def built_link(link: str, condition: str) -> str:
     """The link as a condition has it. Raises UsageError for a rate that its profile does not grant."""
-    rate_hz = CONDITIONS[condition].rate_hz
-    if rate_hz is None:
-        return link
-    profile = parse_link(link).profile
-    return f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
+    rate_hz, profile = CONDITIONS[condition].rate_hz, parse_link(link).profile
+    return link if rate_hz is None else f"{profile}@{LinkSpec(profile, rate_hz).rate_hz:g}"
 
 
 def parse_link(text: str) -> LinkSpec:
@@ -293,9 +268,48 @@ class FlightTask:
     session: int = 0  # 0 is that of the healthy flights learnt from, each other a day later
 
 
-@dataclass(frozen=True, slots=True)
+def _numbers(factor: str, low: float, high: float) -> BeforeValidator:
+    def check(levels: Sequence[Any]) -> tuple[float, ...]:
+        texts = ", ".join(map(str, levels))
+        try:
+            values = tuple(map(float, levels))
+        except ValueError:
+            raise UsageError(f"{factor} must be a number, not {texts!r}") from None
+        if not all(low <= value <= high for value in values):
+            raise UsageError(f"{factor} must be {low:g} to {high:g}, not {texts}")
+        return values
+
+    return BeforeValidator(check)
+
+
+def _names(factor: str, table: Collection[str]) -> BeforeValidator:
+    def check(levels: Sequence[str]) -> tuple[str, ...]:
+        wanted = tuple(table) if list(levels) == [EVERY] else tuple(dict.fromkeys(levels))
+        if unknown := set(wanted) - set(table):
+            raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
+        return wanted
+
+    return BeforeValidator(check)
+
+
+def _links(levels: Sequence[str]) -> tuple[str, ...]:
+    for link in levels:
+        parse_link(link)
+    return tuple(levels)
+
+
+def _whole(levels: Sequence[Any] | None) -> tuple[int, ...] | None:
+    if levels is None or all(str(level).isdecimal() for level in levels):
+        return levels if levels is None else tuple(map(int, levels))
+    raise UsageError(f"rotor must be a whole number, not {', '.join(map(str, levels))}")
+
+
+FACTORS = ("cause", "rotor", "manoeuvre", "condition", "link", "phenomenology", "wind", "payload", "loss")
+
+
+@pydantic.dataclasses.dataclass(frozen=True, slots=True)
 class Design:
-    """Levels of every factor, and how much to fly."""
+    """Levels of every factor, and how much to fly. Raises UsageError for a level or a size that cannot be."""
 
     seed: int = 0
     airframes: int = 4  # how many specimens; every second one is aged
@@ -304,15 +318,16 @@ class Design:
     flights: int = 138  # with a cause
     hours: float = 0.5  # of healthy flight, besides
     duration_s: float = 40.0
-    cause: tuple[str, ...] = tuple(CAUSES)
-    rotor: tuple[int, ...] | None = None  # None for every rotor of the vehicle
-    phenomenology: tuple[float, ...] = (0.0, 0.5, 1.0)
-    manoeuvre: tuple[str, ...] = USUAL
-    wind: tuple[float, ...] = (0.0, 1.0)
-    payload: tuple[float, ...] = (0.0, 100.0)
-    link: tuple[str, ...] = ("qdrone2@1000",)
-    loss: tuple[float, ...] = (0.0,)
-    condition: tuple[str, ...] = (CALM,)  # names of `CONDITIONS`, each with its share of flights and hours
+    cause: Annotated[tuple[str, ...], BeforeValidator(causes_named)] = tuple(CAUSES)
+    rotor: Annotated[tuple[int, ...] | None, BeforeValidator(_whole)] = None  # None for every rotor of the vehicle
+    phenomenology: Annotated[tuple[float, ...], _numbers("phenomenology", 0.0, 1.0)] = (0.0, 0.5, 1.0)
+    manoeuvre: Annotated[tuple[str, ...], _names("manoeuvre", MANOEUVRES)] = USUAL
+    wind: Annotated[tuple[float, ...], _numbers("wind", 0.0, 10.0)] = (0.0, 1.0)
+    payload: Annotated[tuple[float, ...], _numbers("payload", 0.0, 1000.0)] = (0.0, 100.0)
+    link: Annotated[tuple[str, ...], BeforeValidator(_links)] = ("qdrone2@1000",)
+    loss: Annotated[tuple[float, ...], _numbers("loss", 0.0, 0.9)] = (0.0,)
+    # each with its share of flights and hours
+    condition: Annotated[tuple[str, ...], _names("condition", CONDITIONS)] = (CALM,)
     vehicle: Vehicle = field(default_factory=qdrone2, repr=False)
 
     def __post_init__(self) -> None:
@@ -323,6 +338,13 @@ class Design:
             raise UsageError("seed, flights and hours must be zero or more")
         if not 10.0 <= self.duration_s <= 600.0:
             raise UsageError(f"a flight must last 10 to 600 s, not {self.duration_s:g}")
+        if not set(self.rotors) <= set(range(1, len(self.vehicle.rotors) + 1)):
+            raise UsageError(f"rotor must be 1 to {len(self.vehicle.rotors)}, not {', '.join(map(str, self.rotors))}")
+
+    @property
+    def rotors(self) -> tuple[int, ...]:
+        """Those to damage."""
+        return self.rotor or tuple(range(1, len(self.vehicle.rotors) + 1))
 
 
 PRESETS: Mapping[str, Design] = {
@@ -343,13 +365,29 @@ PRESETS: Mapping[str, Design] = {
         learn_flights=5,
         flights=27 * len(CONDITIONS),
         hours=2.0 * len(CONDITIONS),
-        cause=tuple(name for name, cause in CAUSES.items() if cause.group is Group.FAULT),
+        cause=(Group.FAULT,),
         manoeuvre=("square",),
         wind=(0.0,),
         payload=(0.0,),
         condition=tuple(CONDITIONS),
     ),
 }
+
+
+def with_conditions(design: Design, filters: Sequence[str]) -> Design:
+    """The design with the levels of some factors replaced, each given as "factor=level,level".
+
+    Raises UsageError for an unknown factor or level.
+    """
+    changed: dict[str, Any] = {}
+    for text in filters:
+        factor, _, levels = (part.strip() for part in text.partition("="))
+        if factor not in FACTORS:
+            raise UsageError(f"no factor {factor!r}: give {', '.join(FACTORS)}")
+        changed[factor] = [level.strip() for level in levels.split(",") if level.strip()]
+        if not changed[factor]:
+            raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
+    return replace(design, **changed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,9 +408,8 @@ def make_plan(design: Design) -> Plan:
         flights += _flights(design, "cause", share + (number < left), name)
     for name in names:
         duration_s = CONDITIONS[name].duration_s or design.duration_s
-        flights += _flights(design, "healthy", math.ceil(design.hours / len(names) * S_PER_H / duration_s), name)
-    learning = tuple(dict.fromkeys(flight.learnt for flight in flights))
-    return Plan(design, learning, tuple(flights))
+        flights += _flights(design, HEALTHY, math.ceil(design.hours / len(names) * S_PER_H / duration_s), name)
+    return Plan(design, tuple(dict.fromkeys(flight.learnt for flight in flights)), tuple(flights))
 
 
 def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTask]:
@@ -381,64 +418,50 @@ def _flights(design: Design, kind: str, count: int, name: str) -> list[FlightTas
     def column(name: str, levels: Sequence[Level]) -> list[Level]:
         return balanced(levels, count, design.seed, f"{part} {name}")
 
+    def within_causes(name: str, levels: Sequence[Level]) -> list[Level]:
+        own = {cause: iter(balanced(levels, n, design.seed, f"{part} {name} {cause}")) for cause, n in met.items()}
+        return [next(own[cause]) for cause in causes]
+
+    vehicle, days = built(design.vehicle, name), Counter[int]()
     learning = {
-        (airframe, link): _learning(design, airframe, built_link(link, name), built(design.vehicle, name))
+        (airframe, link): _learning(design, airframe, built_link(link, name), vehicle)
         for airframe in range(design.airframes)
-        for link in dict.fromkeys(design.link)
+        for link in design.link
     }
-    rotors = design.rotor or tuple(range(1, len(design.vehicle.rotors) + 1))
-    causes = [HEALTHY] * count if kind == "healthy" else column("cause", design.cause)
-    levels = zip(
-        causes,
-        _within(causes, rotors, design.seed, f"{part} rotor"),
-        _within(causes, design.phenomenology, design.seed, f"{part} phenomenology"),
-        column("manoeuvre", condition.manoeuvres or design.manoeuvre),
-        column("wind", design.wind),
-        column("payload", design.payload),
-        column("link", design.link),
-        column("loss", design.loss),
-        airframes := column("airframe", range(design.airframes)),
-        _sessions(airframes) if condition.another_day else [0] * count,
-        strict=True,
-    )
-    columns = enumerate(levels)
-    return [
-        FlightTask(
-            index=index,
-            learnt=learning[airframe, link],
-            cause=cause,
-            rotor=rotor,
-            phenomenology=phenomenology if cause in CAUSES and CAUSES[cause].fitted else 1.0,
-            conditions=Conditions(manoeuvre, wind, payload, name).applied(),
-            loss=loss,
-            duration_s=condition.duration_s or design.duration_s,
-            session=session,
+    causes = [HEALTHY] * count if kind == HEALTHY else column("cause", design.cause)
+    met = Counter(causes)
+    rotors, scales = within_causes("rotor", design.rotors), within_causes("phenomenology", design.phenomenology)
+    manoeuvres = column("manoeuvre", condition.manoeuvres or design.manoeuvre)
+    winds, payloads, losses = (column(axis, getattr(design, axis)) for axis in ("wind", "payload", "loss"))
+    airframes, links = column("airframe", range(design.airframes)), column("link", design.link)
+    flights = []
+    for index, (cause, airframe) in enumerate(zip(causes, airframes, strict=True)):
+        wind = winds[index] if condition.wind_m_s is None else condition.wind_m_s
+        payload = payloads[index] if condition.payload_g is None else condition.payload_g
+        fitted = cause in CAUSES and CAUSES[cause].group is Group.FAULT
+        flights.append(
+            FlightTask(
+                index=index,
+                learnt=learning[airframe, links[index]],
+                cause=cause,
+                rotor=rotors[index],
+                phenomenology=scales[index] if fitted else 1.0,
+                conditions=Conditions(manoeuvres[index], wind, payload, name),
+                loss=losses[index],
+                duration_s=condition.duration_s or design.duration_s,
+                session=1 + days[airframe] // FLIGHTS_A_DAY if condition.another_day else 0,
+            )
         )
-        for index, (cause, rotor, phenomenology, manoeuvre, wind, payload, link, loss, airframe, session) in columns
-    ]
-
-
-def _sessions(airframes: Sequence[int]) -> list[int]:
-    flown: Counter[int] = Counter()
-    sessions = []
-    for airframe in airframes:
-        sessions.append(1 + flown[airframe] // FLIGHTS_A_DAY)
-        flown[airframe] += 1
-    return sessions
+        days[airframe] += 1
+    return flights
 
 
 def _learning(design: Design, airframe: int, link: str, vehicle: Vehicle) -> LearnTask:
     """Half of the flights, and the first, are T's square in calm air: it excites the model."""
-    count = design.learn_flights
-    mixed = zip(
-        *(
-            balanced(levels, count, design.seed, f"learn {airframe} {name}")
-            for name, levels in (("manoeuvre", design.manoeuvre), ("wind", design.wind), ("payload", design.payload))
-        ),
-        strict=True,
-    )
-    drawn = [Conditions(str(manoeuvre), float(wind), float(payload)) for manoeuvre, wind, payload in mixed]
-    flights = tuple(drawn[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
+    count, axes = design.learn_flights, ("manoeuvre", "wind", "payload")
+    drawn = [balanced(getattr(design, axis), count, design.seed, f"learn {airframe} {axis}") for axis in axes]
+    mixed = [Conditions(*levels) for levels in zip(*drawn, strict=True)]
+    flights = tuple(mixed[i] if design.learn == "mixed" and i % 2 else Conditions() for i in range(count))
     return LearnTask(vehicle, airframe, airframe % 2 == 1, link, flights, design.duration_s)
 
 
@@ -456,85 +479,20 @@ def balanced(levels: Sequence[Level], count: int, seed: int, factor: str) -> lis
     return chosen[:count]
 
 
-def _within(causes: Sequence[str], levels: Sequence[Level], seed: int, factor: str) -> list[Level]:
-    own = {cause: iter(balanced(levels, count, seed, f"{factor} {cause}")) for cause, count in Counter(causes).items()}
-    return [next(own[cause]) for cause in causes]
-
-
 def task_sequence(seed: int, task: LearnTask | FlightTask) -> np.random.SeedSequence:
     """The random stream of a task, from the campaign's seed and what is flown alone.
 
     The link, the loss, the scale of the fitted terms and, for a flight, how was learnt are left out: campaigns that
-    differ in these only fly the same flights.
+    differ in these only fly the same flights. Calm flights keep the streams that they had before there were conditions.
     """
-    match task:
-        case LearnTask():
-            flown = ["learn", task.airframe, [_flown(one) for one in task.flights], task.duration_s]
-        case FlightTask():
-            place = [task.index, task.learnt.airframe, task.cause, task.rotor]
-            flown = ["flight", *place, _flown(task.conditions), task.duration_s]
-    words = np.frombuffer(hashlib.sha256(json.dumps(flown, sort_keys=True).encode()).digest(), dtype="<u4")
+
+    def flown(conditions: Conditions) -> dict[str, Any]:
+        return {name: level for name, level in asdict(conditions).items() if (name, level) != ("condition", CALM)}
+
+    if isinstance(task, LearnTask):
+        content = ["learn", task.airframe, [flown(conditions) for conditions in task.flights], task.duration_s]
+    else:
+        place = [task.index, task.learnt.airframe, task.cause, task.rotor]
+        content = ["flight", *place, flown(task.conditions), task.duration_s]
+    words = np.frombuffer(hashlib.sha256(json.dumps(content, sort_keys=True).encode()).digest(), dtype="<u4")
     return np.random.SeedSequence([seed, *words.tolist()])
-
-
-def _flown(conditions: Conditions) -> dict[str, Any]:
-    """What the stream follows from. Calm flights keep the streams that they had before there were conditions."""
-    row = asdict(conditions)
-    if conditions.condition == CALM:
-        del row["condition"]
-    return row
-
-
-def with_conditions(design: Design, filters: Sequence[str]) -> Design:
-    """The design with the levels of some factors replaced, each given as "factor=level,level".
-
-    Raises UsageError for an unknown factor or level.
-    """
-    changed: dict[str, Any] = {}
-    for text in filters:
-        factor, _, levels = (part.strip() for part in text.partition("="))
-        wanted = tuple(level.strip() for level in levels.split(",") if level.strip())
-        if not wanted:
-            raise UsageError(f"--conditions {text}: give it as FACTOR=LEVEL,LEVEL")
-        match factor:
-            case "cause":
-                changed[factor] = causes_named(wanted)
-            case "manoeuvre":
-                changed[factor] = _named(factor, wanted, MANOEUVRES)
-            case "condition":
-                names = tuple(CONDITIONS) if wanted == (EVERY,) else _named(factor, wanted, CONDITIONS)
-                changed[factor] = tuple(dict.fromkeys(names))
-            case "link":
-                changed[factor] = wanted
-                for link in wanted:
-                    parse_link(link)
-            case "rotor":
-                changed[factor] = _rotors(wanted, len(design.vehicle.rotors))
-            case number if number in RANGES:
-                changed[factor] = _numbers(factor, wanted, *RANGES[number])
-            case other:
-                known = "cause, rotor, manoeuvre, condition, link"
-                raise UsageError(f"no factor {other!r}: give {known}, {', '.join(RANGES)}")
-    return replace(design, **changed)
-
-
-def _named(factor: str, wanted: tuple[str, ...], table: Mapping[str, object]) -> tuple[str, ...]:
-    if unknown := set(wanted) - table.keys():
-        raise UsageError(f"no {factor} {min(unknown)!r}: give one of {', '.join(table)}")
-    return wanted
-
-
-def _rotors(texts: Sequence[str], rotors: int) -> tuple[int, ...]:
-    if not set(texts) <= {str(rotor) for rotor in range(1, rotors + 1)}:
-        raise UsageError(f"rotor must be 1 to {rotors}, not {', '.join(texts)}")
-    return tuple(int(text) for text in texts)
-
-
-def _numbers(factor: str, texts: Sequence[str], low: float, high: float) -> tuple[float, ...]:
-    try:
-        values = tuple(map(float, texts))
-    except ValueError:
-        raise UsageError(f"{factor} must be a number, not {', '.join(texts)!r}") from None
-    if not all(low <= value <= high for value in values):
-        raise UsageError(f"{factor} must be {low:g} to {high:g}, not {', '.join(texts)}")
-    return values

@@ -3,25 +3,40 @@
 share:  Wilson, JASA 22 (1927)
 rate:   chi2(0.025, 2k) / 2T  to  chi2(0.975, 2k + 2) / 2T                      Garwood, Biometrika 28 (1936)
 
-Flights of one airframe share its baseline, so they are not independent; the intervals do not know that.
+Flights of one airframe share its baseline, so they are not independent; the intervals do not know that. A summary and
+its rows are made of plain values, `Share`s and `Rate`s, under the names that its JSON has:
+
+    healthy_hours  of healthy flights, and of the others up to their onset; alarms there are false
+    chance         share of healthy stretches, as long as those after an onset, in which an alarm would begin
+    alarms         healthy flight at one level of a factor: episodes of alarms, and flights with any
+    detection      judged flights with a propeller damaged as in T; latencies [s] and named shares are of the detected
+                   ones; right: of those that name a rotor, a type or a severity, how many name the true one
+    monitors       one monitor: its own false alarms in healthy flight, and T's faults that it found
+    answers        how one cause was answered: counts by kind of answer; early: with an alarm before the onset; right:
+                   by the kind that is right for the group, of those judged; named: flights in which a rotor was named
+    conditions     one condition: its healthy flights and hours, the decisions for a fault, the monitors, and T's faults
+                   at each scale of the fitted terms with an alarm or (declared) the decision "fault"
+    every          all conditions together
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from mavdiag.units import S_PER_H
-from sitl_plant.campaign.plan import CAUSES, CONDITIONS, HEALTHY, RIGHT, Group
+from sitl_plant.campaign.plan import CAUSES, CONDITIONS, HEALTHY, Group
 from sitl_plant.campaign.worker import FlightResult, Results
 
 UNJUDGED = ("not_judgeable", "error")
 PIPED_WIDTH = 1000  # no column is cut where nobody looks at a screen; a table takes what it needs
 CELL = "fault, phenomenology"  # rows that make a table of their own
+Row: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,108 +105,7 @@ def poisson(count: int, hours: float) -> Rate:
     return Rate(count, hours, low, float(chi2.ppf(0.975, 2 * count + 2)) / (2 * hours))
 
 
-@dataclass(frozen=True, slots=True)
-class ConditionMonitor:
-    """One monitor in healthy flight: judged share of the time flown, and its own alarms by the time that it judged."""
-
-    name: str
-    judged_share: float
-    rate: Rate
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionDetection:
-    """T's faults at one scale of the fitted terms; the shares are of the flights that were judged."""
-
-    phenomenology: float
-    flights: int  # flown
-    detected: Share  # with an alarm after the onset
-    declared: Share  # with the decision "fault" after it
-
-
-@dataclass(frozen=True, slots=True)
-class ConditionRow:
-    """One condition. All but `detection` is of its healthy flights."""
-
-    condition: str
-    flown_h: float  # judged or not
-    judged_h: float  # of it, judged by the deciding monitor that judged for longest; the rates are by these hours
-    judged_share: float
-    alarms: Rate  # episodes of alarms
-    faults: Rate  # how often the decision came to "fault"
-    flagged: Share  # flights with the verdict "fault", of those flown
-    monitors: tuple[ConditionMonitor, ...]
-    detection: tuple[ConditionDetection, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmRow:
-    """Healthy flight under one condition: episodes of alarms an hour, and flights with any."""
-
-    factor: str
-    level: str
-    rate: Rate
-    flights: Share
-
-
-@dataclass(frozen=True, slots=True)
-class DetectionRow:
-    """Judged flights with a propeller damaged as in T. Latencies [s] and named shares are of the detected ones.
-
-    right: of those that name a rotor, a type or a severity, how many name the true one.
-    """
-
-    factor: str
-    level: str
-    detected: Share
-    early: int
-    latency_median_s: float | None
-    latency_p90_s: float | None
-    rotor_right: Share
-    type_right: Share
-    severity_right: Share
-
-
-@dataclass(frozen=True, slots=True)
-class MonitorRow:
-    """One monitor: its own false alarms in healthy flight, and T's faults that it found."""
-
-    name: str
-    rate: Rate
-    detected: Share
-
-
-@dataclass(frozen=True, slots=True)
-class AnswerRow:
-    """How one cause was answered."""
-
-    group: str
-    cause: str
-    flights: int
-    answers: tuple[tuple[str, int], ...]  # counts by kind of answer
-    early: int  # flights with an alarm before the onset
-    right: Share  # answered by the kind that is right for the group, of those judged
-    named: int  # flights in which a rotor was named; of a sensor's cause there should be none
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """All tables."""
-
-    seed: int
-    airframes: int
-    flights: int
-    unjudged: tuple[tuple[str, int], ...]
-    healthy_hours: float  # of healthy flights, and of the others up to their onset; alarms there are false
-    chance: float  # share of healthy stretches, as long as those after an onset, in which an alarm would begin
-    alarms: tuple[AlarmRow, ...]
-    detection: tuple[DetectionRow, ...]
-    monitors: tuple[MonitorRow, ...]
-    answers: tuple[AnswerRow, ...]
-    conditions: tuple[ConditionRow, ...]
-    every: ConditionRow  # all conditions together
-
-
+_Cells: TypeAlias = tuple[str, Sequence[str], Iterable[Sequence[str]]]  # title, headings, rows
 _Factors = Mapping[str, Callable[[FlightResult], str]]
 _SHARED: _Factors = {
     "condition": lambda flight: flight.conditions.condition,
@@ -217,26 +131,42 @@ _FAULT_FACTORS: _Factors = {
 }
 
 
-def summarise(results: Results) -> Summary:
+def summarise(results: Results) -> Row:
     """All tables of a campaign."""
     flights = results.flights
     judged = _judged(flights)
-    faulty = _faulty(judged)
-    by_condition = [(name, [one for one in flights if one.conditions.condition == name]) for name in CONDITIONS]
-    return Summary(
-        seed=results.plan.design.seed,
-        airframes=results.plan.design.airframes,
-        flights=len(flights),
-        unjudged=_counts(f"{one.verdict}: {one.reason}" for one in flights if one.verdict in UNJUDGED),
-        healthy_hours=_hours(judged),
-        chance=_chance(judged, faulty),
-        alarms=tuple(_alarm_row(*row) for row in _by_level(_ALARM_FACTORS, judged)),
-        detection=tuple(_detection_row(*row) for row in _by_level(_FAULT_FACTORS, faulty)),
-        monitors=_monitor_rows(judged, faulty),
-        answers=_answer_rows(flights),
-        conditions=tuple(_condition_row(name, own) for name, own in by_condition if own),
-        every=_condition_row("all", flights),
-    )
+    faulty, hours = _faulty(judged), _hours(judged)
+    conditions = _levels(flights, lambda flight: flight.conditions.condition)
+    causes = _levels(flights, lambda flight: flight.cause)
+    return {
+        "seed": results.plan.design.seed,
+        "airframes": results.plan.design.airframes,
+        "flights": len(flights),
+        "unjudged": _counts(f"{flight.verdict}: {flight.reason}" for flight in flights if flight.verdict in UNJUDGED),
+        "healthy_hours": hours,
+        "chance": _chance(judged, faulty),
+        "alarms": _by_factor(_ALARM_FACTORS, judged, _alarms),
+        "detection": _by_factor(_FAULT_FACTORS, faulty, _detection),
+        "monitors": [
+            {"name": name, "rate": poisson(before, hours), "detected": _after(name, faulty)}
+            for name, before, _ in _by_monitor(judged)
+        ],
+        "answers": [_answer(name, causes[name]) for name in CAUSES if name in causes],
+        "conditions": [_condition(name, conditions[name]) for name in CONDITIONS if name in conditions],
+        "every": _condition("all", flights),
+    }
+
+
+def _share(flights: Sequence[FlightResult], hit: Callable[[FlightResult], bool]) -> Share:
+    return wilson(sum(map(hit, flights)), len(flights))
+
+
+def _detected(flight: FlightResult) -> bool:
+    return flight.latency_s is not None
+
+
+def _alarmed(flight: FlightResult) -> bool:
+    return flight.episodes > 0
 
 
 def _judged(flights: Sequence[FlightResult]) -> list[FlightResult]:
@@ -244,17 +174,34 @@ def _judged(flights: Sequence[FlightResult]) -> list[FlightResult]:
 
 
 def _faulty(flights: Sequence[FlightResult]) -> list[FlightResult]:
-    return [one for one in flights if one.cause in CAUSES and CAUSES[one.cause].group is Group.FAULT]
+    return [flight for flight in flights if flight.cause in CAUSES and CAUSES[flight.cause].group is Group.FAULT]
 
 
-def _by_level(factors: _Factors, flights: Sequence[FlightResult]) -> Iterable[tuple[str, str, list[FlightResult]]]:
+def _hours(flights: Sequence[FlightResult]) -> float:
+    return sum(flight.healthy_s for flight in flights) / S_PER_H
+
+
+def _counts(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
+    return tuple(sorted(Counter(names).items(), key=lambda item: (-item[1], item[0])))
+
+
+def _levels(flights: Iterable[FlightResult], level_of: Callable[[FlightResult], str]) -> dict[str, list[FlightResult]]:
+    levels: dict[str, list[FlightResult]] = defaultdict(list)
+    for flight in flights:
+        levels[level_of(flight)].append(flight)
+    return levels
+
+
+def _by_factor(
+    factors: _Factors, flights: Sequence[FlightResult], count: Callable[[Sequence[FlightResult]], Row]
+) -> list[Row]:
+    rows = []
     for factor, level_of in factors.items():
-        levels: dict[str, list[FlightResult]] = {}
-        for flight in flights:
-            levels.setdefault(level_of(flight), []).append(flight)
+        levels = _levels(flights, level_of)
         if factor == "all" or len(levels) > 1:
-            for level in sorted(levels, key=_natural):
-                yield factor, level, levels[level]
+            ordered = sorted(levels, key=_natural)
+            rows += [{"factor": factor, "level": level, **count(levels[level])} for level in ordered]
+    return rows
 
 
 def _natural(level: str) -> tuple[float, str]:
@@ -262,14 +209,6 @@ def _natural(level: str) -> tuple[float, str]:
         return float(level), ""
     except ValueError:
         return math.inf, level
-
-
-def _counts(names: Iterable[str]) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted(Counter(names).items(), key=lambda item: (-item[1], item[0])))
-
-
-def _hours(flights: Sequence[FlightResult]) -> float:
-    return sum(flight.healthy_s for flight in flights) / S_PER_H
 
 
 def _chance(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> float:
@@ -280,179 +219,163 @@ def _chance(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> f
     return 1.0 - math.exp(-sum(flight.episodes for flight in judged) / hours * float(np.mean(after_h)))
 
 
-def _condition_row(name: str, flights: Sequence[FlightResult]) -> ConditionRow:
+def _by_monitor(flights: Sequence[FlightResult]) -> Iterable[tuple[str, int, float]]:
+    """Name of each monitor, its alarms before an onset, and the hours that it judged."""
+    found = [monitor for flight in flights for monitor in flight.monitors]
+    for name in sorted({monitor.name for monitor in found}):
+        own = [monitor for monitor in found if monitor.name == name]
+        yield name, sum(monitor.before for monitor in own), sum(monitor.judged_s for monitor in own) / S_PER_H
+
+
+def _after(name: str, flights: Sequence[FlightResult]) -> Share:
+    own = [monitor.after > 0 for flight in flights for monitor in flight.monitors if monitor.name == name]
+    return wilson(sum(own), len(own))
+
+
+def _condition(name: str, flights: Sequence[FlightResult]) -> Row:
     healthy, faulty = [flight for flight in flights if flight.cause == HEALTHY], _faulty(flights)
     flown_h = sum(flight.flown_s for flight in healthy) / S_PER_H
     judged_h = sum(flight.judged_s for flight in healthy) / S_PER_H
-    monitors, detection = [], []
-    for monitor in sorted({one.name for flight in healthy for one in flight.monitors}):
-        own = [one for flight in healthy for one in flight.monitors if one.name == monitor]
-        hours = sum(one.judged_s for one in own) / S_PER_H
-        monitors.append(ConditionMonitor(monitor, hours / flown_h, poisson(sum(one.before for one in own), hours)))
+    detection = []
     for scale in sorted({flight.phenomenology for flight in faulty}):
         scaled = [flight for flight in faulty if flight.phenomenology == scale]
         judged = _judged(scaled)
-        detected = wilson(sum(flight.latency_s is not None for flight in judged), len(judged))
-        declared = wilson(sum(flight.declared_s is not None for flight in judged), len(judged))
-        detection.append(ConditionDetection(scale, len(scaled), detected, declared))
-    return ConditionRow(
-        condition=name,
-        flown_h=flown_h,
-        judged_h=judged_h,
-        judged_share=judged_h / flown_h if flown_h else 0.0,
-        alarms=poisson(sum(flight.episodes for flight in healthy), judged_h),
-        faults=poisson(sum(flight.faults for flight in healthy), judged_h),
-        flagged=wilson(sum(flight.verdict == "fault" for flight in healthy), len(healthy)),
-        monitors=tuple(monitors),
-        detection=tuple(detection),
-    )
+        declared = _share(judged, lambda flight: flight.declared_s is not None)
+        found = {"detected": _share(judged, _detected), "declared": declared}
+        detection.append({"phenomenology": scale, "flights": len(scaled), **found})
+    return {
+        "condition": name,
+        "flown_h": flown_h,
+        "judged_h": judged_h,
+        "judged_share": judged_h / flown_h if flown_h else 0.0,
+        "alarms": poisson(sum(flight.episodes for flight in healthy), judged_h),
+        "faults": poisson(sum(flight.faults for flight in healthy), judged_h),
+        "flagged": _share(healthy, lambda flight: flight.verdict == "fault"),
+        "monitors": [
+            {"name": monitor, "judged_share": hours / flown_h, "rate": poisson(before, hours)}
+            for monitor, before, hours in _by_monitor(healthy)
+        ],
+        "detection": detection,
+    }
 
 
-def _alarm_row(factor: str, level: str, flights: Sequence[FlightResult]) -> AlarmRow:
-    alarmed = sum(flight.episodes > 0 for flight in flights)
+def _alarms(flights: Sequence[FlightResult]) -> Row:
     rate = poisson(sum(flight.episodes for flight in flights), _hours(flights))
-    return AlarmRow(factor, level, rate, wilson(alarmed, len(flights)))
+    return {"rate": rate, "flights": _share(flights, _alarmed)}
 
 
-def _detection_row(factor: str, level: str, flights: Sequence[FlightResult]) -> DetectionRow:
+def _detection(flights: Sequence[FlightResult]) -> Row:
     latencies = [flight.latency_s for flight in flights if flight.latency_s is not None]
 
-    def right(named: Callable[[FlightResult], object], true: Callable[[FlightResult], object]) -> Share:
-        naming = [flight for flight in flights if named(flight) is not None]
-        return wilson(sum(named(flight) == true(flight) for flight in naming), len(naming))
+    def right(name: str, true: Callable[[FlightResult], object]) -> Share:
+        naming = [flight for flight in flights if getattr(flight.answer, name) is not None]
+        return _share(naming, lambda flight: bool(getattr(flight.answer, name) == true(flight)))
 
-    return DetectionRow(
-        factor,
-        level,
-        wilson(len(latencies), len(flights)),
-        sum(flight.episodes > 0 for flight in flights),
-        float(np.median(latencies)) if latencies else None,
-        float(np.percentile(latencies, 90)) if latencies else None,
-        right(lambda flight: flight.answer.rotor, lambda flight: flight.rotor),
-        right(lambda flight: flight.answer.fault_type, lambda flight: flight.cause[:2]),
-        right(lambda flight: flight.answer.severity, lambda flight: int(flight.cause[-1])),
-    )
+    return {
+        "detected": _share(flights, _detected),
+        "early": sum(map(_alarmed, flights)),
+        "latency_median_s": float(np.median(latencies)) if latencies else None,
+        "latency_p90_s": float(np.percentile(latencies, 90)) if latencies else None,
+        "rotor_right": right("rotor", lambda flight: flight.rotor),
+        "type_right": right("fault_type", lambda flight: flight.cause[:2]),
+        "severity_right": right("severity", lambda flight: int(flight.cause[-1])),
+    }
 
 
-def _monitor_rows(judged: Sequence[FlightResult], faulty: Sequence[FlightResult]) -> tuple[MonitorRow, ...]:
-    rows = []
-    for name in sorted({monitor.name for flight in judged for monitor in flight.monitors}):
-        every = [one for flight in judged for one in flight.monitors if one.name == name]
-        damaged = [one for flight in faulty for one in flight.monitors if one.name == name]
-        rate = poisson(sum(one.before for one in every), _hours(judged))
-        rows.append(MonitorRow(name, rate, wilson(sum(one.after > 0 for one in damaged), len(damaged))))
-    return tuple(rows)
+def _answer(name: str, flights: Sequence[FlightResult]) -> Row:
+    group = CAUSES[name].group
+    return {
+        "group": group.value,
+        "cause": name,
+        "flights": len(flights),
+        "answers": _counts(flight.answer.kind for flight in flights),
+        "early": sum(map(_alarmed, flights)),
+        "right": _share(_judged(flights), lambda flight: flight.answer.kind == group.right),
+        "named": sum(flight.answer.rotor is not None for flight in flights),
+    }
 
 
-def _answer_rows(flights: Sequence[FlightResult]) -> tuple[AnswerRow, ...]:
-    rows = []
-    for name, cause in CAUSES.items():
-        own = [flight for flight in flights if flight.cause == name]
-        if own:
-            judged = _judged(own)
-            answers = _counts(flight.answer.kind for flight in own)
-            early = sum(flight.episodes > 0 for flight in own)
-            right = wilson(sum(flight.answer.kind == RIGHT[cause.group] for flight in judged), len(judged))
-            named = sum(flight.answer.rotor is not None for flight in own)
-            rows.append(AnswerRow(cause.group.value, name, len(own), answers, early, right, named))
-    return tuple(rows)
-
-
-def print_summary(summary: Summary) -> None:
+def print_summary(summary: Row) -> None:
     """Print all tables, and what was not judged."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=PIPED_WIDTH)
-    for table in (*_condition_tables(summary), *_fault_tables(summary)):
+    for title, headings, rows in (*_condition_tables(summary), *_fault_tables(summary)):
+        table = Table(title=title, title_justify="left")
+        for i, heading in enumerate(headings):
+            table.add_column(heading, justify="right" if i else "left")
+        for row in rows:
+            table.add_row(*row)
         if table.row_count:
             console.print(table)
     console.print(
-        f"seed {summary.seed}, {summary.airframes} airframes, {summary.flights} flights, "
-        f"{summary.healthy_hours:.2f} hours of healthy flight judged"
+        f"seed {summary['seed']}, {summary['airframes']} airframes, {summary['flights']} flights, "
+        f"{summary['healthy_hours']:.2f} hours of healthy flight judged"
     )
-    for reason, count in summary.unjudged:
+    for reason, count in summary["unjudged"]:
         console.print(f"not judged: {count} flights, {reason}")
 
 
-def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    table = Table(title=title, title_justify="left")
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if i else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def _condition_tables(summary: Summary) -> Iterable[Table]:
-    rows = (*summary.conditions, summary.every) if len(summary.conditions) > 1 else ()
+def _condition_tables(summary: Row) -> Iterable[_Cells]:
+    rows: list[Row] = [*summary["conditions"], summary["every"]] if len(summary["conditions"]) > 1 else []
+    flown = [row for row in rows if row["flown_h"]]
+    names = sorted({monitor["name"] for row in flown for monitor in row["monitors"]})
+    scales = sorted({cell["phenomenology"] for row in rows for cell in row["detection"]})
     hours, monitors, found = [], [], []
-    names = sorted({one.name for row in rows if row.flown_h for one in row.monitors})
-    scales = sorted({one.phenomenology for row in rows for one in row.detection})
+    for row in flown:
+        condition, judged = row["condition"], f"{100 * row['judged_share']:.0f} %"
+        rates = *row["alarms"].cells, *row["faults"].cells
+        hours.append((condition, f"{row['flown_h']:.2f}", judged, *rates, row["flagged"].part))
+        shares = {own["name"]: f"{100 * own['judged_share']:.0f} % {own['rate'].count}" for own in row["monitors"]}
+        monitors.append((condition, *(shares.get(name, "-") for name in names)))
     for row in rows:
-        if row.flown_h:
-            flown = row.condition, f"{row.flown_h:.2f}", f"{100 * row.judged_share:.0f} %"
-            hours.append((*flown, *row.alarms.cells, *row.faults.cells, row.flagged.part))
-            shares = {one.name: f"{100 * one.judged_share:.0f} % {one.rate.count}" for one in row.monitors}
-            monitors.append((row.condition, *(shares.get(name, "-") for name in names)))
-        if row.detection:
-            parts = {one.phenomenology: f"{one.detected.part}, {one.declared.part}" for one in row.detection}
-            found.append((row.condition, *(parts.get(scale, "-") for scale in scales)))
+        parts = {own["phenomenology"]: f"{own['detected'].part}, {own['declared'].part}" for own in row["detection"]}
+        if parts:
+            found.append((row["condition"], *(parts.get(scale, "-") for scale in scales)))
     title = "Healthy flight by condition: alarms and decisions for a fault, by the hours judged"
-    rates = ("per hour", "95 %")
-    yield _table(title, ("condition", "flown h", "judged", "alarms", *rates, "faults", *rates, "flagged"), hours)
-    yield _table("Healthy flight by monitor: share judged, and alarms", ("condition", *names), monitors)
-    title = (
-        "T's nine faults by condition and fitted terms: flights with an alarm, and decided as a fault, of those judged"
-    )
-    yield _table(title, ("condition", *(f"x{scale:g}" for scale in scales)), found)
+    rate = ("per hour", "95 %")
+    yield title, ("condition", "flown h", "judged", "alarms", *rate, "faults", *rate, "flagged"), hours
+    yield "Healthy flight by monitor: share judged, and alarms", ("condition", *names), monitors
+    title = "T's nine faults by condition and fitted terms: flights with an alarm, and decided a fault, of those judged"
+    yield title, ("condition", *(f"x{scale:g}" for scale in scales)), found
 
 
-def _fault_tables(summary: Summary) -> Iterable[Table]:
-    alarms, detection = [], []
-    cells: dict[str, dict[str, str]] = {}
-    for row in summary.alarms:
-        count, *rate = row.rate.cells
-        flights = f"{row.flights.hits}/{row.flights.of}", row.flights.interval
-        alarms.append((_level(row.factor, row.level), count, f"{row.rate.hours:.2f}", *rate, *flights))
-    for found in summary.detection:
-        hits, of = found.detected.hits, found.detected.of
-        fault, _, scale = found.level.partition(" ")
-        if found.factor == CELL:
-            cells.setdefault(fault, {})[scale] = found.detected.part
+def _fault_tables(summary: Row) -> Iterable[_Cells]:
+    alarms, detection, answers = [], [], []
+    cells: dict[str, dict[str, str]] = defaultdict(dict)
+    for row in summary["alarms"]:
+        rate, share = row["rate"], row["flights"]
+        count, *per_hour = rate.cells
+        alarms.append((_level(row), count, f"{rate.hours:.2f}", *per_hour, share.part, share.interval))
+    for row in summary["detection"]:
+        share, level = row["detected"], row["level"]
+        if row["factor"] == CELL:
+            fault, _, scale = level.partition(" ")
+            cells[fault][scale] = share.part
             continue
-        share = f"{hits}/{of}", f"{hits / of:.2f}", found.detected.interval, str(found.early)
-        seconds = ("-" if value is None else f"{value:.2f}" for value in (found.latency_median_s, found.latency_p90_s))
-        right = found.rotor_right.part, found.type_right.part, found.severity_right.part
-        detection.append((_level(found.factor, found.level), *share, *seconds, *right))
+        found = share.part, f"{share.hits / share.of:.2f}", share.interval, str(row["early"])
+        latencies = ("-" if row[name] is None else f"{row[name]:.2f}" for name in ("latency_median_s", "latency_p90_s"))
+        right = (row[f"{name}_right"].part for name in ("rotor", "type", "severity"))
+        detection.append((_level(row), *found, *latencies, *right))
+    for row in summary["answers"]:
+        kinds = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in row["answers"])
+        told = str(row["early"]), row["right"].part, row["right"].interval, str(row["named"])
+        answers.append((row["group"], row["cause"], str(row["flights"]), kinds, *told))
     title = "False alarms in healthy flight (the time before an onset counts): episodes an hour, and flights with any"
-    yield _table(title, ("condition", "alarms", "hours", "per hour", "95 %", "flights", "95 %"), alarms)
-    headings: tuple[str, ...] = (
-        "condition",
-        "detected",
-        "share",
-        "95 %",
-        "early",
-        "latency s",
-        "90 %",
-        "rotor",
-        "type",
-        "severity",
-    )
-    yield _table(f"T's nine faults; chance alone would be {100 * summary.chance:.0f} %", headings, detection)
+    yield title, ("condition", "alarms", "hours", "per hour", "95 %", "flights", "95 %"), alarms
+    shares, rights = ("detected", "share", "95 %", "early", "latency s", "90 %"), ("rotor", "type", "severity")
+    title = f"T's nine faults; chance alone would be {100 * summary['chance']:.0f} %"
+    yield title, ("condition", *shares, *rights), detection
     scales = sorted({scale for own in cells.values() for scale in own})
-    lines = ((fault, *(own.get(scale, "-") for scale in scales)) for fault, own in cells.items())
-    yield _table("Detected, by fault and fitted terms", ("fault", *scales), lines)
-    monitors = ((one.name, *one.rate.cells, one.detected.part, one.detected.interval) for one in summary.monitors)
-    headings = ("monitor", "alarms", "per hour", "95 %", "faults detected", "95 %")
-    yield _table("Monitors, each alone", headings, monitors)
-    answers = []
-    for answer in summary.answers:
-        kinds = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in answer.answers)
-        right = answer.right.part, answer.right.interval, str(answer.named)
-        answers.append((answer.group, answer.cause, str(answer.flights), kinds, str(answer.early), *right))
+    lines = [(fault, *(own.get(scale, "-") for scale in scales)) for fault, own in cells.items()]
+    yield "Detected, by fault and fitted terms", ("fault", *scales), lines
+    monitors = [
+        (row["name"], *row["rate"].cells, row["detected"].part, row["detected"].interval) for row in summary["monitors"]
+    ]
+    yield "Monitors, each alone", ("monitor", "alarms", "per hour", "95 %", "faults detected", "95 %"), monitors
     headings = ("group", "cause", "flights", "answers", "early", "right", "95 %", "rotor named")
-    yield _table("Answers after the onset", headings, answers)
+    yield "Answers after the onset", headings, answers
 
 
-def _level(factor: str, level: str) -> str:
-    return level if factor in ("all", "fault", "flight") else f"{factor} {level}"
+def _level(row: Row) -> str:
+    return str(row["level"]) if row["factor"] in ("all", "fault", "flight") else f"{row['factor']} {row['level']}"

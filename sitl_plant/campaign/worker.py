@@ -8,13 +8,13 @@ lines of other campaigns, or of another version, stay in the file and are not co
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
@@ -93,9 +93,8 @@ class MonitorResult:
 class Answer:
     """What the diagnosis answered to the cause.
 
-    kind: the verdict if it is no judgement; else the gravest kind of fault of the alarms after the onset (a value of
-        `mavdiag.monitors.base.FaultKind`), "suspicion" if they declared none, "nothing" without an alarm.
-    rotor, fault_type, severity: of the most certain alarm after the onset that names one.
+    kind: the verdict if it is no judgement; else the gravest `FaultKind` of the alarms after the onset, "suspicion" if
+    they declared none, "nothing" without an alarm. The others: of the most certain alarm after it that names one.
     """
 
     kind: str
@@ -106,10 +105,10 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """One judged flight.
+    """One judged flight; all of a healthy one is before the onset.
 
-    score_before, score_after: highest statistic over its threshold, of the monitors that decide about propellers,
-        before and after the onset; all of a healthy flight is before. None where none of them judged.
+    score_before, score_after: highest statistic over its threshold, of the monitors that decide about propellers; None
+    where none of them judged.
     """
 
     key: str
@@ -140,6 +139,7 @@ class FlightResult:
 
 
 Line: TypeAlias = LearnResult | FlightResult
+Result = TypeVar("Result", LearnResult, FlightResult)
 _LINE: TypeAdapter[Line] = TypeAdapter(Annotated[Line, Field(discriminator="record")])
 
 
@@ -150,14 +150,10 @@ def specimen(seed: int, number: int, aged: bool, vehicle: Vehicle) -> Airframe:
 
 
 def _config(
-    airframe: Airframe,
-    conditions: Conditions,
-    duration_s: float,
-    injections: tuple[Injection, ...],
-    rng: np.random.Generator,
+    airframe: Airframe, flown: Conditions, duration_s: float, causes: tuple[Injection, ...], rng: np.random.Generator
 ) -> PlantConfig:
-    manoeuvre = MANOEUVRES[conditions.manoeuvre]
-    beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2)
+    manoeuvre = MANOEUVRES[flown.manoeuvre]
+    beside = rng.uniform(-PAYLOAD_OFFSET_M, PAYLOAD_OFFSET_M, 2).tolist()
     return PlantConfig(
         airframe=airframe,
         trajectory=manoeuvre.shape,
@@ -166,10 +162,10 @@ def _config(
         nose=manoeuvre.nose,
         start="ground" if manoeuvre.takeoff else "hover",
         landed_s=duration_s if manoeuvre.takeoff else None,
-        wind_m_s=conditions.wind_m_s,
+        wind_m_s=flown.wind_m_s,
         wind_towards_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
-        payload=Payload(conditions.payload_g * 1e-3, (float(beside[0]), float(beside[1]), PAYLOAD_BELOW_M)),
-        injections=injections,
+        payload=Payload(flown.payload_g * 1e-3, (beside[0], beside[1], PAYLOAD_BELOW_M)),
+        injections=causes,
         seed=int(rng.integers(2**31)),
     )
 
@@ -191,15 +187,15 @@ def _on_the_day(
     return airframe, Wear(tuple((row.wear_per_h * losses).tolist()), WEAR_H * float(rng.random()))
 
 
-def _in_condition(config: PlantConfig, condition: str, duration_s: float, rng: np.random.Generator) -> PlantConfig:
-    row, pickup = CONDITIONS[condition], None
-    if row.pickup_g:
-        angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
-        beside = 1e-3 * row.pickup_offset_mm
-        place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
-        end_s = float(duration_s * drop_s) if rng.random() < 0.5 else np.inf
-        pickup = PickUp(Payload(row.pickup_g * 1e-3, place), float(duration_s * at_s), end_s)
-    return replace(config, turbulence_m_s=row.turbulence_m_s, outages_per_min=row.outages_per_min, pickup=pickup)
+def _pickup(condition: str, duration_s: float, rng: np.random.Generator) -> PickUp | None:
+    row = CONDITIONS[condition]
+    if not row.pickup_g:
+        return None
+    angle, at_s, drop_s = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*PICKUP), rng.uniform(*DROP)
+    beside = 1e-3 * row.pickup_offset_mm
+    place = (float(beside * np.cos(angle)), float(beside * np.sin(angle)), PAYLOAD_BELOW_M)
+    end_s = float(duration_s * drop_s) if rng.random() < 0.5 else np.inf
+    return PickUp(Payload(row.pickup_g * 1e-3, place), float(duration_s * at_s), end_s)
 
 
 def _started_ns(task: LearnTask, session: int, number: int) -> int:
@@ -232,8 +228,11 @@ def fly_task(key: str, seed: int, task: FlightTask, learnt: LearnResult) -> Flig
     rng, own = np.random.default_rng(sequence), np.random.default_rng(sequence.spawn(1)[0])
     onset_s = None if task.cause == HEALTHY else round(task.duration_s * float(rng.uniform(*ONSET)), 3)
     injections = injections_of(task.cause, task.rotor, onset_s or 0.0, task.phenomenology, rng)
-    config = _config(airframe, task.conditions, task.duration_s, injections, rng)
-    config = replace(_in_condition(config, condition, task.duration_s, own), wear=wear)
+    row, config = CONDITIONS[condition], _config(airframe, task.conditions, task.duration_s, injections, rng)
+    pickup = _pickup(condition, task.duration_s, own)
+    config = replace(
+        config, turbulence_m_s=row.turbulence_m_s, outages_per_min=row.outages_per_min, pickup=pickup, wear=wear
+    )
     spec = parse_link(task.learnt.link)
     telemetry, flown_s = flight_telemetry(config, task.duration_s, LinkSpec(spec.profile, spec.rate_hz, task.loss))
     started_ns = _started_ns(drawn, task.session, 0 if task.session else len(drawn.flights))
@@ -304,18 +303,14 @@ def _judged_s(judged: JudgedFlight, to_s: float) -> float:
     found = [statistic for piece in judged.pieces for statistic in piece.found]
     tick_ns = max((round(statistic.period_s * NS_PER_S) for statistic in found), default=1)
     ticks = {tick for part in found for tick in np.unique(part.t_ns[part.valid] // tick_ns).tolist()}
-    count = sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks)
-    return float(count * tick_ns) / NS_PER_S
+    return float(sum(tick * tick_ns < to_s * NS_PER_S for tick in ticks) * tick_ns) / NS_PER_S
 
 
 def _declared_s(changes: Sequence[Change]) -> list[float]:
     """When the decision came to "fault" from something else [s]."""
-    before = (None, *(change.stage for change in changes))
-    return [
-        change.t_ns / NS_PER_S
-        for change, stage in zip(changes, before, strict=False)
-        if change.stage is Stage.FAULT and stage is not Stage.FAULT
-    ]
+    stages = [None, *(change.stage for change in changes)]
+    came = (change for before, change in zip(stages, changes, strict=False) if before is not Stage.FAULT)
+    return [change.t_ns / NS_PER_S for change in came if change.stage is Stage.FAULT]
 
 
 def _episodes(events: Sequence[JudgedEvent]) -> int:
@@ -337,10 +332,8 @@ def _answer(verdict: LogVerdict, after: Sequence[JudgedEvent]) -> Answer:
         return Answer("nothing")
     rows = [event_json(event.t_s, event.end_s, event.event) for event in after]
     rows.sort(key=lambda row: -float(row["confidence"] or 0.0))
-    named = {
-        name: next((row[name] for row in rows if row[name] is not None), None)
-        for name in ("rotor", "fault_type", "severity")
-    }
+    names = ("rotor", "fault_type", "severity")
+    named = {name: next((row[name] for row in rows if row[name] is not None), None) for name in names}
     kinds = [event.event.kind for event in after if event.event.kind is not None]
     kind = max(kinds, key=lambda kind: kind.rank, default=None)
     return Answer("suspicion" if kind is None else kind.value, **named)
@@ -361,12 +354,11 @@ def task_key(seed: int, task: LearnTask | FlightTask) -> str:
 class Journal:
     """The file of results, one JSON object a line, in order of completion. A torn last line is no result.
 
-    Raises UsageError if the file cannot be used.
+    lines: results by key. Raises UsageError if the file cannot be used.
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
-        self.learnt: dict[str, LearnResult] = {}
-        self.flights: dict[str, FlightResult] = {}
+        self.lines: dict[str, Line] = {}
         self.unread = 0
         try:
             text = "" if fresh or not path.exists() else path.read_text(encoding="utf-8")
@@ -375,32 +367,22 @@ class Journal:
             raise UsageError(f"cannot use {path} for results ({error}); choose another --output") from error
         for row in text.splitlines():
             try:
-                self._take(_LINE.validate_json(row))
+                line = _LINE.validate_json(row)
+                self.lines[line.key] = line
             except ValidationError:
                 self.unread += 1
         if text and not text.endswith("\n"):
             self._file.write("\n")
 
-    @property
-    def known(self) -> frozenset[str]:
-        """The keys of all results."""
-        return frozenset(self.learnt) | frozenset(self.flights)
-
     def add(self, line: Line) -> None:
         """Keep a result, on disk at once."""
-        self._take(line)
+        self.lines[line.key] = line
         self._file.write(json.dumps(asdict(line)) + "\n")
         self._file.flush()
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _take(self, line: Line) -> None:
-        if isinstance(line, LearnResult):
-            self.learnt[line.key] = line
-        else:
-            self.flights[line.key] = line
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,12 +420,12 @@ def run_campaign(
     seed = plan.design.seed
     learning = {task: task_key(seed, task) for task in plan.learning}
     flights = {task_key(seed, task): task for task in plan.flights}
-    reused = len({*learning.values(), *flights} & journal.known)
-    others = len(journal.known) - reused + journal.unread
+    reused = len({*learning.values(), *flights} & journal.lines.keys())
+    others = len(journal.lines) - reused + journal.unread
 
     def work(stage: str, jobs: Mapping[str, Callable[[], Line]]) -> None:
         """Hand out only so many jobs at a time: memory does not grow with the plan."""
-        left = [job for key, job in jobs.items() if key not in journal.known][::-1]
+        left = [job for key, job in jobs.items() if key not in journal.lines][::-1]
         done, waiting = len(jobs) - len(left), set[Future[Line]]()
         progress(stage, done, len(jobs))
         while left or waiting:
@@ -455,7 +437,10 @@ def run_campaign(
                 done += 1
                 progress(stage, done, len(jobs))
 
+    def of(kind: type[Result], keys: Iterable[str]) -> tuple[Result, ...]:
+        return tuple(line for key in keys if isinstance(line := journal.lines[key], kind))
+
     work("learning", {key: partial(learn_task, key, seed, task) for task, key in learning.items()})
-    learnt = {task: journal.learnt[key] for task, key in learning.items()}
+    learnt = dict(zip(learning, of(LearnResult, learning.values()), strict=True))
     work("flying", {key: partial(fly_task, key, seed, task, learnt[task.learnt]) for key, task in flights.items()})
-    return Results(plan, tuple(learnt.values()), tuple(journal.flights[key] for key in flights), reused, others)
+    return Results(plan, tuple(learnt.values()), of(FlightResult, flights), reused, others)

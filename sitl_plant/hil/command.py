@@ -6,7 +6,7 @@ They receive, fly and answer, until a signal or the duration ends it.
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -20,42 +20,20 @@ from mavdiag.commands.progress import working
 from mavdiag.errors import UsageError
 from mavdiag.link.codec import Decoder
 from mavdiag.link.ports import Endpoint, Kind, open_endpoint, parse_address
+from sitl_plant import options
 from sitl_plant.hil.ardupilot import Lockstep
 from sitl_plant.hil.px4 import WANTED, Bridge
-from sitl_plant.hil.simulation import (
-    FLYING_M,
-    AutopilotName,
-    HilPlan,
-    OutputMap,
-    Simulation,
-    output_map,
-    parameter_file,
-)
-from sitl_plant.options import (
-    STARTING,
-    W20,
-    Drone,
-    FaultCode,
-    Onset,
-    PayloadKg,
-    Phenomenology,
-    TruthFile,
-    VehicleName,
-    Wind,
-    check_times,
-    parse_speed,
-    with_options,
-)
+from sitl_plant.hil.simulation import FLYING_M, AutopilotName, OutputMap, Simulation, output_map, parameter_file
 from sitl_plant.physics.airframe import Payload
-from sitl_plant.physics.faults import fault_injection
+from sitl_plant.physics.faults import Injection, fault_injection
 from sitl_plant.plant import PlantConfig
 from sitl_plant.truth import Truth, truth_file
 from sitl_plant.vehicle import Vehicle, vehicle_from
 
 POLL_S = 0.2  # how often a signal is looked for
 PATIENCE_S = 1.0  # wall clock: a sensor message that was not answered for so long is followed by the next (our choice)
-_PRINTED = "Print the parameter file to load into the autopilot, and end."
 SLIP_S = 0.1  # wall clock: what is later than this is not caught up
+_PRINTED = "Print the parameter file to load into the autopilot, and end."
 
 
 class OnsetFrom(StrEnum):
@@ -67,62 +45,61 @@ class OnsetFrom(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class HilOptions:
-    """What the commands share. duration_s: infinite if it was left open. fault: what is told of it, empty for none."""
+    """What the commands share. duration_s: infinite if it was left open. told: of the fault, empty for none."""
 
-    plan: HilPlan
+    config: PlantConfig
+    after_takeoff: tuple[Injection, ...]
     vehicle: Vehicle
     duration_s: float
     truth: Path | None
-    fault: str
-    rotor: int
+    told: str
     parameters_of: AutopilotName | None
 
-    @contextmanager
-    def simulation(self, name: str, rate_hz: float) -> Iterator[Simulation]:
-        """The simulation, with its truth file open. name, rate_hz: of the link, for the truth file."""
-        with truth_file(self.truth) as lines:
-            with working(STARTING):
-                simulation = Simulation(self.plan, Truth(self.plan.config, name, rate_hz, None, lines).write)
-            yield simulation
+    def print_parameters(self, *, hardware: bool = False) -> bool:
+        """Print the file of parameters if it was asked for, and say so."""
+        if self.parameters_of:
+            typer.echo(parameter_file(self.vehicle, self.parameters_of, hardware=hardware), nl=False)
+        return bool(self.parameters_of)
 
-    def announce(self, autopilot: str, address: str, outputs: OutputMap) -> None:
-        """One line: who may connect where, and what will happen."""
-        what, later = "healthy", self.plan.after_takeoff
-        if self.fault:
-            when = (
-                f"{later[0].onset_s:g} s after the take-off"
-                if later
-                else f"{self.plan.config.onset_s:g} s after the start"
-            )
-            what = f"{self.fault} on rotor {self.rotor} (motor {outputs.motor(self.rotor)}) {when}"
-        typer.echo(f"{self.vehicle.name} stands ready, {what}; waiting for {autopilot} on {address}")
+    @contextmanager
+    def serving(
+        self, endpoint: str, link: str, rate_hz: float, autopilot: str, outputs: OutputMap
+    ) -> Iterator[tuple[Endpoint, Simulation, Callable[[], bool]]]:
+        """Open port, simulation and truth file, and say in one line who may connect where, and what will happen.
+
+        link, rate_hz: for the truth file.
+        """
+        with open_endpoint(endpoint) as port, truth_file(self.truth) as lines, commandline.stop_signals() as stop:
+            with working(options.STARTING):
+                watch = Truth(self.config, link, rate_hz, None, lines).write
+                simulation = Simulation(self.config, self.after_takeoff, watch)
+            told = self.told.format(motor=outputs.motor(self.config.rotor)) or "healthy"
+            typer.echo(f"{self.vehicle.name} stands ready, {told}; waiting for {autopilot} on {port.address}")
+            yield port, simulation, stop
 
 
 def hil_options(
-    vehicle: VehicleName = "qdrone2",
-    drone: Drone = 1,
-    fault: FaultCode = None,
+    vehicle: options.VehicleName = "qdrone2",
+    drone: options.Drone = 1,
+    fault: options.FaultCode = None,
     rotor: Annotated[int, Option(help="Damaged rotor, as the vehicle's file counts.")] = 1,
-    onset: Onset = 0.0,
+    onset: options.Onset = 0.0,
     onset_from: Annotated[
         OnsetFrom, Option(help=f"Count --onset from the first {FLYING_M:g} m of height, or from the start.")
     ] = OnsetFrom.TAKEOFF,
-    phenomenology: Phenomenology = 1.0,
-    wind: Wind = 0.0,
-    turbulence: W20 = 0.0,
-    payload: PayloadKg = 0.0,
+    phenomenology: options.Phenomenology = 1.0,
+    wind: options.Wind = 0.0,
+    turbulence: options.W20 = 0.0,
+    payload: options.PayloadKg = 0.0,
     seed: Annotated[int, Option(help="Equal seeds and equal commands give equal flights.")] = 0,
     duration: Annotated[
         float | None, Option(metavar="S", help="End after so much flight time.  [default: run until stopped]")
     ] = None,
-    truth: TruthFile = None,
-    print_parameters: Annotated[
-        str | None,
-        Option(metavar="ardupilot|px4", help=_PRINTED),
-    ] = None,
+    truth: options.TruthFile = None,
+    print_parameters: Annotated[str | None, Option(metavar="ardupilot|px4", help=_PRINTED)] = None,
 ) -> HilOptions:
     """Check the options and put them together. Raises UsageError for what cannot be flown."""
-    check_times(fault, onset, duration)
+    options.check_times(fault, onset, duration)
     wanted = next((name for name in get_args(AutopilotName) if name == print_parameters), None)
     if wanted != print_parameters:
         raise UsageError(f"no parameters for {print_parameters!r}: give ardupilot or px4")
@@ -144,17 +121,18 @@ def hil_options(
         payload=Payload(payload),
         seed=seed,
     )
-    span = math.inf if duration is None else duration
-    return HilOptions(HilPlan(config, later), kind, span, truth, fault or "", rotor, wanted)
+    since = "start" if from_start else "take-off"
+    told = f"{fault} on rotor {rotor} (motor {{motor}}) {onset:g} s after the {since}" if fault else ""
+    return HilOptions(config, later, kind, math.inf if duration is None else duration, truth, told, wanted)
 
 
 def _say(line: str) -> None:
     typer.echo(line, err=True)
 
 
-@with_options(hil_options)
+@options.with_options(hil_options)
 def serve_ardupilot(
-    options: HilOptions,
+    asked: HilOptions,
     listen: Annotated[
         str, Option(metavar="udpin:HOST:PORT", help="Where ArduPilot (--model JSON:HOST) sends its frames.")
     ] = "udpin:127.0.0.1:9002",
@@ -163,20 +141,14 @@ def serve_ardupilot(
 
     Rotors and outputs are those of the table [hil] of the vehicle's file.
     """
-    if options.parameters_of:
-        typer.echo(parameter_file(options.vehicle, options.parameters_of), nl=False)
+    if asked.print_parameters():
         return
-    outputs = output_map(options.vehicle, "ardupilot")
+    outputs = output_map(asked.vehicle, "ardupilot")
     if parse_address(listen).kind is not Kind.UDP_IN:
         raise UsageError(f"{listen}: the autopilot sends to a UDP port: write udpin:HOST:PORT")
-    with ExitStack() as stack:
-        port = stack.enter_context(open_endpoint(listen))
-        simulation = stack.enter_context(options.simulation("ardupilot-json", 1000.0))
-        stop = stack.enter_context(commandline.stop_signals())
-        lockstep = Lockstep(simulation, outputs)
-        options.announce("ArduPilot", port.address, outputs)
-        started_s = time.monotonic()
-        serve_json(port, lockstep, simulation, duration_s=options.duration_s, stop=stop, say=_say)
+    with asked.serving(listen, "ardupilot-json", 1000.0, "ArduPilot", outputs) as (port, simulation, stop):
+        lockstep, started_s = Lockstep(simulation, outputs), time.monotonic()
+        serve_json(port, lockstep, simulation, duration_s=asked.duration_s, stop=stop, say=_say)
     counts, took_s = lockstep.counts, time.monotonic() - started_s
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {took_s:.1f} s; {counts.frames} frames ({counts.frames / took_s:.0f}/s), "
@@ -188,9 +160,9 @@ def serve_ardupilot(
 Rate = Annotated[float, Option(metavar="HZ", min=50.0, max=1000.0, help="Rate of HIL_SENSOR.")]
 
 
-@with_options(hil_options)
+@options.with_options(hil_options)
 def serve_px4(
-    options: HilOptions,
+    asked: HilOptions,
     listen: Annotated[
         str, Option(metavar="tcpin:HOST:PORT", help="Where PX4 in simulation connects to.")
     ] = "tcpin:127.0.0.1:4560",
@@ -201,34 +173,27 @@ def serve_px4(
 
     PX4 and the plant wait for each other, if PX4 was built so.
     """
-    pace = parse_speed(speed)
-    _serve_mavlink(options, listen, rate, period_s=1.0 / (rate * pace) if pace else 0.0, hardware=False)
+    pace = options.parse_speed(speed)
+    _serve_mavlink(asked, listen, rate, period_s=1.0 / (rate * pace) if pace else 0.0, hardware=False)
 
 
-@with_options(hil_options)
+@options.with_options(hil_options)
 def serve_hil(
-    options: HilOptions,
+    asked: HilOptions,
     endpoint: Annotated[str, typer.Argument(help="/dev/ttyX,BAUD, or another address of a flight controller.")],
     rate: Rate = 250.0,
 ) -> None:
     """Be sensors and motors of a PX4 flight controller in HIL mode, in real time. Exit code 0, or 2 for an error."""
-    _serve_mavlink(options, endpoint, rate, period_s=1.0 / rate, hardware=True)
+    _serve_mavlink(asked, endpoint, rate, period_s=1.0 / rate, hardware=True)
 
 
-def _serve_mavlink(options: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
-    if options.parameters_of:
-        typer.echo(parameter_file(options.vehicle, options.parameters_of, hardware=hardware), nl=False)
+def _serve_mavlink(asked: HilOptions, address: str, rate_hz: float, *, period_s: float, hardware: bool) -> None:
+    if asked.print_parameters(hardware=hardware):
         return
-    outputs = output_map(options.vehicle, "px4")
-    with ExitStack() as stack:
-        endpoint = stack.enter_context(open_endpoint(address))
-        simulation = stack.enter_context(options.simulation("px4-hil", rate_hz))
-        stop = stack.enter_context(commandline.stop_signals())
-        bridge = Bridge(simulation, outputs, rate_hz)
-        options.announce("a flight controller" if hardware else "PX4", endpoint.address, outputs)
-        started_s = time.monotonic()
-        span, lockstep = options.duration_s, not hardware
-        serve_frames(endpoint, bridge, period_s=period_s, lockstep=lockstep, duration_s=span, stop=stop, say=_say)
+    outputs, peer = output_map(asked.vehicle, "px4"), "a flight controller" if hardware else "PX4"
+    with asked.serving(address, "px4-hil", rate_hz, peer, outputs) as (endpoint, simulation, stop):
+        bridge, started_s, span = Bridge(simulation, outputs, rate_hz), time.monotonic(), asked.duration_s
+        serve_frames(endpoint, bridge, period_s=period_s, lockstep=not hardware, duration_s=span, stop=stop, say=_say)
         traffic = endpoint.traffic
     typer.echo(
         f"{simulation.t_s:.1f} s flown in {time.monotonic() - started_s:.1f} s; {bridge.controls} motor commands, "
@@ -271,46 +236,32 @@ def serve_frames(
     period_s: wall clock from one sensor message to the next in lockstep, 0 for as fast as it goes; else real time.
     lockstep: wait for the controls where they ask for it; else say if an autopilot is not in HIL mode.
     """
-    decoder, pace, flying, told = Decoder(WANTED), _Pace(), False, False
+    decoder, flying, told = Decoder(WANTED), False, False
     feed = decoder.feed_datagram if endpoint.datagrams else decoder.feed
+    sent_s: float | None = None  # when the last sensor message went out, and the next is due
+    next_s = 0.0
+
+    def left_s() -> float:
+        """Until the next is due; while an answer to the last one is awaited, as long as patience goes."""
+        waits = lockstep and bridge.lockstep and not bridge.answered and sent_s is not None
+        until_s = max(next_s, (sent_s or 0.0) + PATIENCE_S) if waits else next_s
+        return min(POLL_S, max(0.0, until_s - time.monotonic()))
+
     while bridge.simulation.t_s < duration_s and not stop():
         flying = flying and endpoint.connected
-        waits = lockstep and bridge.lockstep and not bridge.answered
-        for data, host_ns in endpoint.receive(pace.left_s(waits) if flying else POLL_S):
+        for data, host_ns in endpoint.receive(left_s() if flying else POLL_S):
             for frame in feed(data, host_ns):
                 bridge.hear(frame)
         if not flying and endpoint.connected:
-            if pace.begun:
+            if sent_s is not None:
                 bridge.restart()
-            flying = True
-            pace.begin()
-        if flying and not pace.left_s(lockstep and bridge.lockstep and not bridge.answered):
+            flying, sent_s = True, time.monotonic()
+            next_s = sent_s
+        if flying and not left_s():
             for message in bridge.advance():
                 endpoint.send(message)
-            pace.note_sent(period_s if lockstep and bridge.lockstep else bridge.period_s)
+            sent_s = time.monotonic()
+            next_s = max(next_s + (period_s if lockstep and bridge.lockstep else bridge.period_s), sent_s - SLIP_S)
         if not (lockstep or told) and bridge.in_hil is False:
             told = True
             say("the flight controller is not in HIL mode: load the file of --print-parameters px4 and restart it")
-
-
-class _Pace:
-    """When the next sensor message goes out."""
-
-    def __init__(self) -> None:
-        self.begun = False
-        self._sent_s = self._next_s = 0.0
-
-    def begin(self) -> None:
-        """The first goes out now."""
-        self.begun = True
-        self._sent_s = self._next_s = time.monotonic()
-
-    def left_s(self, waits: bool) -> float:
-        """How long until then, at most `POLL_S`. waits: for the answer to the last one, as long as patience goes."""
-        until_s = max(self._next_s, self._sent_s + PATIENCE_S) if waits else self._next_s
-        return min(POLL_S, max(0.0, until_s - time.monotonic()))
-
-    def note_sent(self, period_s: float) -> None:
-        """One has gone out; the next is due after `period_s`."""
-        self._sent_s = time.monotonic()
-        self._next_s = max(self._next_s + period_s, self._sent_s - SLIP_S)

@@ -86,24 +86,22 @@ def parameter_file(vehicle: Vehicle, autopilot: AutopilotName, *, hardware: bool
     return head + "# Vehicle-Id Component-Id Name Value Type\n" + "".join(lines)
 
 
-@dataclass(frozen=True, slots=True)
-class HilPlan:
-    """What is to happen."""
-
-    config: PlantConfig  # vehicle, wind, payload, seed; it is flown from the ground, and its path is not used
-    after_takeoff: tuple[Injection, ...] = ()  # causes whose onset counts from the take-off
-
-
 class Simulation:
     """One plant, driven for spans of any length; what is left of a step is carried over.
 
-    watch: is shown the samples of every span, and what was changed before it.
+    config: vehicle, wind, payload, seed; it is flown from the ground, and its path is not used. after_takeoff: causes
+    whose onset counts from the take-off. watch: is shown the samples of every span, and what was changed before it.
+    now: the latest row, in samples of length 1.
     """
 
-    def __init__(self, plan: HilPlan, watch: Watch = lambda samples, changes: None) -> None:
-        self._plan = plan
-        self._watch = watch
-        self.config = replace(plan.config, start="ground", trajectory="hover", landed_s=None)
+    def __init__(
+        self,
+        config: PlantConfig,
+        after_takeoff: Sequence[Injection] = (),
+        watch: Watch = lambda samples, changes: None,
+    ) -> None:
+        self._after_takeoff, self._watch = after_takeoff, watch
+        self.config = replace(config, start="ground", trajectory="hover", landed_s=None)
         self.restart()
 
     def restart(self) -> None:
@@ -112,13 +110,8 @@ class Simulation:
         self.rotors = self.plant.rotors
         self.takeoff_s: float | None = None
         self._left = 0.0
-        self._last = self.plant.drive(np.zeros(self.rotors), 1)  # the sensors are read once, with motors off
-        self._show(self._last)
-
-    @property
-    def now(self) -> PlantSamples:
-        """The latest row, in samples of length 1."""
-        return self._last
+        self.now = self.plant.drive(np.zeros(self.rotors), 1)  # the sensors are read once, with motors off
+        self._watch(self.now, self.plant.take_changes())
 
     @property
     def t_s(self) -> float:
@@ -132,16 +125,11 @@ class Simulation:
         self._left = due - steps
         if steps > 0:
             samples = self.plant.drive(duties, steps)
-            self._last = samples if steps == 1 else samples.rows(steps - 1, steps)
-            self._show(samples)
-            self._note_takeoff()
-        return self._last
-
-    def _show(self, samples: PlantSamples) -> None:
-        self._watch(samples, self.plant.take_changes())
-
-    def _note_takeoff(self) -> None:
-        if self.takeoff_s is None and self._last.position[0, 2] < -FLYING_M:
-            self.takeoff_s = self.t_s
-            for one in self._plan.after_takeoff:
-                self.plant.inject(replace(one, onset_s=one.onset_s + self.t_s, end_s=one.end_s + self.t_s))
+            self.now = samples if steps == 1 else samples.rows(steps - 1, steps)
+            self._watch(samples, self.plant.take_changes())
+            if self.takeoff_s is None and self.now.position[0, 2] < -FLYING_M:
+                self.takeoff_s = self.t_s
+                for cause in self._after_takeoff:
+                    later = replace(cause, onset_s=cause.onset_s + self.t_s, end_s=cause.end_s + self.t_s)
+                    self.plant.inject(later)
+        return self.now

@@ -87,14 +87,14 @@ class Turbulence:
         self._rng = rng
         self._along, self._right = math.cos(towards_rad), math.sin(towards_rad)
         u, v, w = zip(model.rms_m_s, model.passing_s, strict=True)
-        self._u = _First(*u, dt_s, rng)
-        self._v, self._w = _Second(*v, dt_s, rng), _Second(*w, dt_s, rng)
+        self._u, self._v, self._w = _First(*u, dt_s, rng), _Second(*v, dt_s, rng), _Second(*w, dt_s, rng)
 
     def draw(self, count: int) -> FloatArray:
         """The gusts of the next `count` steps, (count, 3) world NED [m/s]."""
         normals = self._rng.standard_normal((count, 5))
-        u, v = self._u.step(normals[:, 0]), self._v.step(normals[:, 1:3])
-        down = self._w.step(normals[:, 3:])
+        if not count:
+            return np.empty((0, 3))
+        u, v, down = self._u.step(normals[:, 0]), self._v.step(normals[:, 1:3]), self._w.step(normals[:, 3:])
         return np.column_stack([self._along * u - self._right * v, self._right * u + self._along * v, down])
 
 
@@ -108,7 +108,7 @@ class _First:
 
     def step(self, normals: FloatArray) -> FloatArray:
         x = _decayed(self._new * normals, self._keep, self._x)
-        self._x = float(x[-1]) if len(x) else self._x
+        self._x = float(x[-1])
         return self._rms * x
 
 
@@ -129,19 +129,16 @@ class _Second:
         self._rms, self._d, self._keep = rms, d, math.exp(-d)
         one, two, three = (float(gammainc(k, 2.0 * d)) / 2.0**k for k in (1, 2, 3))
         self._new = np.linalg.cholesky(np.array([[one, two], [two, 2.0 * three]]))
-        z = np.linalg.cholesky(np.array([[0.5, 0.25], [0.25, 0.25]])) @ rng.standard_normal(2)
-        self._z1, self._z2 = float(z[0]), float(z[1])
+        self._z = np.linalg.cholesky(np.array([[0.5, 0.25], [0.25, 0.25]])) @ rng.standard_normal(2)
 
     def step(self, normals: FloatArray) -> FloatArray:
-        if not len(normals):
-            return np.empty(0)
         e1 = self._new[0, 0] * normals[:, 0]
         e2 = self._new[1, 0] * normals[:, 0] + self._new[1, 1] * normals[:, 1]
-        z1 = _decayed(e1, self._keep, self._z1)
-        before = np.concatenate([[self._z1], z1[:-1]])
-        z2 = _decayed(self._keep * self._d * before + e2, self._keep, self._z2)
-        self._z1, self._z2 = float(z1[-1]), float(z2[-1])
-        return self._rms * (math.sqrt(3.0) * z1 + (1.0 - math.sqrt(3.0)) * z2)
+        z1 = _decayed(e1, self._keep, self._z[0])
+        before = np.concatenate([self._z[:1], z1[:-1]])
+        z2 = _decayed(self._keep * self._d * before + e2, self._keep, self._z[1])
+        self._z = np.array([z1[-1], z2[-1]])
+        return np.asarray(self._rms * (math.sqrt(3.0) * z1 + (1.0 - math.sqrt(3.0)) * z2))
 
 
 def _decayed(x: FloatArray, keep: float, last: float) -> FloatArray:

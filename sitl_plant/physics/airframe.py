@@ -80,8 +80,7 @@ class Airframe:
 
 def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: str = "drawn") -> Airframe:
     """Draw a specimen, new or aged, by the spreads in the vehicle file (estimates)."""
-    n = len(vehicle.rotors)
-    spread, propulsion = vehicle.spread, vehicle.propulsion
+    n, spread, propulsion = len(vehicle.rotors), vehicle.spread, vehicle.propulsion
     wider = spread.aged_spread_factor if aged else 1.0
     thrust = 1.0 + wider * spread.thrust_coefficient_rms * rng.standard_normal(n)
     offset = wider * spread.centre_of_gravity_rms_m * rng.standard_normal(2)
@@ -89,17 +88,15 @@ def draw_airframe(vehicle: Vehicle, aged: bool, rng: np.random.Generator, name: 
     inertia = 1.0 + wider * spread.inertia_rms * rng.standard_normal(3)
     battery = 1.0 + spread.battery_gain_max * rng.uniform(-1.0, 1.0)
     unbalance = propulsion.unbalance_max_g_mm * (spread.aged_unbalance_factor if aged else 1.0) * rng.random(n)
-    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    weaker, slower = (spread.aged_thrust_coefficient, spread.aged_motor_lag) if aged else (0.0, 0.0)
     return Airframe(
         name=name,
         vehicle=vehicle,
         inertia_kg_m2=np.array(vehicle.body.inertia_kg_m2) * inertia,
         centre_of_gravity_m=np.array([offset[0], offset[1], 0.0]),
-        thrust_coefficient_n_s2=propulsion.thrust_coefficient_n_s2
-        * thrust
-        * (1.0 + (spread.aged_thrust_coefficient if aged else 0.0)),
-        motor_lag_s=propulsion.motor_lag_s * lag * (1.0 + (spread.aged_motor_lag if aged else 0.0)),
-        unbalance_g_mm=_vectors(unbalance, angle),
+        thrust_coefficient_n_s2=propulsion.thrust_coefficient_n_s2 * thrust * (1.0 + weaker),
+        motor_lag_s=propulsion.motor_lag_s * lag * (1.0 + slower),
+        unbalance_g_mm=_vectors(unbalance, rng),
         thrust_noise_rms=propulsion.thrust_noise_rms * (spread.aged_noise_factor if aged else 1.0),
         battery_gain=battery,
         gyro_bias=vehicle.imu.gyro_bias_rms * rng.standard_normal(3),
@@ -145,14 +142,13 @@ def with_propellers(airframe: Airframe, spread: float, rng: np.random.Generator)
     return replace(
         airframe,
         thrust_coefficient_n_s2=airframe.thrust_coefficient_n_s2 * thrust,
-        unbalance_g_mm=_vectors(size, rng.uniform(0.0, 2.0 * np.pi, n)),
+        unbalance_g_mm=_vectors(size, rng),
     )
 
 
 def in_session(airframe: Airframe, rng: np.random.Generator) -> Airframe:
     """The airframe on another day: battery and its place, gyro bias, and how the propellers sit are drawn anew."""
-    n = len(airframe.vehicle.rotors)
-    shift = BATTERY_SHIFT_RMS_M * rng.standard_normal(2)
+    n, shift = len(airframe.vehicle.rotors), BATTERY_SHIFT_RMS_M * rng.standard_normal(2)
     seating = SEATING_SHARE_MAX * airframe.vehicle.propulsion.unbalance_max_g_mm * rng.random(n)
     return replace(
         airframe,
@@ -160,7 +156,7 @@ def in_session(airframe: Airframe, rng: np.random.Generator) -> Airframe:
         charge_used_ah=CHARGE_USED_AH * float(rng.random()),
         centre_of_gravity_m=airframe.centre_of_gravity_m + np.array([shift[0], shift[1], 0.0]),
         gyro_bias=airframe.vehicle.imu.gyro_bias_rms * rng.standard_normal(3),
-        unbalance_g_mm=airframe.unbalance_g_mm + _vectors(seating, rng.uniform(0.0, 2.0 * np.pi, n)),
+        unbalance_g_mm=airframe.unbalance_g_mm + _vectors(seating, rng),
     )
 
 
@@ -179,5 +175,7 @@ def in_session_number(airframe: Airframe, session: int, spread: float = 0.0) -> 
     return with_propellers(today, spread, rng) if spread > 0.0 else today
 
 
-def _vectors(size: FloatArray, angle: FloatArray) -> FloatArray:
+def _vectors(size: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """(n, 2) of these lengths, at any angle."""
+    angle = rng.uniform(0.0, 2.0 * np.pi, len(size))
     return np.column_stack([size * np.cos(angle), size * np.sin(angle)])

@@ -1,4 +1,4 @@
-"""Two controllers with their attitude estimates, from pose error to duty: the thesis's, and the manufacturer's.
+"""From pose error to duty: the thesis's attitude estimate and cascade, and the manufacturer's as another parameter set.
 
 **The thesis's** (T 2.3, Eq 2.22-2.44). T writes it in a frame with y to the left and z up; here it is in FRD and NED,
 so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g); a = -specific force points down.
@@ -10,7 +10,7 @@ so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g)
 
     theta_ref = -(P e_x + V e_vx + I ∫e_x)      nose up is positive, so ahead is negative          T Eq 2.27
     phi_ref   = +(P e_y + V e_vy + I ∫e_y)      right side down is positive, so right is positive  T Eq 2.26
-    T_ref     = -(P e_z + V e_vz + I ∫e_z)      z is down                                          T Eq 2.25
+    T_ref     = trim - (P e_z + V e_vz + I ∫e_z)            z is down, trim 0                      T Eq 2.25
     r_ref     = P e_psi + V (r_path - r) + I ∫e_psi                                                T Eq 2.28
     omega_ref = P (eta_ref - eta) + D eta_rate,   D < 0                                            T Eq 2.36
     tau       = I (P (omega_ref - omega) + D omega_rate),   D < 0                                  T Eq 2.40
@@ -20,22 +20,16 @@ so pitch, yaw and height change sign. At rest the accelerometer reads (0, 0, -g)
 Horizontal errors are turned by the yaw. Integrals are clamped (anti-windup); every command has a limit. The estimate is
 the nine-vector of T Eq 2.33: roll, pitch, yaw [rad], then rates and accelerations about the body axes.
 
-**The manufacturer's** flew the recordings, at 1 kHz; it is written in FLU and here in FRD.
+**The manufacturer's** flew the recordings, at 1 kHz. Its V acts on the measured speed alone (e_v = -v), it has a trim,
+its attitude loop runs on a small thrust while the motors spin on the ground, and
 
     rate, acceleration = second-order low-pass of each gyro and its slope, wn 120 rad/s, zeta 1
     angle     = complementary filter of each IMU: ∫ gyro + kp (seen - angle) + ki ∫(seen - angle); yaw: ∫ gyro
     feedback: mean of both IMUs;  v = slope of a second-order low-pass of the cameras' pose, wn 50 rad/s
-
-    phi_ref   = +(P e_right - D v_right + I ∫e_right)     within +-pi/4
-    theta_ref = -(P e_ahead - D v_ahead + I ∫e_ahead)     within +-pi/4
-    T         = trim - (P e_z - D v_z + I ∫e_z)
-    r_ref     = P e_psi
-    rate_cmd  = 12 (ref - angle) - 0.1 rate,  yaw: 2 r_ref,           within +-10 pi/3
-    tau       = g (rate_cmd - rate) - h acceleration,                 within +-[1.0915 0.8984 0.0984] N m
     duty_i    = V(F_i) / V_bat,  F = a V^2 + b V + c                  battery compensated
 
-That D acts on the measured speed and that the gyro enters the complementary filter unfiltered is inferred; the yaw gain
-is an estimate. While the motors spin on the ground the attitude loop runs on a small thrust and its integrals wait.
+That V acts on the measured speed and that the gyro enters the complementary filter unfiltered is inferred; the yaw gain
+is an estimate.
 """
 
 import math
@@ -65,19 +59,45 @@ class Estimator(NamedTuple):
     correction: float
 
 
+class TwinEstimator(NamedTuple):
+    """The manufacturer's filters, and its complementary filter's gains."""
+
+    rate: Transition
+    accel: Transition
+    velocity: Transition
+    correction_p: float
+    correction_i: float
+
+
+class TwinEstimate(NamedTuple):
+    """What the manufacturer's estimators remember; of each IMU (2, 3), but for the last three."""
+
+    angle: FloatArray
+    rate: FloatArray
+    acceleration: FloatArray
+    accel: FloatArray  # filtered accelerometers, then their slope
+    accel_slope: FloatArray
+    correction: FloatArray  # (2, 2) integral of the complementary filter, roll and pitch
+    seen: FloatArray  # (4,) filtered pose x, y, z, yaw, then its slope
+    velocity: FloatArray
+
+
 class Controller(NamedTuple):
-    """Gains and limits of the thesis's cascade."""
+    """Gains and limits of a cascade."""
 
     pose: FloatArray  # (4, 3) rows x, y, z, yaw, columns P, V, I
+    trim: float  # thrust without any error [N]
+    yaw_rate: float  # yaw rate commanded over the output of the yaw loop
     attitude_p: float
     attitude_d: float
-    rate_gain: FloatArray  # (3, 2) P and D, times inertia
+    rate_gain: FloatArray  # (3, 2) P and D, inertia included
     mixer: FloatArray  # (n, 4) pseudo-inverse of the motor mapping matrix; with four rotors its inverse, T Eq 2.43
-    full_thrust: float  # K_F K_omega^2 [N] of one motor at full duty
+    full_thrust: float  # of one motor at full duty, K_F K_omega^2 [N]
+    thrust_map: tuple[float, float, float]  # thrust by motor voltage; zeros for the square law of T Eq 2.44
+    ground_thrust: float  # on which the loops run while the motors idle [N]; 0 for loops that rest then
     minimum_duty: float
     tilt_limit: float
-    rate_limit: float
-    yaw_rate_limit: float
+    rate_limit: FloatArray  # (3,)
     integral_limit: FloatArray  # (4,) in units of the command
     torque_limit: FloatArray  # (3,)
     thrust_limit: FloatArray  # (2,)
@@ -92,53 +112,9 @@ class ControlState(NamedTuple):
     wrench: FloatArray  # (4,) thrust [N] and torques [N m]
     duty: FloatArray  # (n,) 0..1
     motors: FloatArray  # (1,) 0 disarmed, 1 armed and idle, 2 flying
-
-
-class Feedback(NamedTuple):
-    """The manufacturer's filters, and the complementary filter's gains."""
-
-    rate: Transition
-    accel: Transition
-    velocity: Transition
-    correction_p: float
-    correction_i: float
-
-
-class Loop(NamedTuple):
-    """Gains and limits of the manufacturer's loop; vectors are (3,)."""
-
-    angle: float
-    rate_damping: float
-    yaw_rate: float
-    rate_limit: float
-    torque_per_rate: FloatArray
-    torque_per_acceleration: FloatArray
-    torque_limit: FloatArray
-    pid: FloatArray  # (3, 3) rows horizontal, height, yaw, columns P, D, I
-    integral_limit: FloatArray
-    trim: float
-    tilt_limit: float
-    thrust_limit: FloatArray
-    mixer: FloatArray  # (n, 4)
-    thrust_map: tuple[float, float, float]
-    minimum_duty: float
-    ground_thrust: float
-
-
-class LoopState(NamedTuple):
-    """What the manufacturer's estimators and loops remember beside `ControlState`."""
-
-    angle: FloatArray  # (2, 3) of each IMU, as the next two
-    rate: FloatArray
-    acceleration: FloatArray
-    accel: FloatArray  # (2, 3) filtered accelerometers, then their slope
-    accel_slope: FloatArray
-    correction: FloatArray  # (2, 2) integral of the complementary filter, roll and pitch
-    seen: FloatArray  # (4,) filtered pose x, y, z, yaw, then its slope
-    velocity: FloatArray
+    pid: FloatArray  # (4,) before the limits: roll and pitch [rad], thrust deviation [N], yaw rate [rad/s]
     asked: FloatArray  # (3,) torques before their limit
-    pid: FloatArray  # (4,) outputs: roll and pitch [rad], thrust deviation [N], yaw rate [rad/s]
-    desired: FloatArray  # (4,) set-point x, y, z, yaw
+    desired: FloatArray  # (4,) the reference x, y, z, yaw
 
 
 def low_pass_transition(corner_hz: float, dt_s: float) -> Transition:
@@ -187,24 +163,16 @@ def tilt_from_accel(f_x: float, f_y: float, f_z: float) -> tuple[float, float]:
 
 @jit
 def advance_estimate(
-    estimate: FloatArray,
-    accel_filtered: FloatArray,
-    estimator: Estimator,
-    reading: FloatArray,
-    yaw_seen: float,
-    dt: float,
+    estimate: FloatArray, accel: FloatArray, estimator: Estimator, reading: FloatArray, yaw_seen: float, dt: float
 ) -> None:
-    """Advance the thesis's nine states in place by one sample.
+    """Advance the thesis's nine states and the filtered accelerometer (3,) in place by one sample.
 
     reading: (6,) gyro and accelerometer, FRD. yaw_seen: from motion capture [rad].
     """
-    f11, f12, f21, f22 = estimator.gyro_filter
+    _low_pass(estimate[3:6], estimate[6:], estimator.gyro_filter, reading[:3])
     for i in range(3):
-        behind, slope = estimate[3 + i] - reading[i], estimate[6 + i]
-        estimate[3 + i] = reading[i] + f11 * behind + f12 * slope
-        estimate[6 + i] = f21 * behind + f22 * slope
-        accel_filtered[i] += estimator.accel_gain * (reading[3 + i] - accel_filtered[i])
-    phi_acc, theta_acc = tilt_from_accel(accel_filtered[0], accel_filtered[1], accel_filtered[2])
+        accel[i] += estimator.accel_gain * (reading[3 + i] - accel[i])
+    phi_acc, theta_acc = tilt_from_accel(accel[0], accel[1], accel[2])
     phi, theta, psi = estimate[0], estimate[1], estimate[2]
     p, q, r = estimate[3], estimate[4], estimate[5]
     turn = q * math.sin(phi) + r * math.cos(phi)
@@ -215,22 +183,22 @@ def advance_estimate(
 
 
 @jit
-def estimate_attitude(
-    state: LoopState, feedback: Feedback, reading: FloatArray, estimate: FloatArray, dt: float
+def advance_estimates(
+    state: TwinEstimate, filters: TwinEstimator, reading: FloatArray, estimate: FloatArray, dt: float
 ) -> None:
     """Advance the estimates of two IMUs by one sample, and leave their mean in estimate (9,). reading: (2, 6), FRD."""
     for k in range(IMUS):
-        _low_pass(state.rate[k], state.acceleration[k], feedback.rate, reading[k, :3])
-        _low_pass(state.accel[k], state.accel_slope[k], feedback.accel, reading[k, 3:])
+        _low_pass(state.rate[k], state.acceleration[k], filters.rate, reading[k, :3])
+        _low_pass(state.accel[k], state.accel_slope[k], filters.accel, reading[k, 3:])
         phi_seen, theta_seen = tilt_from_accel(state.accel[k, 0], state.accel[k, 1], state.accel[k, 2])
         phi, theta = state.angle[k, 0], state.angle[k, 1]
         p, q, r = reading[k, 0], reading[k, 1], reading[k, 2]
         turn = q * math.sin(phi) + r * math.cos(phi)
         error_phi, error_theta = wrapped(phi_seen - phi), theta_seen - theta
-        state.correction[k, 0] += dt * feedback.correction_i * error_phi
-        state.correction[k, 1] += dt * feedback.correction_i * error_theta
-        dphi = p + math.tan(theta) * turn + feedback.correction_p * error_phi + state.correction[k, 0]
-        dtheta = q * math.cos(phi) - r * math.sin(phi) + feedback.correction_p * error_theta + state.correction[k, 1]
+        state.correction[k, 0] += dt * filters.correction_i * error_phi
+        state.correction[k, 1] += dt * filters.correction_i * error_theta
+        dphi = p + math.tan(theta) * turn + filters.correction_p * error_phi + state.correction[k, 0]
+        dtheta = q * math.cos(phi) - r * math.sin(phi) + filters.correction_p * error_theta + state.correction[k, 1]
         state.angle[k, 0] = wrapped(phi + dt * dphi)
         state.angle[k, 1] = wrapped(theta + dt * dtheta)
         state.angle[k, 2] += dt * turn / math.cos(theta)
@@ -241,93 +209,15 @@ def estimate_attitude(
 
 
 @jit
-def _clip(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)
-
-
-@jit
-def _force(mixer: FloatArray, wrench: FloatArray, i: int) -> float:
-    force = 0.0
-    for k in range(4):
-        force += mixer[i, k] * wrench[k]
-    return force
-
-
-@jit
-def _piv(state: ControlState, gains: Controller, axis: int, error: float, rate_error: float, dt: float) -> float:
-    p, v, i = gains.pose[axis]
-    limit = gains.integral_limit[axis]
-    state.integral[axis] = _clip(state.integral[axis] + i * error * dt, -limit, limit)
-    return float(p * error + v * rate_error + state.integral[axis])
-
-
-@jit
-def _outer_loop(
-    state: ControlState,
-    gains: Controller,
-    reference: FloatArray,
-    pose: FloatArray,
-    velocity: FloatArray,
-    yaw_rate: float,
-    dt: float,
-) -> None:
-    """Pose error to attitude, thrust and yaw rate (T Eq 2.22-2.29)."""
-    c, s = np.cos(pose[3]), np.sin(pose[3])
-    e_n, e_e = reference[0] - pose[0], reference[1] - pose[1]
-    v_n, v_e = reference[3] - velocity[0], reference[4] - velocity[1]
-    ahead = _piv(state, gains, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
-    right = _piv(state, gains, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
-    down = _piv(state, gains, 2, reference[2] - pose[2], reference[5] - velocity[2], dt)
-    turn = _piv(state, gains, 3, wrapped(reference[6] - pose[3]), reference[7] - yaw_rate, dt)
-    state.setpoint[0] = _clip(right, -gains.tilt_limit, gains.tilt_limit)
-    state.setpoint[1] = _clip(-ahead, -gains.tilt_limit, gains.tilt_limit)
-    state.setpoint[2] = reference[6]
-    state.wrench[0] = _clip(-down, gains.thrust_limit[0], gains.thrust_limit[1])
-    state.rate[2] = _clip(turn, -gains.yaw_rate_limit, gains.yaw_rate_limit)
-
-
-@jit
-def _stand(state: ControlState, yaw: float, thrust: float, duty: float) -> None:
-    for axis in range(3):
-        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = 0.0
-    state.setpoint[2] = yaw
-    state.wrench[0] = thrust
-    for i in range(len(state.duty)):
-        state.duty[i] = duty
-
-
-@jit
-def control(
-    state: ControlState,
-    gains: Controller,
-    reference: FloatArray,
-    pose: FloatArray,
-    velocity: FloatArray,
-    estimate: FloatArray,
-    dt: float,
-) -> None:
-    """One pass of the thesis's cascade; the commands are left in `state`.
-
-    reference: (9,) from `trajectory`. pose, velocity: (4,) and (3,) from motion capture. estimate: (9,).
-    """
-    state.motors[0] = min(reference[8], FLYING)
-    if reference[8] >= LANDING and pose[2] > -LANDED_M:
-        state.motors[0] = DISARMED if reference[8] == SHUTDOWN else IDLE
-    if state.motors[0] != FLYING:
-        duty = gains.minimum_duty if state.motors[0] == IDLE else 0.0
-        _stand(state, reference[6], len(state.duty) * gains.full_thrust * duty * duty, duty)
-        return
-    _outer_loop(state, gains, reference, pose, velocity, estimate[5], dt)
-    for axis in range(2):
-        rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
-        state.rate[axis] = _clip(rate, -gains.rate_limit, gains.rate_limit)
-    for axis in range(3):
-        torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
-        torque += gains.rate_gain[axis, 1] * estimate[6 + axis]
-        state.wrench[1 + axis] = _clip(torque, -gains.torque_limit[axis], gains.torque_limit[axis])
-    for i in range(len(state.duty)):
-        force = _force(gains.mixer, state.wrench, i)
-        state.duty[i] = _clip(np.sqrt(max(force, 0.0) / gains.full_thrust), gains.minimum_duty, 1.0)
+def see(state: TwinEstimate, filters: TwinEstimator, pose: FloatArray) -> None:
+    """Filter the cameras' pose (4,) as the manufacturer does; yaw is unwrapped first."""
+    f11, f12, f21, f22 = filters.velocity
+    for i in range(4):
+        behind, rate = state.seen[i] - pose[i], state.velocity[i]
+        if i == 3:
+            behind = wrapped(behind)
+        state.seen[i] = pose[i] + f11 * behind + f12 * rate
+        state.velocity[i] = f21 * behind + f22 * rate
 
 
 @jit
@@ -345,82 +235,102 @@ def voltage_of(thrust_map: tuple[float, float, float], force: float) -> float:
 
 
 @jit
-def _see(state: LoopState, feedback: Feedback, pose: FloatArray) -> None:
-    """Filter the cameras' pose (4,); yaw is unwrapped first."""
-    f11, f12, f21, f22 = feedback.velocity
-    for i in range(4):
-        behind, rate = state.seen[i] - pose[i], state.velocity[i]
-        if i == 3:
-            behind = wrapped(behind)
-        state.seen[i] = pose[i] + f11 * behind + f12 * rate
-        state.velocity[i] = f21 * behind + f22 * rate
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
 
 
 @jit
-def _pid(integral: FloatArray, loop: Loop, row: int, axis: int, error: float, speed: float, dt: float) -> float:
-    p, d, i = loop.pid[row]
-    limit = loop.integral_limit[row]
-    integral[axis] = _clip(integral[axis] + i * error * dt, -limit, limit)
-    return float(p * error - d * speed + integral[axis])
+def _piv(state: ControlState, gains: Controller, axis: int, error: float, rate_error: float, dt: float) -> float:
+    p, v, i = gains.pose[axis]
+    limit = gains.integral_limit[axis]
+    state.integral[axis] = _clip(state.integral[axis] + i * error * dt, -limit, limit)
+    return float(p * error + v * rate_error + state.integral[axis])
 
 
 @jit
-def _position(control: ControlState, state: LoopState, loop: Loop, pose: FloatArray, dt: float) -> None:
+def _outer_loop(
+    state: ControlState, gains: Controller, path: FloatArray, pose: FloatArray, speed: FloatArray, r: float, dt: float
+) -> None:
+    """Pose error to attitude, thrust and yaw rate (T Eq 2.22-2.29)."""
     c, s = math.cos(pose[3]), math.sin(pose[3])
-    e_n, e_e, v_n, v_e = state.desired[0] - pose[0], state.desired[1] - pose[1], state.velocity[0], state.velocity[1]
-    ahead = _pid(control.integral, loop, 0, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
-    right = _pid(control.integral, loop, 0, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
-    down = _pid(control.integral, loop, 1, 2, state.desired[2] - pose[2], state.velocity[2], dt)
-    turn = _pid(control.integral, loop, 2, 3, wrapped(state.desired[3] - pose[3]), state.velocity[3], dt)
+    e_n, e_e = path[0] - pose[0], path[1] - pose[1]
+    v_n, v_e = path[3] - speed[0], path[4] - speed[1]
+    ahead = _piv(state, gains, 0, c * e_n + s * e_e, c * v_n + s * v_e, dt)
+    right = _piv(state, gains, 1, c * e_e - s * e_n, c * v_e - s * v_n, dt)
+    down = _piv(state, gains, 2, path[2] - pose[2], path[5] - speed[2], dt)
+    turn = _piv(state, gains, 3, wrapped(path[6] - pose[3]), path[7] - r, dt)
     state.pid[0], state.pid[1], state.pid[2], state.pid[3] = right, -ahead, -down, turn
-    control.setpoint[0] = _clip(right, -loop.tilt_limit, loop.tilt_limit)
-    control.setpoint[1] = _clip(-ahead, -loop.tilt_limit, loop.tilt_limit)
-    control.wrench[0] = _clip(loop.trim - down, loop.thrust_limit[0], loop.thrust_limit[1])
+    state.setpoint[0] = _clip(right, -gains.tilt_limit, gains.tilt_limit)
+    state.setpoint[1] = _clip(-ahead, -gains.tilt_limit, gains.tilt_limit)
+    state.wrench[0] = _clip(gains.trim - down, gains.thrust_limit[0], gains.thrust_limit[1])
 
 
 @jit
-def _attitude(control: ControlState, state: LoopState, loop: Loop, estimate: FloatArray) -> None:
+def _inner_loop(state: ControlState, gains: Controller, estimate: FloatArray) -> None:
+    """Attitude to rates to torques (T Eq 2.36, 2.40)."""
     for axis in range(3):
-        rate = loop.yaw_rate * state.pid[3]
+        rate = gains.yaw_rate * state.pid[3]
         if axis < 2:
-            rate = loop.angle * (control.setpoint[axis] - estimate[axis]) - loop.rate_damping * estimate[3 + axis]
-        control.rate[axis] = _clip(rate, -loop.rate_limit, loop.rate_limit)
-        torque = loop.torque_per_rate[axis] * (control.rate[axis] - estimate[3 + axis])
-        state.asked[axis] = torque - loop.torque_per_acceleration[axis] * estimate[6 + axis]
-        control.wrench[1 + axis] = _clip(state.asked[axis], -loop.torque_limit[axis], loop.torque_limit[axis])
+            rate = gains.attitude_p * (state.setpoint[axis] - estimate[axis]) + gains.attitude_d * estimate[3 + axis]
+        state.rate[axis] = _clip(rate, -gains.rate_limit[axis], gains.rate_limit[axis])
+        torque = gains.rate_gain[axis, 0] * (state.rate[axis] - estimate[3 + axis])
+        state.asked[axis] = torque + gains.rate_gain[axis, 1] * estimate[6 + axis]
+        state.wrench[1 + axis] = _clip(state.asked[axis], -gains.torque_limit[axis], gains.torque_limit[axis])
 
 
 @jit
-def decide(
-    control: ControlState,
-    state: LoopState,
-    loop: Loop,
-    feedback: Feedback,
-    reference: FloatArray,
+def _mix(state: ControlState, gains: Controller, volts: float) -> None:
+    for i in range(len(state.duty)):
+        force = 0.0
+        for k in range(4):
+            force += gains.mixer[i, k] * state.wrench[k]
+        if gains.thrust_map[0] > 0.0:
+            duty = voltage_of(gains.thrust_map, force) / volts
+        else:
+            duty = math.sqrt(max(force, 0.0) / gains.full_thrust)
+        state.duty[i] = _clip(duty, gains.minimum_duty, 1.0)
+
+
+@jit
+def _stand(state: ControlState, gains: Controller) -> None:
+    idle = state.motors[0] == IDLE
+    duty = gains.minimum_duty if idle else 0.0
+    rests = len(state.duty) * gains.full_thrust * duty * duty
+    state.wrench[0] = gains.ground_thrust if idle and gains.ground_thrust > 0.0 else rests
+    for axis in range(3):
+        state.setpoint[axis] = state.rate[axis] = state.wrench[1 + axis] = state.asked[axis] = 0.0
+    for i in range(4):
+        state.pid[i] = 0.0
+    for i in range(len(state.duty)):
+        state.duty[i] = duty
+
+
+@jit
+def control(
+    state: ControlState,
+    gains: Controller,
+    path: FloatArray,
     pose: FloatArray,
+    velocity: FloatArray,
+    yaw_rate: float,
     estimate: FloatArray,
     volts: float,
     dt: float,
 ) -> None:
-    """One pass of the manufacturer's loop, with arguments as of `control`. volts: of the battery."""
-    control.motors[0] = min(reference[8], FLYING)
-    if reference[8] >= LANDING and pose[2] > -LANDED_M:
-        control.motors[0] = DISARMED
-    _see(state, feedback, pose)
-    state.desired[0], state.desired[1], state.desired[2] = reference[0], reference[1], reference[2]
-    state.desired[3] = reference[6]
-    for i in range(4):
-        state.pid[i] = 0.0
-    if control.motors[0] != FLYING:
-        _stand(control, reference[6], 0.0 if control.motors[0] == DISARMED else loop.ground_thrust, 0.0)
-    if control.motors[0] == DISARMED:
-        for axis in range(3):
-            state.asked[axis] = 0.0
-        return
-    control.setpoint[2] = reference[6]
-    if control.motors[0] == FLYING:
-        _position(control, state, loop, pose, dt)
-    _attitude(control, state, loop, estimate)
-    for i in range(len(control.duty)):
-        duty = voltage_of(loop.thrust_map, _force(loop.mixer, control.wrench, i)) / volts
-        control.duty[i] = _clip(duty, loop.minimum_duty, 1.0)
+    """One pass of the cascade; the commands are left in `state`.
+
+    path: (9,) from `trajectory.reference`. pose, velocity: (4,) and (3,) or more from motion capture. yaw_rate: as fed
+    back to the yaw loop. estimate: (9,). volts: of the battery.
+    """
+    state.motors[0], loops_rest = min(path[8], FLYING), gains.ground_thrust == 0.0
+    if path[8] >= LANDING and pose[2] > -LANDED_M:
+        state.motors[0] = IDLE if loops_rest and path[8] != SHUTDOWN else DISARMED
+    if state.motors[0] == FLYING:
+        _outer_loop(state, gains, path, pose, velocity, yaw_rate, dt)
+    else:
+        _stand(state, gains)
+    state.desired[0], state.desired[1], state.desired[2] = path[0], path[1], path[2]
+    state.desired[3] = state.setpoint[2] = path[6]
+    if state.motors[0] == FLYING or (state.motors[0] == IDLE and not loops_rest):
+        _inner_loop(state, gains, estimate)
+        _mix(state, gains, volts)

@@ -12,8 +12,6 @@ The ground is a plane that pushes each point of the landing gear by a spring and
 
     N = max(0, k d + c v_d)                       d: depth of the point below the plane; the ground never pulls
     F = -(k s + c v),  |F| <= mu N                s: horizontal way from where the point stuck; beyond mu N it slides
-
-All functions are compiled and write into arrays that the caller owns.
 """
 
 import math
@@ -25,9 +23,7 @@ from mavdiag.jit import inline, jit
 from mavdiag.telemetry import FloatArray
 
 GRAVITY = 9.81  # m/s^2, as the hover speed of T 3.2.2 and K_F assume
-RIGID = 13  # length of the state row
-WRENCH = 8  # length of a wrench row
-STAGES = 3  # start, middle and end of a step
+RIGID, WRENCH, STAGES = 13, 8, 3  # lengths of a state row and of a wrench row; start, middle and end of a step
 
 
 @jit
@@ -138,16 +134,9 @@ def _stand(x: FloatArray, body: Body, ground: Ground, dx: FloatArray, row: int) 
 
 @jit
 def derivative(
-    x: FloatArray,
-    wrench: FloatArray,
-    stage: int,
-    body: Body,
-    ground: Ground,
-    wind: FloatArray,
-    dx: FloatArray,
-    row: int,
+    x: FloatArray, wrench: FloatArray, stage: int, body: Body, ground: Ground, wind: FloatArray, dx: FloatArray, at: int
 ) -> None:
-    """Write dx/dt under wrench[stage] into dx[row]. wind: (3,) world NED [m/s].
+    """Write dx/dt under wrench[stage] into dx[at]. wind: (3,) world NED [m/s].
 
     m dv/dt     = R (force + drag) + m g
     I domega/dt = moment + hub - omega × (I omega + h e_z) - dh/dt e_z
@@ -161,14 +150,12 @@ def derivative(
         (wrench[stage, 1] - body.drag * v) / body.mass,
         (wrench[stage, 2] - body.drag * w) / body.mass,
     )
-    dx[row, 0], dx[row, 1], dx[row, 2] = x[3], x[4], x[5]
-    dx[row, 3], dx[row, 4], dx[row, 5] = a_x, a_y, a_z + GRAVITY
-    # dq/dt = q * (0, omega) / 2
-    dx[row, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)
-    dx[row, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
-    dx[row, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
-    dx[row, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
-
+    dx[at, 0], dx[at, 1], dx[at, 2] = x[3], x[4], x[5]
+    dx[at, 3], dx[at, 4], dx[at, 5] = a_x, a_y, a_z + GRAVITY
+    dx[at, 6] = 0.5 * (-q_x * p - q_y * q - q_z * r)  # dq/dt = q * (0, omega) / 2
+    dx[at, 7] = 0.5 * (q_w * p + q_y * r - q_z * q)
+    dx[at, 8] = 0.5 * (q_w * q + q_z * p - q_x * r)
+    dx[at, 9] = 0.5 * (q_w * r + q_x * q - q_y * p)
     inertia, inverse = body.inertia, body.inverse
     h_x = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
     h_y = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
@@ -177,9 +164,9 @@ def derivative(
     m_y = wrench[stage, 4] + body.hub_moment * u - (r * h_x - p * h_z)
     m_z = wrench[stage, 5] - (p * h_y - q * h_x) - wrench[stage, 7]
     for axis in range(3):
-        dx[row, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
+        dx[at, 10 + axis] = inverse[axis, 0] * m_x + inverse[axis, 1] * m_y + inverse[axis, 2] * m_z
     if x[2] > ground.reach:
-        _stand(x, body, ground, dx, row)
+        _stand(x, body, ground, dx, at)
 
 
 @jit

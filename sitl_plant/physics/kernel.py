@@ -2,76 +2,44 @@
 
 Order within a step at time t_k: sensors read the state, the estimator and the controller act on it (or the given motor
 commands take the controller's place), everything is recorded, then noise, rotors and body advance to t_(k+1) with the
-new command. So a row of the output belongs to one instant. A recorded set (`Recorded`) has its own sensors, controller
+new command. So a row of the output belongs to one instant. A recorded set (`Recorded`) has its own sensors, estimator
 and motors: these turn at the speed at which the rotor lifts what the manufacturer's map says of its voltage, times what
 it really lifts; the voltage follows the duty after a delay. Without one its steps are not compiled.
+
+The random numbers of a flight come from one independent stream for each purpose, consumed in order of time. How a
+flight is cut into calls therefore changes nothing, and a purpose that is not asked for changes no other.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from mavdiag.jit import cached, inline, jit, source_digest
-from mavdiag.telemetry import FloatArray
-from sitl_plant.physics.air import Air, advance_wind
-from sitl_plant.physics.control import (
-    Controller,
-    ControlState,
-    Estimator,
-    Feedback,
-    Loop,
-    LoopState,
-    advance_estimate,
-    control,
-    decide,
-    estimate_attitude,
-    thrust_of,
-)
-from sitl_plant.physics.dynamics import RIGID, STAGES, Body, Ground, derivative, grip, rk4_step
-from sitl_plant.physics.mocap import Mocap, MocapState, deliver_pose, hold_if_lost, observe
-from sitl_plant.physics.rotors import (
-    Battery,
-    Condition,
-    Rotors,
-    RotorState,
-    advance_battery,
-    advance_noise,
-    advance_rotors,
-)
-from sitl_plant.physics.sensors import (
-    CHANNELS,
-    IMUS,
-    Imu,
-    ImuState,
-    Mount,
-    SensorCondition,
-    TwinImu,
-    TwinImuState,
-    advance_imu,
-    advance_imus,
-    advance_mount,
-    feel,
-)
+from mavdiag.telemetry import BoolArray, FloatArray
+from sitl_plant.physics import control, dynamics, mocap, rotors, sensors
+from sitl_plant.physics.air import Air, Dryden, Turbulence, advance_wind
 from sitl_plant.physics.trajectory import DISARMED, FLYING, REFERENCE, Path, reference
 
+Faults: TypeAlias = sensors.SensorCondition
 LOG = 49  # columns of a recorded set's log before the motors' telemetry
+OUTAGE_S = (0.3, 2.0)  # an outage of the cameras lasts so long, uniform (our choice)
 
 
 class Model(NamedTuple):
-    """All constants of one flight; a recorded set has its own IMUs, estimator and controller."""
+    """All constants of one flight; a recorded set has its own IMUs and estimator."""
 
     dt: float
-    body: Body
-    ground: Ground
-    rotors: Rotors
-    battery: Battery
+    body: dynamics.Body
+    ground: dynamics.Ground
+    rotors: rotors.Rotors
+    battery: rotors.Battery
     air: Air
-    imu: Imu
-    mount: Mount
-    mocap: Mocap
-    estimator: Estimator
-    controller: Controller
+    imu: sensors.Imu
+    mocap: mocap.Mocap
+    estimator: control.Estimator
+    controller: control.Controller
     path: Path
 
 
@@ -82,27 +50,25 @@ class State(NamedTuple):
     wrench: FloatArray  # (3, 8)
     wind: FloatArray  # (3,)
     battery: FloatArray  # (2,)
-    rotors: RotorState
-    imu: ImuState
-    mount: FloatArray  # (6, 2)
-    mocap: MocapState
+    rotors: rotors.RotorState
+    imu: sensors.ImuState
+    mocap: mocap.MocapState
     estimate: FloatArray  # (9,)
     accel_filtered: FloatArray  # (3,)
-    control: ControlState
+    control: control.ControlState
 
 
 class Recorded(NamedTuple):
     """What a recorded set has beside `Model` and `State`: constants, and what changes in place."""
 
-    imus: TwinImu
-    feedback: Feedback
-    loop: Loop
+    imus: sensors.TwinImu
+    estimators: control.TwinEstimator
     squared_per_thrust: float  # speed^2 of a rotor over its thrust by the map, battery gain included [rad^2/s^2/N]
     esc_period: int  # steps from one motor's telemetry to the next one's
     esc_first: int  # step of the first
     over_read: float  # reported over true speed
-    imu_state: TwinImuState
-    loop_state: LoopState
+    imu_state: sensors.TwinImuState
+    estimates: control.TwinEstimate
     queue: FloatArray  # (delay + 1, n) duties under way
     esc: FloatArray  # (n,) reported speeds [rad/s], NaN before the first frame
 
@@ -131,7 +97,7 @@ class Rows(NamedTuple):
     battery_v: FloatArray
     charge_ah: FloatArray
     motors: FloatArray
-    log: FloatArray  # (steps, LOG + n) of a recorded set, see `RecordedLog`; else (steps, 0)
+    log: FloatArray  # (steps, LOG + n) of a recorded set, control.see `RecordedLog`; else (steps, 0)
 
 
 class Block(NamedTuple):
@@ -144,8 +110,8 @@ class Block(NamedTuple):
     rows: Rows  # filled from row 0
 
 
-class _Scratch(NamedTuple):
-    """Arrays that one step needs and the next forgets."""
+class Scratch(NamedTuple):
+    """What the steps overwrite."""
 
     work: FloatArray  # (5, 13)
     truth: FloatArray  # (2, 6)
@@ -155,57 +121,51 @@ class _Scratch(NamedTuple):
 
 @inline
 def _sense(
-    state: State,
-    model: Model,
-    own: Recorded | None,
-    condition: SensorCondition,
-    noise: Noise,
-    row: int,
-    step: int,
-    scratch: _Scratch,
+    state: State, model: Model, own: Recorded | None, faults: Faults, noise: Noise, row: int, step: int, here: Scratch
 ) -> None:
-    derivative(state.rigid, state.wrench, STAGES - 1, model.body, model.ground, state.wind, scratch.work, 0)
+    x, work, truth, last = state.rigid, here.work, here.truth, dynamics.STAGES - 1
+    dynamics.derivative(x, state.wrench, last, model.body, model.ground, state.wind, work, 0)
     if own is None:
-        felt = scratch.truth[0]
-        feel(state.rigid, scratch.work, model.imu.position, felt)
-        advance_mount(state.mount, model.mount, felt)
-        advance_imu(state.imu, model.imu, condition, felt, noise.imu, row, model.dt)
+        sensors.feel(x, work, model.imu.position, truth[0])
+        sensors.advance_imu(state.imu, model.imu, faults, truth[0], noise.imu, row, model.dt)
     else:
-        for k in range(IMUS):
-            feel(state.rigid, scratch.work, own.imus.position[k], scratch.truth[k])
-        advance_imus(own.imu_state, own.imus, condition, scratch.truth, state.rotors, noise.imu, row, step, model.dt)
-        for i in range(CHANNELS):
+        for k in range(sensors.IMUS):
+            sensors.feel(x, work, own.imus.position[k], truth[k])
+        sensors.advance_imus(own.imu_state, own.imus, faults, truth, state.rotors, noise.imu, row, step, model.dt)
+        for i in range(sensors.CHANNELS):
             state.imu.reading[i] = own.imu_state.reading[0, i]
         if step >= own.esc_first and step % own.esc_period == 0:
             motor = len(own.esc) - 1 - (step // own.esc_period) % len(own.esc)  # the last motor is asked first
             own.esc[motor] = own.over_read * state.rotors.speed[motor]
-    deliver_pose(state.mocap, model.mocap, step)
+    mocap.deliver_pose(state.mocap, model.mocap, step)
 
 
 @inline
 def _decide(
-    state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int, scratch: _Scratch
+    state: State, model: Model, own: Recorded | None, commands: FloatArray, row: int, step: int, path: FloatArray
 ) -> None:
-    reading, pose, dt = state.imu.reading, state.mocap.pose, model.dt
+    pose, estimate, volts, dt = state.mocap.pose, state.estimate, state.battery[0], model.dt
     if own is None:
-        advance_estimate(state.estimate, state.accel_filtered, model.estimator, reading, pose[3], dt)
+        control.advance_estimate(estimate, state.accel_filtered, model.estimator, state.imu.reading, pose[3], dt)
     else:
-        estimate_attitude(own.loop_state, own.feedback, own.imu_state.reading, state.estimate, dt)
+        control.advance_estimates(own.estimates, own.estimators, own.imu_state.reading, estimate, dt)
     if len(commands) > 0:
         _obey(state.control, commands, row)
         return
-    path = scratch.path
     reference(model.path, step * dt, path)
     if own is None:
-        hold_if_lost(state.mocap, model.mocap, step, path)
-        control(state.control, model.controller, path, pose, state.mocap.velocity, state.estimate, dt)
+        mocap.hold_if_lost(state.mocap, model.mocap, step, path)
+        velocity, r = state.mocap.velocity, estimate[5]
+        control.control(state.control, model.controller, path, pose, velocity, r, estimate, volts, dt)
     else:
-        volts = state.battery[0]
-        decide(state.control, own.loop_state, own.loop, own.feedback, path, pose, state.estimate, volts, dt)
+        control.see(own.estimates, own.estimators, pose)
+        path[3:6], path[7] = 0.0, 0.0  # its V acts on the measured speed alone
+        velocity = own.estimates.velocity
+        control.control(state.control, model.controller, path, pose, velocity, velocity[3], estimate, volts, dt)
 
 
 @jit
-def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
+def _obey(state: control.ControlState, commands: FloatArray, row: int) -> None:
     state.motors[0] = DISARMED
     for i in range(len(state.duty)):
         state.duty[i] = commands[row, i]
@@ -217,50 +177,48 @@ def _obey(state: ControlState, commands: FloatArray, row: int) -> None:
 
 
 @jit
-def _copy(source: FloatArray, rows: FloatArray, row: int) -> None:
-    """rows[row] = source; a plain loop, because slice assignment is slow in compiled code."""
+def _copy(source: FloatArray, rows: FloatArray, row: int, column: int) -> None:
+    """rows[row, column:] = source; a plain loop, because slice assignment is slow in compiled code."""
     for i in range(len(source)):
-        rows[row, i] = source[i]
+        rows[row, column + i] = source[i]
 
 
 @jit
 def _log(state: State, own: Recorded, log: FloatArray, row: int) -> None:
-    loop, reading = own.loop_state, own.imu_state.reading
-    for k in range(IMUS):
-        for axis in range(3):
-            at = 3 * k + axis
-            log[row, at], log[row, 6 + at] = loop.angle[k, axis], loop.rate[k, axis]
-            log[row, 12 + at] = loop.acceleration[k, axis]
-            log[row, 18 + at], log[row, 24 + at] = reading[k, axis], reading[k, 3 + axis]
-    for axis in range(3):
-        log[row, 30 + axis], log[row, 33 + axis] = loop.asked[axis], state.control.wrench[1 + axis]
-    log[row, 36] = state.control.wrench[0]
-    for i in range(4):
-        log[row, 37 + i], log[row, 41 + i], log[row, 45 + i] = loop.pid[i], loop.desired[i], state.mocap.pose[i]
-    for i in range(len(own.esc)):
-        log[row, LOG + i] = own.esc[i]
+    seen, reading = own.estimates, own.imu_state.reading
+    for k in range(sensors.IMUS):
+        _copy(seen.angle[k], log, row, 3 * k)
+        _copy(seen.rate[k], log, row, 6 + 3 * k)
+        _copy(seen.acceleration[k], log, row, 12 + 3 * k)
+        _copy(reading[k, :3], log, row, 18 + 3 * k)
+        _copy(reading[k, 3:], log, row, 24 + 3 * k)
+    _copy(state.control.asked, log, row, 30)
+    _copy(state.control.wrench[1:], log, row, 33)
+    _copy(state.control.wrench[:1], log, row, 36)
+    _copy(state.control.pid, log, row, 37)
+    _copy(state.control.desired, log, row, 41)
+    _copy(state.mocap.pose, log, row, 45)
+    _copy(own.esc, log, row, LOG)
 
 
 @inline
 def _record(state: State, own: Recorded | None, row: int, rows: Rows) -> None:
-    _copy(state.control.setpoint, rows.setpoint, row)
-    _copy(state.control.rate, rows.rate_setpoint, row)
-    _copy(state.imu.reading, rows.imu, row)
-    _copy(state.estimate, rows.attitude, row)
-    _copy(state.rigid, rows.rigid, row)
-    _copy(state.rotors.speed, rows.rotor_speed, row)
-    _copy(state.control.duty, rows.duty, row)
-    rows.thrust[row] = state.control.wrench[0]
-    rows.battery_v[row] = state.battery[0]
-    rows.charge_ah[row] = state.battery[1]
-    rows.motors[row] = state.control.motors[0]
+    _copy(state.control.setpoint, rows.setpoint, row, 0)
+    _copy(state.control.rate, rows.rate_setpoint, row, 0)
+    _copy(state.imu.reading, rows.imu, row, 0)
+    _copy(state.estimate, rows.attitude, row, 0)
+    _copy(state.rigid, rows.rigid, row, 0)
+    _copy(state.rotors.speed, rows.rotor_speed, row, 0)
+    _copy(state.control.duty, rows.duty, row, 0)
+    rows.thrust[row], rows.motors[row] = state.control.wrench[0], state.control.motors[0]
+    rows.battery_v[row], rows.charge_ah[row] = state.battery[0], state.battery[1]
     if own is not None:
         _log(state, own, rows.log, row)
 
 
 @inline
 def _command(
-    state: State, model: Model, own: Recorded | None, condition: Condition, step: int, command: FloatArray
+    state: State, model: Model, own: Recorded | None, condition: rotors.Condition, step: int, command: FloatArray
 ) -> None:
     """The speeds that the duties ask for (T Eq 2.10), or at which the motors settle under the delayed duties."""
     for i in range(len(command)):
@@ -271,18 +229,18 @@ def _command(
             slots = len(own.queue)
             own.queue[step % slots, i] = state.control.duty[i]
             volts = own.queue[(step + 1) % slots, i] * state.battery[0]
-            squared = own.squared_per_thrust * thrust_of(own.loop.thrust_map, volts)
+            squared = own.squared_per_thrust * control.thrust_of(model.controller.thrust_map, volts)
             command[i] = np.sqrt(squared) * condition.speed_gain[i]
 
 
 @inline
-def _move(state: State, model: Model, condition: Condition, noise: Noise, row: int, scratch: _Scratch) -> None:
+def _move(state: State, model: Model, condition: rotors.Condition, noise: Noise, row: int, here: Scratch) -> None:
     advance_wind(state.wind, model.air, noise.wind, row)
-    advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
-    advance_rotors(state.rotors, model.rotors, condition, scratch.command, model.dt, state.wrench)
-    rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, scratch.work, model.dt)
-    grip(state.rigid, model.ground)
-    advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
+    rotors.advance_noise(state.rotors, model.rotors, condition, noise.rotors, row)
+    rotors.advance_rotors(state.rotors, model.rotors, condition, here.command, model.dt, state.wrench)
+    dynamics.rk4_step(state.rigid, state.wrench, model.body, model.ground, state.wind, here.work, model.dt)
+    dynamics.grip(state.rigid, model.ground)
+    rotors.advance_battery(state.battery, model.battery, state.rotors.speed, model.dt)
 
 
 @jit
@@ -290,37 +248,37 @@ def _steps(
     block: Block,
     model: Model,
     own: Recorded | None,
-    condition: Condition,
-    sensors: SensorCondition,
+    condition: rotors.Condition,
+    faults: Faults,
     state: State,
-    scratch: _Scratch,
+    here: Scratch,
 ) -> None:
     first, steps, noise, commands, rows = block
     frame = 0
     for row in range(steps):
         step = first + row
         if step % model.mocap.period == 0:
-            observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
+            mocap.observe(state.mocap, model.mocap, state.rigid, step, noise.markers, noise.occlusion, frame)
             frame += 1
-        _sense(state, model, own, sensors, noise, row, step, scratch)
-        _decide(state, model, own, commands, row, step, scratch)
+        _sense(state, model, own, faults, noise, row, step, here)
+        _decide(state, model, own, commands, row, step, here.path)
         _record(state, own, row, rows)
-        _command(state, model, own, condition, step, scratch.command)
-        _move(state, model, condition, noise, row, scratch)
+        _command(state, model, own, condition, step, here.command)
+        _move(state, model, condition, noise, row, here)
 
 
-Fly: TypeAlias = Callable[[Block, Model, Recorded | None, Condition, SensorCondition, State], int]
+Fly: TypeAlias = Callable[[Block, Model, Recorded | None, rotors.Condition, sensors.SensorCondition, State], int]
 
 
 def _compiled_for(digest: int) -> Fly:
 
     @cached
     def fly(
-        block: Block, model: Model, own: Recorded | None, condition: Condition, sensors: SensorCondition, state: State
+        block: Block, model: Model, own: Recorded | None, condition: rotors.Condition, faults: Faults, state: State
     ) -> int:
-        work, truth = np.empty((5, RIGID)), np.empty((IMUS, CHANNELS))
-        scratch = _Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))
-        _steps(block, model, own, condition, sensors, state, scratch)
+        work, truth = np.empty((5, dynamics.RIGID)), np.empty((sensors.IMUS, sensors.CHANNELS))
+        here = Scratch(work, truth, np.empty(REFERENCE), np.empty(len(state.rotors.speed)))
+        _steps(block, model, own, condition, faults, state, here)
         return digest
 
     return fly
@@ -328,3 +286,63 @@ def _compiled_for(digest: int) -> Fly:
 
 fly: Fly = _compiled_for(source_digest())
 """Fly one block. `state` and `own` are updated in place; returns the digest of the sources it was compiled from."""
+
+
+class Outages:
+    """When the cameras see no marker at all: from t = 0 on, `per_min` times a minute on average, at random times.
+
+    The gap from the end of one to the beginning of the next is exponential.
+    """
+
+    def __init__(self, per_min: float, rng: np.random.Generator) -> None:
+        self._gap_s, self._rng = 60.0 / per_min, rng
+        self._spans = [self._after(0.0)]
+
+    def _after(self, t_s: float) -> tuple[float, float]:
+        start = t_s + float(self._rng.exponential(self._gap_s))
+        return start, start + float(self._rng.uniform(*OUTAGE_S))
+
+    def during(self, t_s: FloatArray) -> BoolArray:
+        """Which of these times, ascending, lie in an outage."""
+        while len(t_s) and self._spans[-1][0] <= t_s[-1]:
+            self._spans.append(self._after(self._spans[-1][1]))
+        lost = [(start <= t_s) & (t_s < end) for start, end in self._spans]
+        return np.asarray(np.any(lost, axis=0))
+
+
+class Streams:
+    """The streams of one flight.
+
+    turbulence: Dryden gusts and where the wind blows to [rad]; None for the gusts of the vehicle's file.
+    outages_per_min: of the cameras; 0 for none.
+    """
+
+    def __init__(
+        self, seed: int, dt_s: float, turbulence: tuple[Dryden, float] | None = None, outages_per_min: float = 0.0
+    ) -> None:
+        *children, gusts, outages = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(8))
+        self.angle, self.rotors, self.imu, self.wind, self.markers, self.occlusion = children
+        self._dt_s, self._imu_columns = dt_s, sensors.CHANNELS
+        self._gusts = Turbulence(*turbulence, dt_s, gusts) if turbulence is not None else None
+        self._outages = Outages(outages_per_min, outages) if outages_per_min else None
+
+    def take_imus(self, imus: np.random.Generator) -> None:
+        """Draw from now on for both IMUs of a vehicle as it was recorded, from a stream of their own."""
+        self.imu, self._imu_columns = imus, 2 * sensors.IMUS * sensors.CHANNELS
+
+    def draw(self, first: int, count: int, model: Model) -> Noise:
+        """Numbers for `count` steps from step `first` on."""
+        period, markers = model.mocap.period, len(model.mocap.markers)
+        frame = math.ceil(first / period)
+        frames = math.ceil((first + count) / period) - frame
+        occlusion = self.occlusion.random((frames, markers))
+        if self._outages is not None:
+            at_s = np.arange(frame, frame + frames, dtype=np.float64) * (period * self._dt_s)
+            occlusion[self._outages.during(at_s)] = -1.0  # less than any probability: hidden
+        return Noise(
+            rotors=self.rotors.standard_normal((count, 2 * len(model.rotors.sign))),
+            imu=self.imu.standard_normal((count, self._imu_columns)),
+            wind=self.wind.standard_normal((count, 3)) if self._gusts is None else self._gusts.draw(count),
+            markers=self.markers.standard_normal((frames, markers, 3)),
+            occlusion=occlusion,
+        )

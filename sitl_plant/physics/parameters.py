@@ -13,7 +13,6 @@ import zlib
 
 import numpy as np
 
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import RPM
 from sitl_plant.physics.air import Air
@@ -23,9 +22,8 @@ from sitl_plant.physics.control import (
     Controller,
     ControlState,
     Estimator,
-    Feedback,
-    Loop,
-    LoopState,
+    TwinEstimate,
+    TwinEstimator,
     low_pass_transition,
     second_order,
     voltage_of,
@@ -38,8 +36,6 @@ from sitl_plant.physics.sensors import (
     CHANNELS,
     HARMONICS,
     IMUS,
-    RIGID_MOUNT,
-    Biquad,
     Imu,
     ImuState,
     TwinImu,
@@ -50,6 +46,7 @@ from sitl_plant.physics.sensors import (
     high_pass,
     mode,
 )
+from sitl_plant.physics.sensors import RIGID as RIGID_MOUNT
 from sitl_plant.physics.trajectory import FLYING, REFERENCE, Path, reference
 from sitl_plant.vehicle import RecordedSet, Specimen, Vehicle, allocation
 
@@ -66,22 +63,57 @@ def make_model(airframe: Airframe, payload: Payload, path: Path, wind_N: FloatAr
     wind_N: (3,) mean wind, world NED [m/s]. turbulent: the gusts are given, and the vehicle file's are left out.
     """
     vehicle, imu, control = airframe.vehicle, airframe.vehicle.imu, airframe.vehicle.control
-    body, centre_of_gravity = body_with_payload(airframe, payload)
+    battery, propulsion, mocap = vehicle.battery, vehicle.propulsion, vehicle.mocap
+    body, centre = body_with_payload(airframe, payload)
     noise = math.sqrt(0.5 / STEP_S) * np.repeat([imu.gyro_noise_density, imu.accel_noise_density], 3)
-    bias = np.concatenate([airframe.gyro_bias, np.zeros(3)])
-    gyro, accel_gain = low_pass_transition(control.gyro_filter_hz, STEP_S), 1.0 - _decay(control.accel_filter_hz)
+    torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
+    period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
     return Model(
         dt=STEP_S,
         body=body,
-        ground=_ground(vehicle, body, centre_of_gravity) if path.start > 0.0 else NO_GROUND,
-        rotors=_rotors(airframe, centre_of_gravity),
-        battery=_battery(airframe),
+        ground=_ground(vehicle, body, centre) if path.start > 0.0 else NO_GROUND,
+        rotors=Rotors(
+            hub=np.array([rotor.position_m for rotor in vehicle.rotors]) - centre,
+            sign=np.array([rotor.sign for rotor in vehicle.rotors]),
+            thrust_coefficient=airframe.thrust_coefficient_n_s2,
+            lag=airframe.motor_lag_s,
+            torque_per_thrust=1.0 / propulsion.thrust_per_torque_1_m,
+            inertia=propulsion.rotor_inertia_kg_m2,
+            noise_rms=airframe.thrust_noise_rms,
+            noise_decay=_decay(propulsion.thrust_noise_corner_hz),
+        ),
+        battery=Battery(
+            speed_per_volt=battery.motor_constant_rpm_v * RPM * airframe.battery_gain,
+            open_circuit=battery.open_circuit_v,
+            resistance=battery.resistance_ohm,
+            slope=battery.slope_v_per_ah,
+            power_per_cube=torque / battery.drive_efficiency,
+            avionics=battery.avionics_a,
+        ),
         air=air_of(vehicle, wind_N, turbulent),
-        imu=Imu(np.asarray(imu.position_m) - centre_of_gravity, bias, noise, butterworth(imu.filter_hz, STEP_S)),
-        mount=mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else RIGID_MOUNT,
-        mocap=_mocap(vehicle, centre_of_gravity),
-        estimator=Estimator(gyro, accel_gain, STEP_S / control.complementary_s),
-        controller=_controller(vehicle),
+        imu=Imu(
+            position=np.asarray(imu.position_m) - centre,
+            bias=np.concatenate([airframe.gyro_bias, np.zeros(3)]),
+            noise=noise,
+            filter=butterworth(imu.filter_hz, STEP_S),
+            mount=mode(imu.mount.resonance_hz, imu.mount.damping_ratio, STEP_S) if imu.mount else RIGID_MOUNT,
+        ),
+        mocap=Mocap(
+            markers=np.array(mocap.markers_m),
+            centre=-centre,
+            noise=mocap.marker_noise_rms_m,
+            occlusion=mocap.occlusion_probability,
+            period=period,
+            latency=round(mocap.latency_s / STEP_S),
+            frame_s=period * STEP_S,
+            velocity_gain=1.0 - math.exp(-2.0 * math.pi * control.velocity_filter_hz * (period * STEP_S)),
+        ),
+        estimator=Estimator(
+            gyro_filter=low_pass_transition(control.gyro_filter_hz, STEP_S),
+            accel_gain=1.0 - _decay(control.accel_filter_hz),
+            correction=STEP_S / control.complementary_s,
+        ),
+        controller=_controller(vehicle) if vehicle.recorded is None else _own_controller(vehicle, vehicle.recorded),
         path=path,
     )
 
@@ -101,8 +133,7 @@ def body_with_payload(airframe: Airframe, *payloads: Payload) -> tuple[Body, Flo
     for one payload after the other.
     """
     own = airframe.vehicle.body
-    mass, centre = own.mass_kg, airframe.centre_of_gravity_m
-    inertia = np.diag(airframe.inertia_kg_m2)
+    mass, centre, inertia = own.mass_kg, airframe.centre_of_gravity_m, np.diag(airframe.inertia_kg_m2)
     for payload in payloads:
         before, mass = mass, mass + payload.mass_kg
         apart = np.asarray(payload.position_m) - centre
@@ -120,8 +151,7 @@ def _ground(vehicle: Vehicle, body: Body, centre_of_gravity: FloatArray) -> Grou
     """The plane on which the vehicle stands with its geometric centre at z = 0, but for the sag of the gear."""
     gear = vehicle.landing_gear
     points = np.array(gear.points_m)
-    level = float(points[:, 2].max())
-    omega = 2.0 * math.pi * gear.natural_hz
+    level, omega = float(points[:, 2].max()), 2.0 * math.pi * gear.natural_hz
     return Ground(
         gear=points - centre_of_gravity,
         stuck=np.zeros((len(points), 2)),
@@ -133,69 +163,49 @@ def _ground(vehicle: Vehicle, body: Body, centre_of_gravity: FloatArray) -> Grou
     )
 
 
-def _rotors(airframe: Airframe, centre_of_gravity: FloatArray) -> Rotors:
-    vehicle = airframe.vehicle
-    return Rotors(
-        hub=np.array([rotor.position_m for rotor in vehicle.rotors]) - centre_of_gravity,
-        sign=np.array([rotor.sign for rotor in vehicle.rotors]),
-        thrust_coefficient=airframe.thrust_coefficient_n_s2,
-        lag=airframe.motor_lag_s,
-        torque_per_thrust=1.0 / vehicle.propulsion.thrust_per_torque_1_m,
-        inertia=vehicle.propulsion.rotor_inertia_kg_m2,
-        noise_rms=airframe.thrust_noise_rms,
-        noise_decay=_decay(vehicle.propulsion.thrust_noise_corner_hz),
-    )
-
-
-def _battery(airframe: Airframe) -> Battery:
-    battery, propulsion = airframe.vehicle.battery, airframe.vehicle.propulsion
-    torque = propulsion.thrust_coefficient_n_s2 / propulsion.thrust_per_torque_1_m
-    return Battery(
-        speed_per_volt=battery.motor_constant_rpm_v * RPM * airframe.battery_gain,
-        open_circuit=battery.open_circuit_v,
-        resistance=battery.resistance_ohm,
-        slope=battery.slope_v_per_ah,
-        power_per_cube=torque / battery.drive_efficiency,
-        avionics=battery.avionics_a,
-    )
-
-
-def _mocap(vehicle: Vehicle, centre_of_gravity: FloatArray) -> Mocap:
-    mocap = vehicle.mocap
-    period = max(1, round(1.0 / (mocap.rate_hz * STEP_S)))
-    frame_s = period * STEP_S
-    return Mocap(
-        markers=np.array(mocap.markers_m),
-        centre=-centre_of_gravity,
-        noise=mocap.marker_noise_rms_m,
-        occlusion=mocap.occlusion_probability,
-        period=period,
-        latency=round(mocap.latency_s / STEP_S),
-        frame_s=frame_s,
-        velocity_gain=1.0 - math.exp(-2.0 * math.pi * vehicle.control.velocity_filter_hz * frame_s),
-    )
-
-
 def _controller(vehicle: Vehicle) -> Controller:
     control, full_speed = vehicle.control, vehicle.battery.motor_constant_rpm_v * RPM * vehicle.battery.nominal_v
-    inertia = np.array(vehicle.body.inertia_kg_m2)
     loops = (control.position, control.position, control.altitude, control.yaw)
-    tilt, lift = control.integral_limit_rad, control.thrust_limit_n[1]
+    tilt, lift, turn = control.integral_limit_rad, control.thrust_limit_n[1], control.yaw_rate_limit_rad_s
     damped = np.array([[control.rate_p, control.rate_d], [control.rate_p, control.rate_d], [control.yaw_rate_p, 0.0]])
     return Controller(
         pose=np.array([[loop.p, loop.v, loop.i] for loop in loops]),
+        trim=0.0,
+        yaw_rate=1.0,
         attitude_p=control.attitude_p,
         attitude_d=control.attitude_d,
-        rate_gain=inertia[:, None] * damped,
+        rate_gain=np.array(vehicle.body.inertia_kg_m2)[:, None] * damped,
         mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
         full_thrust=vehicle.propulsion.thrust_coefficient_n_s2 * full_speed**2,
+        thrust_map=(0.0, 0.0, 0.0),
+        ground_thrust=0.0,
         minimum_duty=vehicle.propulsion.minimum_duty,
         tilt_limit=control.tilt_limit_rad,
-        rate_limit=control.rate_limit_rad_s,
-        yaw_rate_limit=control.yaw_rate_limit_rad_s,
-        integral_limit=np.array([tilt, tilt, lift, control.yaw_rate_limit_rad_s]),
+        rate_limit=np.array([control.rate_limit_rad_s, control.rate_limit_rad_s, turn]),
+        integral_limit=np.array([tilt, tilt, lift, turn]),
         torque_limit=np.array(control.torque_limit_n_m),
         thrust_limit=np.array(control.thrust_limit_n),
+    )
+
+
+def _own_controller(vehicle: Vehicle, recorded: RecordedSet) -> Controller:
+    gains, motors, volts = recorded.gains, recorded.motors, vehicle.battery.nominal_v
+    a, b, c = motors.thrust_map
+    loops = (gains.horizontal_pid, gains.horizontal_pid, gains.altitude_pid, gains.yaw_pid)
+    return _controller(vehicle)._replace(
+        pose=np.array([(p, d, i) for p, d, i in loops]),
+        trim=gains.trim_n,
+        yaw_rate=gains.yaw_rate,
+        attitude_p=gains.angle,
+        attitude_d=-gains.rate_damping,
+        rate_gain=np.column_stack([gains.torque_per_rate, -np.array(gains.torque_per_acceleration)]),
+        full_thrust=motors.thrust_over_command * (a * volts * volts + b * volts + c),
+        thrust_map=motors.thrust_map,
+        ground_thrust=recorded.ground.thrust_n,
+        tilt_limit=gains.tilt_limit_rad,
+        rate_limit=np.full(3, gains.rate_limit_rad_s),
+        integral_limit=np.array(gains.integral_limit)[[0, 0, 1, 2]],
+        torque_limit=np.array(gains.torque_limit_n_m),
     )
 
 
@@ -210,16 +220,11 @@ def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0
     weight = model.body.mass * GRAVITY
     lift = weight if start[8] == FLYING else 0.0
     speed = np.sqrt(lift / n / model.rotors.thrust_coefficient)
-    rigid = np.zeros(RIGID)
-    rigid[:3] = start[:3]
-    rigid[6], rigid[9] = math.cos(start[6] / 2), math.sin(start[6] / 2)
-    wrench = np.zeros((STAGES, WRENCH))
-    wrench[:, 2] = -lift
-    reading = np.zeros(CHANNELS)
-    reading[5] = -GRAVITY
-    estimate = np.zeros(ESTIMATE)
-    estimate[2] = start[6]
-    markers, latency, z = len(model.mocap.markers), model.mocap.latency, np.zeros
+    z = np.zeros
+    rigid, wrench, reading, estimate = z(RIGID), z((STAGES, WRENCH)), z(CHANNELS), z(ESTIMATE)
+    rigid[:3], rigid[6], rigid[9] = start[:3], math.cos(start[6] / 2), math.sin(start[6] / 2)
+    wrench[:, 2], reading[5], estimate[2] = -lift, -GRAVITY, start[6]
+    markers, latency = len(model.mocap.markers), model.mocap.latency
     pose, wave = np.array([*start[:3], start[6]]), np.full((latency + 1, 4), np.nan)
     integral = np.array([0.0, 0.0, -weight if lift else -TAKEOFF_SHARE * weight, 0.0])
     thrust, motors, seen = np.array([lift, 0.0, 0.0, 0.0]), np.array([start[8]]), z(markers, dtype=np.int64)
@@ -229,12 +234,11 @@ def initial_state(model: Model, azimuth: FloatArray, charge_used_ah: float = 0.0
         wind=model.air.mean.copy(),
         battery=np.array([model.battery.open_circuit - model.battery.slope * charge_used_ah, charge_used_ah]),
         rotors=RotorState(speed, azimuth.copy(), z(n), z(n), np.full(n, lift / n)),
-        imu=ImuState(z((CHANNELS, 2)), z(CHANNELS), reading),
-        mount=z((CHANNELS, 2)),
+        imu=ImuState(z((CHANNELS, 2)), z(CHANNELS), reading, z((CHANNELS, 2))),
         mocap=MocapState(wave, pose, z(3), np.full(1, np.nan), z((markers, 3)), seen, z(RIGID)),
         estimate=estimate,
         accel_filtered=reading[3:].copy(),
-        control=ControlState(integral, z(3), z(3), thrust, z(n), motors),
+        control=ControlState(integral, z(3), z(3), thrust, z(n), motors, z(4), z(3), pose.copy()),
     )
 
 
@@ -242,8 +246,8 @@ def reload(model: Model, state: State, airframe: Airframe, payloads: tuple[Paylo
     """The model with these payloads on the airframe; `state` is changed to that of the new centre of gravity."""
     body, centre = body_with_payload(airframe, *payloads)
     shift = centre + model.mocap.centre  # mocap.centre is the way back to the geometric centre
-    _move_by(state.rigid, slice(3, 6), np.cross(state.rigid[10:13], shift))
-    _move_by(state.rigid, slice(0, 3), shift)
+    state.rigid[3:6] += rotate_to_world(state.rigid, *np.cross(state.rigid[10:13], shift).tolist())
+    state.rigid[:3] += rotate_to_world(state.rigid, *shift.tolist())
     state.wrench[:, 3:6] -= np.cross(shift, state.wrench[:, :3])
     ground = model.ground
     if len(ground.gear):
@@ -258,46 +262,41 @@ def reload(model: Model, state: State, airframe: Airframe, payloads: tuple[Paylo
     )
 
 
-def _move_by(rigid: FloatArray, place: slice, way_B: FloatArray) -> None:
-    x, y, z = way_B.tolist()
-    rigid[place] += rotate_to_world(rigid, x, y, z)
-
-
 def recorded_set(
-    airframe: Airframe, model: Model, state: State, seed: int
-) -> tuple[Model, Recorded, np.random.Generator]:
-    """The recorded set for one flight: the model with its thrust at full duty, the set, the stream of its sensors.
-
-    `state` is set to its trim. Raises UsageError for a vehicle without a table `[recorded]`.
-    """
-    vehicle, recorded = airframe.vehicle, airframe.vehicle.recorded
-    if recorded is None:
-        raise UsageError(f"{vehicle.name} has no table [recorded]")
+    airframe: Airframe, recorded: RecordedSet, model: Model, state: State, seed: int
+) -> tuple[Recorded, np.random.Generator]:
+    """The recorded set for one flight, and the stream of its sensors. `state` is set to its trim."""
     levels, session = np.random.SeedSequence([seed, FLIGHT_STREAM]).spawn(2)
     scale = math.exp(recorded.vibration.session_rms * np.random.default_rng(levels).standard_normal())
-    motors, filters, dt = recorded.motors, recorded.feedback, model.dt
-    loop, delay = _loop(vehicle, recorded), round(motors.command_delay_s / dt)
-    lift = motors.thrust_over_command * airframe.battery_gain / vehicle.propulsion.thrust_coefficient_n_s2
-    imu_state, loop_state, queue = _initial(loop, recorded, state, delay)
-    rate, accel, velocity = (second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
+    motors, filters, control, dt = recorded.motors, recorded.feedback, state.control, model.dt
+    n, z = len(control.duty), np.zeros
+    queue = z((round(motors.command_delay_s / dt) + 1, n))
+    control.integral[:] = 0.0
+    if control.motors[0] == FLYING:
+        thrust = control.wrench[0] / motors.thrust_over_command
+        control.integral[2] = model.controller.trim - thrust  # down is positive
+        control.wrench[0] = thrust
+        queue[:] = voltage_of(motors.thrust_map, thrust / n) / state.battery[0]
+    reading, angle, pose = z((IMUS, CHANNELS)), z((IMUS, 3)), state.mocap.pose
+    reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
+    accel, shaped, memory = reading[:, 3:].copy(), z((IMUS * CHANNELS, 2)), z((IMUS * CHANNELS, 3))
+    rate, slope, tilt = (second_order(*pair, dt) for pair in (filters.rate, filters.accel, filters.velocity))
+    still, correction = z((IMUS, 3)), z((IMUS, 2))
     own = Recorded(
         imus=_imus(airframe, recorded, model, scale),
-        feedback=Feedback(rate, accel, velocity, filters.complementary_p, filters.complementary_i),
-        loop=loop,
-        squared_per_thrust=lift,
+        estimators=TwinEstimator(rate, slope, tilt, filters.complementary_p, filters.complementary_i),
+        squared_per_thrust=motors.thrust_over_command
+        * airframe.battery_gain
+        / airframe.vehicle.propulsion.thrust_coefficient_n_s2,
         esc_period=max(1, round(recorded.esc.frame_s / dt)),
         esc_first=round(recorded.esc.first_s / dt) if model.path.start > 0.0 else -(1 << 62),
         over_read=recorded.esc.over_read,
-        imu_state=imu_state,
-        loop_state=loop_state,
+        imu_state=TwinImuState(shaped, memory, z(CHANNELS), reading, z((HARMONICS, n, 2))),
+        estimates=TwinEstimate(angle, still, still.copy(), accel, still.copy(), correction, pose.copy(), z(4)),
         queue=queue,
-        esc=np.full(len(vehicle.rotors), np.nan),
+        esc=np.full(n, np.nan),
     )
-    a, b, c = motors.thrust_map
-    volts = vehicle.battery.nominal_v
-    full = motors.thrust_over_command * (a * volts * volts + b * volts + c)
-    flown = model._replace(controller=model.controller._replace(full_thrust=full))
-    return flown, own, np.random.default_rng(session)
+    return own, np.random.default_rng(session)
 
 
 def specimen_of(airframe: Airframe, recorded: RecordedSet) -> Specimen:
@@ -334,12 +333,14 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: floa
     period = max(1, round(sensors.gyro_period_s / model.dt))
     corners = [sensors.gyro_filter_hz] * 3 + [sensors.accel_filter_hz] * 3
     filters = np.array([butterworth3(corner_hz, model.dt) for corner_hz in corners])
-    shape = high_pass(levels.broad_corner_hz, model.dt)
-    chips = list(zip(filters, [period] * 3 + [1] * 3, strict=True))
+    shape, band_hz = high_pass(levels.broad_corner_hz, model.dt), np.linspace(*BAND_HZ, 101)
+    shaped, width = gain_of(shape, band_hz, model.dt), 2.0 * model.dt * (BAND_HZ[1] - BAND_HZ[0])
     line = np.concatenate([specimen.gyro_line * np.array(levels.gyro_axes), levels.accel_axes])
     broad = np.concatenate([specimen.gyro_broad * np.array(levels.gyro_axes), np.full(3, levels.accel_broad)])
-    line /= [_kept(low, np.array([hover / (2.0 * np.pi)]), model.dt, held)[0] for low, held in chips]
-    broad /= [_broad_kept(low, shape, model.dt, held) for low, held in chips]
+    for channel, held in enumerate([period] * 3 + [1] * 3):
+        line[channel] /= _kept(filters[channel], np.array([hover / (2.0 * np.pi)]), model.dt, held)[0]
+        gain = shaped * _kept(filters[channel], band_hz, model.dt, held)
+        broad[channel] /= math.sqrt(float(np.mean(gain**2)) * width)
     ratio, drawn = np.array([1.0, levels.second_imu]), _specimen_stream(airframe, BIAS).standard_normal((IMUS, 2))
     bias = np.zeros((IMUS, CHANNELS))
     bias[:, 0], bias[:, 1:3] = specimen.gyro_bias_roll, sensors.gyro_bias_rms_rad_s * drawn
@@ -359,12 +360,6 @@ def _imus(airframe: Airframe, recorded: RecordedSet, model: Model, session: floa
     )
 
 
-def _broad_kept(filters: FloatArray, shape: Biquad, dt: float, held: int) -> float:
-    frequency_hz = np.linspace(*BAND_HZ, 101)
-    gain = gain_of(shape, frequency_hz, dt) * _kept(filters, frequency_hz, dt, held)
-    return math.sqrt(float(np.mean(gain**2)) * 2.0 * dt * (BAND_HZ[1] - BAND_HZ[0]))
-
-
 def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
     """(2, 6, 2, n, 2) amplitudes of the specimen's rotors; their squares sum to 2 level^2, (2, 6)."""
     n, rng = len(airframe.vehicle.rotors), _specimen_stream(airframe, LINE)
@@ -373,43 +368,3 @@ def _line(airframe: Airframe, level: FloatArray, second: float) -> FloatArray:
     phase = rng.uniform(0.0, 2.0 * np.pi, share.shape)
     amplitude = math.sqrt(2.0) * level[:, :, None, None] * np.array([1.0, second])[:, None] * share
     return np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1)
-
-
-def _loop(vehicle: Vehicle, recorded: RecordedSet) -> Loop:
-    gains = recorded.gains
-    return Loop(
-        angle=gains.angle,
-        rate_damping=gains.rate_damping,
-        yaw_rate=gains.yaw_rate,
-        rate_limit=gains.rate_limit_rad_s,
-        torque_per_rate=np.array(gains.torque_per_rate),
-        torque_per_acceleration=np.array(gains.torque_per_acceleration),
-        torque_limit=np.array(gains.torque_limit_n_m),
-        pid=np.array([[p, d, i] for p, d, i in (gains.horizontal_pid, gains.altitude_pid, gains.yaw_pid)]),
-        integral_limit=np.array(gains.integral_limit),
-        trim=gains.trim_n,
-        tilt_limit=gains.tilt_limit_rad,
-        thrust_limit=np.array(vehicle.control.thrust_limit_n),
-        mixer=np.asarray(np.linalg.pinv(allocation(vehicle)), dtype=np.float64),
-        thrust_map=recorded.motors.thrust_map,
-        minimum_duty=vehicle.propulsion.minimum_duty,
-        ground_thrust=recorded.ground.thrust_n,
-    )
-
-
-def _initial(loop: Loop, recorded: RecordedSet, state: State, delay: int) -> tuple[TwinImuState, LoopState, FloatArray]:
-    n = len(state.control.duty)
-    reading, angle, queue = np.zeros((IMUS, CHANNELS)), np.zeros((IMUS, 3)), np.zeros((delay + 1, n))
-    reading[:, 5], angle[:, 2] = -GRAVITY, state.estimate[2]
-    state.control.integral[:] = 0.0
-    if state.control.motors[0] == FLYING:
-        thrust = state.control.wrench[0] / recorded.motors.thrust_over_command
-        state.control.integral[2] = loop.trim - thrust  # down is positive
-        state.control.wrench[0] = thrust
-        queue[:] = voltage_of(loop.thrust_map, thrust / n) / state.battery[0]
-    shaped, memory = np.zeros((IMUS * CHANNELS, 2)), np.zeros((IMUS * CHANNELS, 3))
-    imus = TwinImuState(shaped, memory, np.zeros(CHANNELS), reading.copy(), np.zeros((HARMONICS, n, 2)))
-    pose, accel, z = state.mocap.pose, reading[:, 3:].copy(), np.zeros
-    rates, slope, correction = (z((IMUS, 3)), z((IMUS, 3))), z((IMUS, 3)), z((IMUS, 2))
-    loops = LoopState(angle, *rates, accel, slope, correction, pose.copy(), z(4), z(3), z(4), pose.copy())
-    return imus, loops, queue

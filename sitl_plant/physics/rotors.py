@@ -19,7 +19,7 @@ from typing import NamedTuple
 from mavdiag.jit import jit
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import S_PER_H
-from sitl_plant.physics.dynamics import STAGES, WRENCH
+from sitl_plant.physics.dynamics import STAGES
 
 
 class Rotors(NamedTuple):
@@ -86,8 +86,7 @@ def advance_noise(state: RotorState, rotors: Rotors, condition: Condition, norma
 
     x' = a x + sqrt(1 - a^2) n has unit variance at every corner frequency.
     """
-    n = len(state.speed)
-    a = rotors.noise_decay
+    n, a = len(state.speed), rotors.noise_decay
     b = math.sqrt(1.0 - a * a)
     for i in range(n):
         state.noise[i] = a * state.noise[i] + b * normals[row, i]
@@ -103,14 +102,11 @@ def advance_rotors(
 
     wrench: (3, 8), rows as in `sitl_plant.physics.dynamics`; overwritten.
     """
-    for stage in range(STAGES):
-        for k in range(WRENCH):
-            wrench[stage, k] = 0.0
+    wrench[:] = 0.0
     for i in range(len(state.speed)):
         start, lag, azimuth = state.speed[i], rotors.lag[i], state.azimuth[i]
         excess = start - command[i]
-        half = math.exp(-0.5 * dt / lag)
-        decay = 1.0
+        half, decay = math.exp(-0.5 * dt / lag), 1.0
         noise = 1.0 + rotors.noise_rms * state.noise[i]
         gain = condition.thrust_gain[i] * (1.0 + condition.fluctuation_rms[i] * state.fluctuation[i])
         for stage in range(STAGES):
@@ -121,7 +117,7 @@ def advance_rotors(
             thrust, slow = lift * gain, condition.thrust_lag[i]
             if slow > 0.0:
                 thrust += (state.thrust[i] - thrust) * math.exp(-0.5 * stage * dt / slow)
-            _add_rotor(wrench, stage, rotors, condition, i, speed, theta, thrust, lift)
+            _add_forces(wrench[stage], rotors, condition, i, speed, theta, thrust, lift)
             wrench[stage, 7] -= rotors.inertia * rotors.sign[i] * excess * decay / lag
             decay *= half
         if 2.0 * math.pi <= theta < 4.0 * math.pi:
@@ -132,26 +128,18 @@ def advance_rotors(
 
 
 @jit
-def _add_rotor(
-    wrench: FloatArray,
-    stage: int,
-    rotors: Rotors,
-    condition: Condition,
-    i: int,
-    speed: float,
-    theta: float,
-    thrust: float,
-    lift: float,
+def _add_forces(
+    row: FloatArray, rotors: Rotors, health: Condition, i: int, speed: float, theta: float, thrust: float, lift: float
 ) -> None:
     sign, x, y, z = rotors.sign[i], rotors.hub[i, 0], rotors.hub[i, 1], rotors.hub[i, 2]
     cosine, sine, squared = math.cos(theta), sign * math.sin(theta), speed * speed
-    u_x, u_y = condition.unbalance[i, 0], condition.unbalance[i, 1]
-    d_x, d_y = condition.lift_offset[i, 0], condition.lift_offset[i, 1]
+    u_x, u_y = health.unbalance[i, 0], health.unbalance[i, 1]
+    d_x, d_y = health.lift_offset[i, 0], health.lift_offset[i, 1]
     f_x, f_y = (cosine * u_x - sine * u_y) * squared, (sine * u_x + cosine * u_y) * squared
-    wrench[stage, 0] += f_x
-    wrench[stage, 1] += f_y
-    wrench[stage, 2] -= thrust
-    wrench[stage, 3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
-    wrench[stage, 4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
-    wrench[stage, 5] += x * f_y - y * f_x - sign * lift * condition.drag_gain[i] * rotors.torque_per_thrust
-    wrench[stage, 6] += rotors.inertia * sign * speed
+    row[0] += f_x
+    row[1] += f_y
+    row[2] -= thrust
+    row[3] -= (y + sine * d_x + cosine * d_y) * thrust + z * f_y
+    row[4] += (x + cosine * d_x - sine * d_y) * thrust + z * f_x
+    row[5] += x * f_y - y * f_x - sign * lift * health.drag_gain[i] * rotors.torque_per_thrust
+    row[6] += rotors.inertia * sign * speed

@@ -43,14 +43,7 @@ Biquad: TypeAlias = tuple[float, float, float, float, float]
 """b0, b1, b2, a1, a2 of a second-order section, a0 = 1."""
 
 
-class Mount(NamedTuple):
-    """What carries the IMU. soft: False for one that is bolted on."""
-
-    soft: bool
-    filter: Biquad
-
-
-RIGID_MOUNT = Mount(False, (1.0, 0.0, 0.0, 0.0, 0.0))
+RIGID: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)  # a mount that passes everything
 
 
 class Imu(NamedTuple):
@@ -60,6 +53,7 @@ class Imu(NamedTuple):
     bias: FloatArray
     noise: FloatArray
     filter: Biquad
+    mount: Biquad = RIGID
 
 
 class SensorCondition(NamedTuple):
@@ -72,11 +66,12 @@ class SensorCondition(NamedTuple):
 
 
 class ImuState(NamedTuple):
-    """Filter memory (6, 2), accumulated drift (6,), latest reading (6,)."""
+    """Filter memory (6, 2), accumulated drift (6,), latest reading (6,), memory of the mount (6, 2)."""
 
     memory: FloatArray
     drifted: FloatArray
     reading: FloatArray
+    mounted: FloatArray
 
 
 class TwinImu(NamedTuple):
@@ -141,10 +136,10 @@ def gain_of(section: Biquad, at_hz: float | FloatArray, dt_s: float) -> FloatArr
     return np.asarray(np.abs((b0 + b1 * w + b2 * w * w) / (1.0 + a1 * w + a2 * w * w)))
 
 
-def mode(resonance_hz: float, damping: float, dt_s: float) -> Mount:
+def mode(resonance_hz: float, damping: float, dt_s: float) -> Biquad:
     """The mount with a mode at `resonance_hz`. Raises UsageError outside 0 to 0.45 of the sample rate.
 
-    >>> round(float(gain_of(mode(100.0, 0.05, 0.001).filter, 100.0, 0.001)), 2)    # sqrt(1 + 1 / (2 zeta)^2)
+    >>> round(float(gain_of(mode(100.0, 0.05, 0.001), 100.0, 0.001)), 2)    # sqrt(1 + 1 / (2 zeta)^2)
     10.05
     """
     if not (0.0 < resonance_hz <= 0.45 / dt_s and damping > 0.0):
@@ -153,7 +148,7 @@ def mode(resonance_hz: float, damping: float, dt_s: float) -> Mount:
     lossy = 2.0 * damping * k
     a0 = 1.0 + lossy + k * k
     b0, b2 = (lossy + k * k) / a0, (k * k - lossy) / a0
-    return Mount(True, (b0, 2.0 * k * k / a0, b2, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0))
+    return b0, 2.0 * k * k / a0, b2, 2.0 * (k * k - 1.0) / a0, (1.0 - lossy + k * k) / a0
 
 
 def isolating_hz(line_hz: float, share: float, damping: float, dt_s: float) -> float:
@@ -161,7 +156,7 @@ def isolating_hz(line_hz: float, share: float, damping: float, dt_s: float) -> f
     from scipy.optimize import brentq
 
     def excess(resonance_hz: float) -> float:
-        return float(gain_of(mode(resonance_hz, damping, dt_s).filter, line_hz, dt_s)) - share
+        return float(gain_of(mode(resonance_hz, damping, dt_s), line_hz, dt_s)) - share
 
     return float(brentq(excess, 1e-3 * line_hz, line_hz / math.sqrt(2.0)))
 
@@ -194,23 +189,16 @@ def feel(x: FloatArray, dx: FloatArray, position: FloatArray, truth: FloatArray)
 
 
 @jit
-def advance_mount(memory: FloatArray, mount: Mount, felt: FloatArray) -> None:
-    """Turn what the airframe does, felt (6,), into what the IMU feels, in place. memory: (6, 2)."""
-    if mount.soft:
-        for i in range(len(felt)):
-            if i != YAW_RATE:
-                felt[i] = biquad(memory, i, 0, mount.filter, felt[i])
-
-
-@jit
 def advance_imu(
     state: ImuState, imu: Imu, condition: SensorCondition, truth: FloatArray, normals: FloatArray, row: int, dt: float
 ) -> None:
     """Read the sensors once. truth: (6,), normals: (steps, 6). The reading is left in `state.reading`."""
+    soft = imu.mount[0] != RIGID[0]
     for i in range(CHANNELS):
+        felt = biquad(state.mounted, i, 0, imu.mount, truth[i]) if soft and i != YAW_RATE else truth[i]
         state.drifted[i] += condition.drift[i] * dt
         noise = np.sqrt(imu.noise[i] * imu.noise[i] + condition.noise[i] * condition.noise[i]) * normals[row, i]
-        value = condition.scale[i] * truth[i] + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
+        value = condition.scale[i] * felt + imu.bias[i] + condition.offset[i] + state.drifted[i] + noise
         state.reading[i] = biquad(state.memory, i, 0, imu.filter, value)
 
 

@@ -44,11 +44,14 @@ DWELL_S = 10.0  # from set-point to set-point
 LIMITS = {1: (2.0, 3.14), 2: (0.333, 0.52)}  # SP: m/s, rad/s
 LOW_M, HIGH_M = 0.2, 0.8  # of t3 and t4
 _EIGHTH = math.pi / 4
-_T1 = np.array([[0, 0], [1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1]], dtype=np.float64)
-_T2 = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64)
-_T3 = np.array([0.2, 0.4, 0.6, 0.8, 0.6, 0.4])
-_T4 = np.array([LOW_M, HIGH_M])
-_T5 = np.array([0.0, _EIGHTH, -_EIGHTH, 2 * _EIGHTH, -2 * _EIGHTH])
+# set-points of t1 to t5: ahead, right [half sides], up [m; 0 if it does not climb], yaw [rad]; and how many of them
+_LENGTHS = np.array([6, 4, 6, 2, 5])
+_SETPOINTS = np.zeros((5, 6, 4))
+_SETPOINTS[0, :, :2] = [[0, 0], [1, 1], [-1, -1], [0, 0], [1, -1], [-1, 1]]
+_SETPOINTS[1, :4, :2] = [[1, 1], [-1, 1], [-1, -1], [1, -1]]
+_SETPOINTS[2, :, 2] = [0.2, 0.4, 0.6, 0.8, 0.6, 0.4]
+_SETPOINTS[3, :2, 2] = [LOW_M, HIGH_M]
+_SETPOINTS[4, :5, 3] = [0.0, _EIGHTH, -_EIGHTH, 2 * _EIGHTH, -2 * _EIGHTH]
 
 
 class Shape(StrEnum):
@@ -70,10 +73,14 @@ class Shape(StrEnum):
         """Number and speed level of a recorded trajectory: (2, 1) is t2 at SP1. None for the others."""
         return (int(self[1]), int(self[-1])) if "-sp" in self else None
 
+    @property
+    def climbs(self) -> bool:
+        """Whether it is t3 or t4, which have heights of their own."""
+        return self.startswith(("t3", "t4"))
 
-_CODES = {Shape.HOVER: HOVER, Shape.SQUARE: SQUARE, Shape.CIRCLE: CIRCLE, Shape.FIGURE8: FIGURE8}
-_CODES |= {Shape.COMMANDED: COMMANDED}
-_CODES |= {shape: RECORDED + shape.recorded[0] - 1 for shape in Shape if shape.recorded}
+
+_FIRST = (Shape.HOVER, Shape.SQUARE, Shape.CIRCLE, Shape.FIGURE8, Shape.COMMANDED)
+_CODES = {shape: RECORDED + shape.recorded[0] - 1 if shape.recorded else _FIRST.index(shape) for shape in Shape}
 
 
 class Nose(StrEnum):
@@ -82,9 +89,6 @@ class Nose(StrEnum):
     FIXED = "fixed"  # along the heading
     PATH = "path"  # along the path; corners are turned in `TURN_S`
     SPIN = "spin"  # it turns steadily, whatever the path, as fast as the circle does
-
-
-_NOSES = {Nose.FIXED: FIXED, Nose.PATH: ALONG, Nose.SPIN: SPIN}
 
 
 class Leg(NamedTuple):
@@ -135,24 +139,18 @@ def path(
     """
     turn = 0.0
     if shape.recorded is not None:
-        altitude_m, _ = heights_of(shape.recorded[0], altitude_m)
         speed_m_s, turn = LIMITS[shape.recorded[1]]
+        altitude_m = LOW_M if shape.climbs else altitude_m
     numbers = float(size_m), float(speed_m_s), float(heading_rad), float(altitude_m)
     arm, lift = ground_s
     start = lift + altitude_m / CLIMB_M_S + SETTLE_S if takeoff else 0.0
-    return Path(_CODES[shape], *numbers, _NOSES[nose], float(start), float(land_s), float(arm), float(lift), turn)
-
-
-def heights_of(number: int, altitude_m: float) -> tuple[float, float]:
-    """Height of the first set-point of t`number`, and of the highest [m]. altitude_m: of those that do not climb."""
-    return (LOW_M, HIGH_M) if number in (3, 4) else (altitude_m, altitude_m)
+    code, look = _CODES[shape], list(Nose).index(nose)
+    return Path(code, *numbers, look, float(start), float(land_s), float(arm), float(lift), turn)
 
 
 def landing_time(altitude_m: float, shape: Shape = Shape.HOVER) -> float:
     """How long before the end of a flight the descent must begin for the motors to be disarmed at the end [s]."""
-    if shape.recorded is not None:
-        _, altitude_m = heights_of(shape.recorded[0], altitude_m)
-    return (altitude_m + BELOW_M) / DESCENT_M_S + IDLE_S + 1.0
+    return ((HIGH_M if shape.climbs else altitude_m) + BELOW_M) / DESCENT_M_S + IDLE_S + 1.0
 
 
 @jit
@@ -185,15 +183,18 @@ def reference(path: Path, t: float, out: FloatArray) -> None:
 
 
 @jit
+def _limited(way: float, speed: float, since: float) -> tuple[float, float]:
+    """Share of a way that is gone after a time, and its rate [1/s]."""
+    return (speed * since / way, speed / way) if speed * since < way else (1.0, 0.0)
+
+
+@jit
 def follow(leg: Leg, t: float, out: FloatArray) -> None:
     """The reference on a leg at time t [s], into out (9,)."""
     since, way = max(t - leg.begin, 0.0), 0.0
     for i in range(3):
         way += (leg.end[i] - leg.start[i]) ** 2
-    way = np.sqrt(way)
-    share, rate = 1.0, 0.0
-    if leg.speed * since < way:
-        share, rate = leg.speed * since / way, leg.speed / way
+    share, rate = _limited(np.sqrt(way), leg.speed, since)
     for i in range(3):
         out[i] = leg.start[i] + share * (leg.end[i] - leg.start[i])
         out[3 + i] = rate * (leg.end[i] - leg.start[i])
@@ -255,41 +256,23 @@ def _along(path: Path, t: float) -> tuple[float, float, float, float]:
     # Figure-8 (Gerono): the crossing is passed at `speed`, which is sqrt(2) radius rate here.
     a /= np.sqrt(2.0)
     rate /= np.sqrt(2.0)
-    return (
-        radius * np.sin(a),
-        0.5 * radius * np.sin(2.0 * a),
-        radius * rate * np.cos(a),
-        radius * rate * np.cos(2.0 * a),
-    )
+    x, y = radius * np.sin(a), 0.5 * radius * np.sin(2.0 * a)
+    return x, y, radius * rate * np.cos(a), radius * rate * np.cos(2.0 * a)
 
 
 @jit
 def _square(side: float, speed: float, t: float) -> tuple[float, float, float, float]:
     """Ahead, right, back, left; the corners are sharp, so the velocity jumps there (T 5.2)."""
     distance = (speed * t) % (4.0 * side)
-    leg = int(distance / side) % 4
-    along = distance - leg * side
-    if leg == 0:
+    edge = int(distance / side) % 4
+    along = distance - edge * side
+    if edge == 0:
         return along, 0.0, speed, 0.0
-    if leg == 1:
+    if edge == 1:
         return side, along, 0.0, speed
-    if leg == 2:
+    if edge == 2:
         return side - along, side, -speed, 0.0
     return 0.0, side - along, 0.0, -speed
-
-
-@jit
-def _target(number: int, index: int) -> tuple[float, float, float, float]:
-    """Set-point `index` of t`number`: ahead, right [half sides], up [m; 0 if it does not climb], yaw [rad]."""
-    if number <= 2:
-        corners = _T1 if number == 1 else _T2
-        k = index % len(corners)
-        return corners[k, 0], corners[k, 1], 0.0, 0.0
-    if number == 3:
-        return 0.0, 0.0, _T3[index % len(_T3)], 0.0
-    if number == 4:
-        return 0.0, 0.0, _T4[index % len(_T4)], 0.0
-    return 0.0, 0.0, 0.0, _T5[index % len(_T5)]
 
 
 @jit
@@ -298,15 +281,12 @@ def waypoint(number: int, half: float, speed: float, turn: float, t: float, out:
 
     half: from the centre of the square to a set-point, along each axis [m]. up stays 0 where the path does not climb.
     """
-    index = int(t / DWELL_S)
-    x_0, y_0, z_0, yaw_0 = _target(number, index)
-    x_1, y_1, z_1, yaw_1 = _target(number, index + 1)
+    index, points, length = int(t / DWELL_S), _SETPOINTS[number - 1], _LENGTHS[number - 1]
+    x_0, y_0, z_0, yaw_0 = points[index % length]
+    x_1, y_1, z_1, yaw_1 = points[(index + 1) % length]
     d_x, d_y, d_z, d_yaw = half * (x_1 - x_0), half * (y_1 - y_0), z_1 - z_0, yaw_1 - yaw_0
     since = t - index * DWELL_S
-    way = math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
-    share, rate = 1.0, 0.0
-    if speed * since < way:
-        share, rate = speed * since / way, speed / way
+    share, rate = _limited(math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z), speed, since)
     out[0], out[1], out[2] = half * x_0 + share * d_x, half * y_0 + share * d_y, z_0 + share * d_z
     out[3], out[4], out[5] = rate * d_x, rate * d_y, rate * d_z
     out[6], out[7] = yaw_1, 0.0

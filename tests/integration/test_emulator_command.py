@@ -102,25 +102,6 @@ def test_a_mistake_is_one_line_on_stderr_and_exit_code_2(
     assert said.out == ""
 
 
-def test_a_busy_port_is_told() -> None:
-    with open_endpoint("udpin:127.0.0.1:0") as holder:
-        done = sitl_plant("run", "--out", holder.address)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert "the port is busy" in done.stderr
-
-
-@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["run", "--help"], ["record", "--help"]])
-def test_version_and_help(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["sitl-plant", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0
-    assert "sitl-plant" in capsys.readouterr().out
-
-
 @pytest.mark.realtime
 def test_a_flight_keeps_the_wall_clock_and_no_message_comes_early() -> None:
     with open_endpoint("udpin:127.0.0.1:0") as ear:

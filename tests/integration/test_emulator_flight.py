@@ -7,7 +7,7 @@ from contextlib import ExitStack
 import pytest
 from memory_port import MemoryEndpoint, memory_pair
 
-from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext, field_index
+from mavdiag.link.codec import Decoder, Encoder, Frame, decode_statustext
 from mavdiag.link.messages import MavCmd, MessageId, Severity
 from sitl_plant.autopilot.dialect import DIALECTS
 from sitl_plant.emulator import FlightReport, Link, fly
@@ -100,29 +100,6 @@ def test_an_alert_is_passed_on_in_its_senders_name(table: tuple[list[Link], list
     assert station.decoder.senders[1, 191].lost == 0
     assert not [frame for frame in companion.hear() if frame.compid == 191]
     assert [frame.sysid for frame in companion.frames if frame.sysid == 255] == []  # heard before the companion was
-
-
-def test_a_flight_ends_when_it_is_told_to(table: tuple[list[Link], list[Client]]) -> None:
-    links, _ = table
-    seen: list[int] = []
-    report = flown(links, None, watch=lambda s: seen.append(int(s.t_ns[-1])), stop=lambda: len(seen) >= 3)
-    assert report.flown_s == pytest.approx((seen[-1] + 1_000_000) * 1e-9)
-    assert len(seen) == 3
-
-
-def test_a_duration_is_met_to_the_millisecond(table: tuple[list[Link], list[Client]]) -> None:
-    links, (station, _) = table
-    assert flown(links, 0.4321).flown_s == pytest.approx(0.433)
-    place = field_index(MessageId.RAW_IMU, "time_usec")
-    stamps = [frame.fields[place] for frame in station.hear() if frame.msgid == MessageId.RAW_IMU]
-    assert stamps[-1] == 430_000
-
-
-def test_nobody_listening_is_no_trouble(table: tuple[list[Link], list[Client]]) -> None:
-    links, clients = table
-    clients[0].endpoint.close()
-    report = flown(links, 0.5)
-    assert report.dropped == report.messages / 2
 
 
 def test_b28_a_cut_off_datagram_of_one_peer_does_not_spoil_the_next_ones() -> None:

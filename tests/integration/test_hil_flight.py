@@ -195,30 +195,6 @@ def test_a_flight_controller_in_hil_mode_in_real_time() -> None:
     assert "2.0 s flown" in said
 
 
-def test_a_flight_controller_on_a_serial_line() -> None:
-    """A pseudo-terminal in place of the device: sensors come, and its motor commands arrive."""
-    master, slave = os.openpty()
-    try:
-        command = ["serve-hil", f"{os.ttyname(slave)},115200", "--duration", "1"]
-        with process([sys.executable, "-m", "sitl_plant", *command]) as plant:
-            pending, sensors, pressed = b"", 0, 0.0
-            while sensors < 200:
-                pending += os.read(master, 4096)
-                found = list(frames_in(pending))
-                pending = pending[found[-1][2] :] if found else pending
-                sensors += sum(msgid == 107 for msgid, _, _ in found)
-                pressed = max([pressed, *(values[10] for msgid, values, _ in found if msgid == 107)])
-                os.write(master, controls_bytes(0, [0.2] * 4, flags=15))
-            assert pressed == pytest.approx(956.0, abs=2.0)
-            assert plant.wait(PATIENCE_S) == 0
-            assert plant.stdout is not None
-            said = plant.stdout.read()
-        assert " 0 motor commands" not in said
-    finally:
-        os.close(master)
-        os.close(slave)
-
-
 BAD = [
     (["serve-ardupilot", "--listen", "tcpin:127.0.0.1:9002"], "write udpin:HOST:PORT"),
     (["serve-ardupilot", "--fault", "F9/SV9"], "no fault"),
@@ -239,21 +215,6 @@ def test_what_cannot_be_served_gets_one_line(arguments: list[str], says: str) ->
     assert done.returncode == 2
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-def test_a_busy_port_gets_one_line() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        address = f"udpin:127.0.0.1:{other.getsockname()[1]}"
-        done = subprocess.run(
-            [sys.executable, "-m", "sitl_plant", "serve-ardupilot", "--listen", address],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
-    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
-    assert "the port is busy" in done.stderr
 
 
 def binary(name: str) -> str:

@@ -72,13 +72,6 @@ def test_how_a_flight_is_cut_changes_nothing(link: LinkSpec) -> None:
     assert telemetry_digest(joined(pieces)) == telemetry_digest(TelemetryStream(link, CONFIG.seed).step(flown()))
 
 
-def test_a_slow_link_takes_every_kth_sample() -> None:
-    telemetry, _ = flight_telemetry(CONFIG, 1.0, LinkSpec("qdrone2", 200.0))
-    rate = telemetry.need(Signal.BODY_RATE)
-    np.testing.assert_array_equal(np.diff(rate.t_ns), 5_000_000)
-    np.testing.assert_allclose(rate.values, flown().gyro[rate.t_ns // 1_000_000], atol=0.5001e-3)  # half of 1 mrad/s
-
-
 def test_loss_takes_its_share_and_repeats_with_the_seed() -> None:
     whole, _ = flight_telemetry(CONFIG, SECONDS)
     holed, _ = flight_telemetry(CONFIG, SECONDS, LinkSpec(loss=0.2))

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_telemetry import ROUNDING
 
 from mavdiag.link.codec import Decoder, Frame, field_index
 from mavdiag.link.messages import MessageId
@@ -14,7 +13,6 @@ from mavdiag.link.profiles import PROFILES
 from mavdiag.link.samples import SampleDecoder, SampleState
 from mavdiag.telemetry import Signal, Telemetry
 from sitl_plant.autopilot.dialect import dialect_named
-from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry
 from sitl_plant.emulator import recorded
 from sitl_plant.options import FlightPlan, flight_plan
 from sitl_plant.plant import Plant, PlantConfig
@@ -73,24 +71,6 @@ def test_all_rotors_reach_the_receiver(name: str, profile: str, rate_hz: float, 
     else:
         places = [frame.fields[field_index(MessageId.ESC_STATUS, "index")] for frame in frames if frame.msgid == 291]
         assert places == [0, 4] * 50
-
-
-def test_direct_telemetry_of_a_hexarotor_is_that_of_the_wire() -> None:
-    config = PlantConfig(vehicle=vehicle_from("hexa-x"), nose="path", seed=4)
-    for profile, rate_hz in (("qdrone2", 1000.0), ("ardupilot", 100.0)):
-        wire = telemetry_of(frames_of(config, profile, rate_hz), profile)
-        direct, _ = flight_telemetry(config, SECONDS, LinkSpec(profile, rate_hz))
-        for signal in (Signal.ACTUATOR, Signal.ROTOR_SPEED, Signal.ATTITUDE_SETPOINT):
-            theirs = wire.need(signal).values
-            np.testing.assert_allclose(direct.need(signal).values[-len(theirs) :], theirs, rtol=0.0, atol=ROUNDING)
-
-
-def test_l1_the_yaw_set_point_wraps_on_the_wire_and_the_nose_turns() -> None:
-    config = PlantConfig(trajectory="circle", nose="path", speed_m_s=1.0)
-    yaw = telemetry_of(frames_of(config, "px4", 100.0, 7.0), "px4").need(Signal.ATTITUDE_SETPOINT).values[:, 2]
-    assert np.abs(np.diff(yaw)).max() > 6.0
-    assert np.abs(yaw).max() <= np.pi
-    assert np.ptp(np.unwrap(yaw)) == pytest.approx(14.0, abs=0.1)  # 2 rad/s
 
 
 def test_a_take_off_is_told_as_it_is() -> None:

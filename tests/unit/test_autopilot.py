@@ -52,12 +52,6 @@ def test_a_status_text_reaches_the_other_links_that_were_heard_and_not_its_own()
     assert one.step(0, text, NOW_NS) == [Forward(1, text), Forward(2, text)]
 
 
-def test_a_text_in_the_autopilots_own_name_is_dropped() -> None:
-    one = autopilot()
-    one.step(1, heartbeat(GCS), NOW_NS)
-    assert one.step(0, frame(PLANT, MessageId.STATUSTEXT, Severity.CRITICAL, "impostor"), NOW_NS) == []
-
-
 def test_a_message_with_an_address_goes_to_where_its_addressee_was_heard() -> None:
     one = autopilot()
     one.step(0, heartbeat(DETECTOR), NOW_NS)
@@ -136,22 +130,10 @@ def test_a_ground_station_sets_the_rates_of_a_stream_on_its_link(
     assert told == [[10_000, 100_000, 10_000], [raw_imu_us, attitude_us, 10_000]]
 
 
-def test_px4_ignores_stream_requests() -> None:
-    assert not dialect_named("px4").streams
-
-
 def test_a_ping_comes_back_to_its_sender_and_an_answer_is_not_answered() -> None:
     one = autopilot()
     assert replies(one.step(0, frame(GCS, MessageId.PING, 1234, 7, 0, 0), NOW_NS), MessageId.PING) == [(1234, 7, *GCS)]
     assert one.step(0, frame(GCS, MessageId.PING, 1234, 7, *PLANT), NOW_NS) == []
-
-
-def test_a_command_as_integers_does_what_it_does_as_floats() -> None:
-    one = autopilot()
-    asked = frame(GCS, MessageId.COMMAND_INT, *PLANT, 0, MavCmd.SET_MESSAGE_INTERVAL, 0, 0, MessageId.RAW_IMU, 20_000.0)
-    assert acknowledged(one.step(1, asked, NOW_NS)) == [(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED)]
-    told = one.step(1, command(GCS, PLANT, MavCmd.GET_MESSAGE_INTERVAL, MessageId.RAW_IMU), NOW_NS)
-    assert replies(told, MessageId.MESSAGE_INTERVAL) == [(27, 20_000)]
 
 
 @pytest.mark.parametrize(("profile", "first"), [("ardupilot", (4, b"GUIDED")), ("px4", (4 << 16 | 3 << 24, b"Hold"))])

@@ -62,14 +62,6 @@ def test_a_lost_item_is_asked_for_again_and_an_upload_that_stops_is_given_up() -
     assert len(one) == 0
 
 
-def test_another_sender_does_not_get_into_an_upload() -> None:
-    one = Mission(lambda frames: True, lambda seq: None)
-    one.step(0, frame(MessageId.MISSION_COUNT, 1, 0), 0)
-    other = Decoder().feed(Encoder(254, 190).encode(MessageId.MISSION_ITEM_INT, *PLANT, 0, 6, 16), 0)[0]
-    assert said(one.step(0, other, 0)) == [(MessageId.MISSION_ACK, (254, 190, 1, 0))]
-    assert said(one.step(0, item(0), 0)) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
-
-
 def test_what_cannot_be_flown_is_refused_and_the_old_plan_stays() -> None:
     takes = [True, False]
     one = Mission(lambda frames: takes.pop(0), lambda seq: None)
@@ -77,14 +69,6 @@ def test_what_cannot_be_flown_is_refused_and_the_old_plan_stays() -> None:
     assert upload(one, 1) == [(MessageId.MISSION_ACK, (*GCS, 3, 0))]
     assert len(one) == 2
     assert said(one.step(0, frame(MessageId.MISSION_COUNT, 10_000, 0), 0)) == [(MessageId.MISSION_ACK, (*GCS, 4, 0))]
-
-
-def test_it_is_cleared_by_a_clear_and_by_an_upload_of_nothing() -> None:
-    for clearing in (frame(MessageId.MISSION_CLEAR_ALL, 0), frame(MessageId.MISSION_COUNT, 0, 0)):
-        one = Mission(lambda frames: True, lambda seq: None)
-        upload(one, 2)
-        assert said(one.step(0, clearing, 0)) == [(MessageId.MISSION_ACK, (*GCS, 0, 0))]
-        assert len(one) == 0
 
 
 def test_fence_and_rally_points_are_empty_and_their_type_comes_back() -> None:

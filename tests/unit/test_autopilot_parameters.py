@@ -10,7 +10,7 @@ from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MessageId
 from mavdiag.link.parameters import parameters_in
-from sitl_plant.autopilot.dialect import DIALECTS, Encoding, Kind, Parameter, Parameters, dialect_named
+from sitl_plant.autopilot.dialect import Encoding, Kind, Parameter, Parameters, dialect_named
 from sitl_plant.autopilot.wire import Reply
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named
 
@@ -83,12 +83,3 @@ def test_the_geometry_that_is_told_is_the_vehicles(profile: str, name: str) -> N
     else:
         assert found.layout is not None
         assert found.layout.alike(own)
-
-
-@pytest.mark.parametrize("profile", sorted(DIALECTS))
-def test_names_are_unique_short_enough_and_within_their_spans(profile: str) -> None:
-    rows = dialect_named(profile).parameters_of(vehicle_named("octo-x"))
-    names = [row.name for row in rows]
-    assert len(set(names)) == len(names)
-    assert max(map(len, names)) <= 16
-    assert all(row.span[0] <= row.value <= row.span[1] for row in rows if row.span)

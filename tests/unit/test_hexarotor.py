@@ -12,10 +12,9 @@ from mavdiag.errors import InputError
 from mavdiag.monitors.base import LearnContext
 from mavdiag.monitors.rotor_signature import RotorSignature
 from mavdiag.monitors.rotor_trim import RotorTrim, RotorTrimSpec
-from mavdiag.monitors.unbalance import Unbalance, UnbalanceSpec
+from mavdiag.monitors.unbalance import Unbalance
 from mavdiag.rows.front import Rows
 from mavdiag.testing import example_rows
-from mavdiag.units import RPM
 
 PLACES = [(0.22, 0.16, "cw"), (0.22, -0.16, "ccw"), (0, 0.3, "ccw"), (0, -0.3, "cw"), (-0.22, 0.16, "cw")]
 FILE = 'name = "made hexa"\nmass_kg = 2.4\nhover_rpm = 5200\n' + "".join(
@@ -55,14 +54,6 @@ def test_rotor_trim_names_each_rotor_of_a_hexarotor(hexarotor: Airframe, weak: i
     assert found.valid[-1]
     assert int(found.rotors[-1].argmax()) + 1 == weak
     assert found.value[-1] == pytest.approx(0.1, abs=0.02)
-
-
-def test_unbalance_takes_mass_and_speed_from_the_file(hexarotor: Airframe) -> None:
-    flights = [[shaken(seed)] for seed in (1, 2)]
-    (spec,) = Unbalance.fit(flights, LearnContext(hexarotor, None, 0.001, 5))
-    assert (spec.layout, spec.mass_kg, spec.hover_rad_s) == (hexarotor.layout, 2.4, 5200 * RPM)
-    assert Unbalance(spec).unit == "g mm"
-    assert TypeAdapter(UnbalanceSpec).validate_json(TypeAdapter(UnbalanceSpec).dump_json(spec)) == spec
 
 
 def test_what_the_file_leaves_out_is_not_a_qdrone2() -> None:

@@ -9,7 +9,7 @@ from mavdiag.airframe.layout import layout_named
 from mavdiag.errors import UsageError
 from sitl_plant.hil.simulation import AutopilotName, output_map, parameter_file, pilot_of
 from sitl_plant.plant import Plant, PlantConfig
-from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, shipped_vehicles, vehicle_named
+from sitl_plant.vehicle import Hil, HilPilot, allocation, qdrone2, vehicle_named
 
 ARDUPILOT = {
     "qdrone2": "x",
@@ -19,10 +19,6 @@ ARDUPILOT = {
     "hexa-plus": "hexa-plus",
     "octo-x": "octo-x",
 }
-
-
-def test_every_shipped_vehicle_is_here() -> None:
-    assert set(ARDUPILOT) == set(shipped_vehicles())
 
 
 @pytest.mark.parametrize("name", ARDUPILOT)

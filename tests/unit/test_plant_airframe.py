@@ -1,7 +1,6 @@
 """One specimen: sessions, propellers, wear; a payload taken up and dropped in flight."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,18 +11,15 @@ from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 from sitl_plant.physics.air import dryden
 from sitl_plant.physics.airframe import (
-    CHARGE_USED_AH,
     NO_PAYLOAD,
     Payload,
     PickUp,
-    Wear,
     drone,
-    in_session,
     in_session_number,
     with_propellers,
 )
+from sitl_plant.physics.kernel import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.parameters import body_with_payload, initial_state, make_model, reload
-from sitl_plant.physics.streams import OUTAGE_S, Outages, Streams
 from sitl_plant.physics.trajectory import Shape, path
 from sitl_plant.plant import Plant, PlantConfig
 from sitl_plant.vehicle import qdrone2
@@ -53,63 +49,6 @@ def test_a_session_is_drawn_by_its_number_and_the_airframe() -> None:
         in_session_number(DRONE, -1)
 
 
-def test_sessions_spread_as_stated() -> None:
-    rng = np.random.default_rng(3)
-    days = [in_session(DRONE, rng) for _ in range(400)]
-    shift = np.array([one.centre_of_gravity_m - DRONE.centre_of_gravity_m for one in days])
-    assert shift[:, :2].std() == pytest.approx(0.003 * 0.358 / 1.504, rel=0.1)  # the battery, 3 mm elsewhere
-    assert np.all(shift[:, 2] == 0.0)
-    gain = np.array([one.battery_gain / DRONE.battery_gain for one in days])
-    assert (gain.mean(), gain.std()) == (pytest.approx(1.0, abs=0.002), pytest.approx(0.01, rel=0.1))
-    used = np.array([one.charge_used_ah for one in days])
-    assert kstest(used, uniform(0.0, CHARGE_USED_AH).cdf).pvalue > 0.01
-
-
-def test_a_used_battery_starts_lower() -> None:
-    fresh = PlantConfig(trajectory="hover", airframe=quiet_airframe())
-    used = replace(fresh, airframe=replace(quiet_airframe(), charge_used_ah=0.4))
-    lower = fly(fresh, 1.0).battery_v - fly(used, 1.0).battery_v
-    assert lower.mean() == pytest.approx(0.45 * 0.4, rel=0.06)  # and a little more: the same power takes more current
-
-
-def test_ten_minutes_on_one_battery_end_within_its_limits() -> None:
-    """T Table 5.1: 7 to 8 minutes; a lithium cell is empty at 3.0 V."""
-    samples = fly(PlantConfig(drone=1, seed=1), 600.0)
-    assert np.all(np.diff(samples.battery_v[::60_000]) < 0)
-    assert samples.battery_v.min() / 4 > 3.0
-    assert samples.duty.max() < 0.85
-    assert np.abs(samples.position[:, 2] + 1.0).max() < 0.05
-
-
-@pytest.mark.parametrize("wind_m_s", [2.0, 5.0])
-def test_steady_wind_is_flown(wind_m_s: float) -> None:
-    samples, calm = (fly(PlantConfig(drone=1, wind_m_s=wind, seed=6), 60.0) for wind in (wind_m_s, 0.0))
-    assert np.abs(samples.position - calm.position).max() < 0.25
-
-
-def test_wear_takes_thrust_in_proportion_to_the_hours() -> None:
-    """In hover all rotors turn faster by 1 / sqrt(1 - loss)."""
-    hover = PlantConfig(trajectory="hover", airframe=quiet_airframe())
-    new = fly(hover, 5.0)
-    worn = fly(replace(hover, wear=Wear((0.002,) * 4, 10.0)), 5.0)
-    ratio = worn.rotor_speed[-1].mean() / new.rotor_speed[-1].mean()
-    assert ratio == pytest.approx(1 / math.sqrt(1 - 0.02), rel=1e-4)
-    fast = fly(replace(hover, wear=Wear((1.0,) * 4, 0.0)), 36.0)
-    ratio = fast.rotor_speed[-1].mean() / new.rotor_speed[-1].mean()
-    assert ratio == pytest.approx(1 / math.sqrt(1 - 0.01), rel=1e-3)  # 36 s at 100 % an hour
-    with pytest.raises(UsageError, match="wear needs"):
-        Wear((-0.1,) * 4)
-    with pytest.raises(UsageError, match="each of 4 rotors"):
-        PlantConfig(wear=Wear((0.1,) * 3))
-
-
-def test_wear_does_not_depend_on_how_the_flight_is_cut() -> None:
-    config = PlantConfig(wear=Wear((0.5, 0.1, 0.2, 0.3), 1.0), fault="F1/SV1", onset_s=1.2345, seed=2)
-    plant = Plant(config)
-    found = np.concatenate([plant.advance(n).gyro for n in (1, 1233, 1, 765, 1000)])
-    np.testing.assert_array_equal(found, fly(config, 3.0).gyro)
-
-
 def test_outages_are_a_poisson_process_of_uniform_lengths() -> None:
     outages = Outages(3.0, np.random.default_rng(8))
     t_s = np.arange(0.0, 20 * 3600.0, 0.05)
@@ -118,19 +57,6 @@ def test_outages_are_a_poisson_process_of_uniform_lengths() -> None:
     assert kstest(spans[1:, 0] - spans[:-1, 1], expon(scale=20.0).cdf).pvalue > 0.01
     assert kstest(spans[:, 1] - spans[:, 0], uniform(OUTAGE_S[0], OUTAGE_S[1] - OUTAGE_S[0]).cdf).pvalue > 0.01
     assert lost.mean() == pytest.approx(1.15 / (20 + 1.15), rel=0.1)
-
-
-def test_a_pose_is_held_in_an_outage_and_jumps_back() -> None:
-    """Nothing differs before the first outage, and everything after it."""
-    base = PlantConfig(drone=2, seed=3, outages_per_min=3.0)
-    samples = fly(base, 60.0)
-    calm = fly(replace(base, outages_per_min=0.0), 60.0)
-    t_s = np.arange(0.0, 60.0, 0.001)
-    first = int(np.argmax(Outages(3.0, np.random.default_rng(np.random.SeedSequence(3).spawn(8)[7])).during(t_s)))
-    np.testing.assert_array_equal(samples.gyro[:first], calm.gyro[:first])
-    assert not np.array_equal(samples.gyro[first : first + 100], calm.gyro[first : first + 100])
-    with pytest.raises(UsageError, match="20 times a minute"):
-        PlantConfig(outages_per_min=21.0)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -156,14 +82,6 @@ def test_what_is_asked_for_changes_no_other_stream() -> None:
         np.testing.assert_array_equal(one.occlusion[seen], other.occlusion[seen])
         hidden += int((~seen).sum())
     assert hidden > 0
-
-
-def test_the_first_six_streams_are_those_of_before() -> None:
-    """Flights of older versions had six: what they drew is drawn still."""
-    old = [np.random.default_rng(child) for child in np.random.SeedSequence(11).spawn(6)]
-    streams = Streams(11, 0.001)
-    now = (streams.angle, streams.rotors, streams.imu, streams.wind, streams.markers, streams.occlusion)
-    assert [one.random() for one in now] == [one.random() for one in old]
 
 
 BESIDE = Payload(0.2, (0.012, -0.016, 0.05))  # 200 g, 20 mm beside the centre
@@ -218,20 +136,6 @@ def test_momentum_and_angular_momentum_are_kept() -> None:
     np.testing.assert_allclose(L2, L1, atol=1e-12)
 
 
-def test_dropping_undoes_a_pick_up_at_own_speed() -> None:
-    airframe = nominal_airframe(qdrone2())
-    model = make_model(airframe, Payload(), path(Shape.HOVER, 1.0, 0.5, 0.0, 1.0), np.zeros(3))
-    state = initial_state(model, np.zeros(4))
-    state.rigid[3:6], state.rigid[10:13] = (0.3, -0.2, 0.1), (1.0, -2.0, 0.5)
-    rigid, wrench = state.rigid.copy(), state.wrench.copy()
-    loaded = reload(model, state, airframe, (Payload(), BESIDE))
-    again = reload(loaded, state, airframe, (Payload(),))
-    np.testing.assert_allclose(state.rigid, rigid, atol=1e-14)
-    np.testing.assert_allclose(state.wrench, wrench, atol=1e-14)
-    np.testing.assert_allclose(again.rotors.hub, model.rotors.hub, atol=1e-15)
-    np.testing.assert_allclose(again.body.inertia, model.body.inertia, atol=1e-15)
-
-
 def test_hover_carries_the_payload_while_it_hangs_and_trims_its_offset() -> None:
     """K_F sum w^2 = m g, and the moments about the new centre vanish: rotors near the payload turn faster."""
     pickup = PickUp(Payload(0.2, (0.0, 0.02, 0.05)), 10.0, 40.0)
@@ -242,15 +146,6 @@ def test_hover_carries_the_payload_while_it_hangs_and_trims_its_offset() -> None
     right, left = thrust[38_000, :2].sum(), thrust[38_000, 2:].sum()
     assert right - left == pytest.approx(0.2 * G * 0.02 / 0.127, rel=0.03)
     assert np.abs(samples.position[60_000:, :2]).max() < 0.02
-
-
-def test_the_markers_do_not_jump_and_the_imu_feels_no_impact() -> None:
-    pickup = PickUp(BESIDE, 2.0)
-    samples = fly(PlantConfig(trajectory="circle", airframe=quiet_airframe(), pickup=pickup), 2.1)
-    step = samples.position[2000] - samples.position[1999] - 0.001 * samples.velocity[1999]
-    shift = 0.2 / 1.704 * np.array(BESIDE.position_m)
-    np.testing.assert_allclose(step, quaternion_rotation(samples.quaternion[2000]) @ shift, atol=2e-5)
-    assert np.abs(np.diff(samples.gyro[1990:2010], axis=0)).max() < 0.01
 
 
 @pytest.mark.parametrize("cuts", [(3000,), (1000, 1, 999, 1000), (7, 993, 1000, 500, 500)])

@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +12,11 @@ from hypothesis import strategies as st
 from plant_cases import nominal_airframe
 
 import sitl_plant.vehicle as vehicle_module
-from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
-from sitl_plant.options import flight_plan
 from sitl_plant.physics.airframe import NO_PAYLOAD
 from sitl_plant.physics.control import (
-    ESTIMATE,
     Controller,
     ControlState,
-    Estimator,
-    advance_estimate,
     control,
     low_pass_transition,
     second_order,
@@ -36,17 +32,6 @@ from sitl_plant.vehicle import allocation, qdrone2, vehicle_named
 DT = 0.001
 
 
-def estimator(complementary_s: float = 8.0) -> Estimator:
-    return Estimator(low_pass_transition(60.0, DT), 1 - math.exp(-2 * math.pi * 10.0 * DT), DT / complementary_s)
-
-
-def run(reading: FloatArray, seconds: float, sensor: Estimator, yaw: float = 0.0) -> FloatArray:
-    estimate, filtered = np.zeros(ESTIMATE), np.asarray(reading[3:].copy())
-    for _ in range(round(seconds / DT)):
-        advance_estimate(estimate, filtered, sensor, reading, yaw, DT)
-    return estimate
-
-
 def resting(roll: float, pitch: float) -> FloatArray:
     """What a still IMU reads at this attitude, by scipy's rotations."""
     from scipy.spatial.transform import Rotation
@@ -59,41 +44,6 @@ def resting(roll: float, pitch: float) -> FloatArray:
 def test_gravity_gives_roll_and_pitch(roll: float, pitch: float) -> None:
     reading = resting(roll, pitch)
     np.testing.assert_allclose(tilt_from_accel(*reading[3:]), [roll, pitch], atol=1e-9)
-
-
-def test_weightless_sensor_has_no_direction() -> None:
-    """T Eq 2.30: below epsilon the vector is replaced by level."""
-    assert tilt_from_accel(1e-5, 0.0, 0.0) == (0.0, 0.0)
-
-
-def test_static_tilt_is_found_with_the_time_constant_of_the_filter() -> None:
-    """From level, the estimate goes as 1 - exp(-t / tau)."""
-    tau = 2.0
-    estimate = run(resting(0.2, -0.1), 3.0, estimator(tau), yaw=0.3)
-    share = 1 - math.exp(-3.0 / tau)
-    np.testing.assert_allclose(estimate[:3], [0.2 * share, -0.1 * share, 0.3 * share], rtol=2e-3)
-    np.testing.assert_allclose(estimate[3:], 0.0, atol=1e-12)
-
-
-def test_short_turn_is_followed_by_the_gyro() -> None:
-    reading = resting(0.0, 0.0)
-    reading[0] = 0.5
-    estimate = run(reading, 0.4, estimator(1e6))
-    delay = math.sqrt(2) / (2 * math.pi * 60.0) - 0.5 * DT  # of the low-pass, less half a step of the integration
-    assert estimate[0] == pytest.approx(0.5 * (0.4 - delay), rel=1e-5)
-
-
-def test_rate_filter_is_a_second_order_butterworth_step() -> None:
-    """1 - exp(-a t) (cos a t + sin a t), a = w / sqrt 2; the acceleration state is its slope."""
-    reading = resting(0.0, 0.0)
-    reading[1] = 1.0
-    a = 2 * math.pi * 60.0 / math.sqrt(2)
-    for t in (0.004, 0.008, 0.016):
-        estimate = run(reading, t, estimator())
-        expected = 1 - math.exp(-a * t) * (math.cos(a * t) + math.sin(a * t))
-        slope = 2 * a * math.exp(-a * t) * math.sin(a * t)
-        assert estimate[4] == pytest.approx(expected, abs=1e-9)
-        assert estimate[7] == pytest.approx(slope, abs=1e-6)
 
 
 @given(st.floats(-50.0, 50.0))
@@ -112,9 +62,8 @@ def gains() -> Controller:
 
 
 def fresh() -> ControlState:
-    return ControlState(
-        np.array([0.0, 0.0, -WEIGHT, 0.0]), np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(4), np.zeros(1)
-    )
+    z = np.zeros
+    return ControlState(np.array([0.0, 0.0, -WEIGHT, 0.0]), z(3), z(3), z(4), z(4), z(1), z(4), z(3), z(4))
 
 
 def ask(
@@ -129,7 +78,8 @@ def ask(
 ) -> FloatArray:
     reference = np.array([*target, 0.0, 0.0, 0.0, target_yaw, 0.0, motors])
     for _ in range(steps):
-        control(state, gains(), reference, np.array([0.0, 0.0, 0.0, yaw]), np.zeros(3), np.array(estimate), 0.001)
+        pose = np.array([0.0, 0.0, 0.0, yaw])
+        control(state, gains(), reference, pose, np.zeros(3), estimate[5], np.array(estimate), 15.0, 0.001)
     return state.duty
 
 
@@ -139,34 +89,18 @@ def forces(duty: FloatArray) -> FloatArray:
     return np.asarray(3.364e-6 * (full_speed * duty) ** 2)
 
 
-def test_at_rest_it_carries_the_weight_equally() -> None:
-    np.testing.assert_allclose(forces(ask(fresh())), WEIGHT / 4, rtol=1e-9)
-
-
-def test_target_ahead_pushes_the_rear_rotors_more() -> None:
-    """Rotors 1 and 3 are the rear ones: the nose must go down (T Eq 2.3, 2.27)."""
-    state = fresh()
-    f = forces(ask(state, target=(0.2, 0.0, 0.0)))
-    assert state.setpoint[1] == pytest.approx(-0.5 * 0.2, rel=0.01)
-    assert min(f[0], f[2]) > max(f[1], f[3])
-
-
-def test_target_to_the_right_pushes_the_left_rotors_more() -> None:
-    """Rotors 3 and 4 are the left ones: the right side must go down (T Eq 2.2, 2.26)."""
-    state = fresh()
-    f = forces(ask(state, target=(0.0, 0.2, 0.0)))
-    assert state.setpoint[0] == pytest.approx(0.5 * 0.2, rel=0.01)
-    assert min(f[2], f[3]) > max(f[0], f[1])
-
-
-def test_target_above_needs_more_thrust() -> None:
-    assert forces(ask(fresh(), target=(0.0, 0.0, -0.2))).sum() == pytest.approx(WEIGHT + 14 * 0.2, rel=0.01)
-
-
-def test_turn_to_the_right_speeds_up_what_turns_left() -> None:
-    """Rotors 2 and 3 turn counter-clockwise; their drag turns the body clockwise, to the right."""
-    f = forces(ask(fresh(), target_yaw=0.5))
-    assert min(f[1], f[2]) > max(f[0], f[3])
+@pytest.mark.parametrize(
+    ("asked", "more", "less"),
+    [
+        ({"target": (0.2, 0.0, 0.0)}, [0, 2], [1, 3]),  # ahead: the rear rotors push more (T Eq 2.3, 2.27)
+        ({"target": (0.0, 0.2, 0.0)}, [2, 3], [0, 1]),  # to the right: the left ones (T Eq 2.2, 2.26)
+        ({"target_yaw": 0.5}, [1, 2], [0, 3]),  # turned right: those whose drag turns the body clockwise
+    ],
+)
+def test_the_rotors_that_lead_to_the_target_push_more(asked: dict[str, Any], more: list[int], less: list[int]) -> None:
+    f = forces(ask(fresh(), **asked))
+    assert f[more].min() > f[less].max()
+    assert f.sum() == pytest.approx(WEIGHT, rel=1e-3)
 
 
 def test_errors_are_turned_into_the_vehicle_axes() -> None:
@@ -183,12 +117,6 @@ def test_cascade_is_the_product_of_its_gains() -> None:
     ask(state, estimate=(0.02, 0.0, 0.0, 0.1, 0.0, 0.0, 3.0, 0.0, 0.0))
     expected = 0.0112 * (22 * (8 * (0.0 - 0.02) - 0.05 * 0.1 - 0.1) - 0.08 * 3.0)
     assert state.wrench[1] == pytest.approx(expected, rel=1e-9)
-
-
-def test_mixed_forces_give_back_the_wrench() -> None:
-    state = fresh()
-    duty = ask(state, target=(0.1, -0.1, -0.1), target_yaw=0.1)
-    np.testing.assert_allclose(allocation(qdrone2()) @ forces(duty), state.wrench, atol=1e-9)
 
 
 def test_limits_and_anti_windup_hold() -> None:
@@ -219,7 +147,8 @@ def test_motors_are_off_or_idle_on_the_ground_and_the_integrals_wait(
     """A vehicle that is led to land keeps flying until it stands."""
     state = fresh()
     reference = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0, motors])
-    control(state, gains(), reference, np.array([0.0, 0.0, -height, 0.0]), np.zeros(3), np.zeros(9), 0.001)
+    pose = np.array([0.0, 0.0, -height, 0.0])
+    control(state, gains(), reference, pose, np.zeros(3), 0.0, np.zeros(9), 15.0, 0.001)
     assert state.motors[0] == armed
     if duty is not None:
         np.testing.assert_array_equal(state.duty, duty)
@@ -231,30 +160,15 @@ VEHICLE = vehicle_named("qdrone2-recorded")
 SOURCE = (Path(vehicle_module.__file__).parent / "qdrone2-recorded.toml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("wn", "zeta"), [(120.0, 1.0), (100.0, 0.7), (50.0, 1.0)])
+@pytest.mark.parametrize(("wn", "zeta"), [(120.0, 1.0), (100.0, 0.7), (50.0, 1.0), (377.0, math.sqrt(0.5))])
 def test_second_order_filter_is_the_exponential_of_its_matrix(wn: float, zeta: float) -> None:
     from scipy.linalg import expm
 
     exact = expm(np.array([[0.0, 1.0], [-wn * wn, -2 * zeta * wn]]) * 0.001)
     np.testing.assert_allclose(np.reshape(second_order(wn, zeta, 0.001), (2, 2)), exact, rtol=1e-12, atol=1e-15)
-
-
-def test_feedback_filter_delays_by_what_was_measured() -> None:
-    """wn 120 rad/s, zeta 1: -3 dB at 12.3 Hz and 2 zeta / wn = 16.7 ms at low frequency."""
-    f11, f12, f21, f22 = second_order(120.0, 1.0, 0.001)
-    y, slope, w = 0.0, 0.0, 2 * math.pi * 12.3
-    out = []
-    for k in range(2000):
-        u = math.sin(w * k * 0.001)
-        y, slope = u + f11 * (y - u) + f12 * slope, f21 * (y - u) + f22 * slope
-        out.append(y)
-    assert max(out[-400:]) == pytest.approx(1 / math.sqrt(2), rel=0.02)
-    y, slope = 0.0, 0.0
-    for k in range(2000):  # a ramp is followed late by 16.7 ms, and the slope is the ramp's
-        u = k * 0.001
-        y, slope = u + f11 * (y - u) + f12 * slope, f21 * (y - u) + f22 * slope
-    assert 1.999 - y == pytest.approx(0.0167, abs=0.0006)
-    assert slope == pytest.approx(1.0, rel=2e-3)  # at the end of each held input
+    if zeta == math.sqrt(0.5):  # a Butterworth's
+        found = np.reshape(low_pass_transition(wn / (2 * math.pi), 0.001), (2, 2))
+        np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-15)
 
 
 def test_the_motor_map_is_the_printed_one_and_is_inverted() -> None:
@@ -288,12 +202,3 @@ def test_every_number_in_the_file_has_its_source_beside_it() -> None:
     assert len(numbers) > 50
     known = re.compile(r"# .*(manufacturer|measured|inferred|estimate|fitted)")
     assert [line for line in numbers if not known.search(line)] == []
-
-
-def test_as_recorded_is_a_choice_and_the_thesis_the_default() -> None:
-    assert flight_plan(as_recorded=True).config.vehicle == VEHICLE
-    assert flight_plan(as_recorded=True, vehicle="qdrone2-recorded").config.vehicle == VEHICLE
-    assert flight_plan().config.vehicle == qdrone2()
-    assert qdrone2().recorded is None
-    with pytest.raises(UsageError, match="as-recorded"):
-        flight_plan(as_recorded=True, vehicle="hexa-x")
