@@ -7,37 +7,23 @@ table gives. It is over once it was not offered for 5 s. Anything else is offere
 is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a vehicle keep to a budget
 a minute, half of it for declared faults and half for the rest. What the budget holds back is counted and recorded.
 
-What is said of a fault follows the diagnosis (`told_of`). Nothing is ever called clear: a fault that is not seen any
-longer lasts, and after the flight it is an inspection.
+What is said of a fault are the differences of the diagnosis (`Telling`). Nothing is ever called clear: a fault that is
+not seen any longer lasts, and after the flight it is an inspection.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
-from detector.values import Effect, SendText, TextSuppressed
+from detector.values import Effect, SendFloat, SendText, TextSuppressed
+from mavdiag.chain import ChainOutput
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Instant
-
-__all__ = [
-    "GAP_S",
-    "POLICY",
-    "TEXT_BYTES",
-    "Kind",
-    "Notice",
-    "Policy",
-    "Presenter",
-    "Told",
-    "figure",
-    "label_of",
-    "present",
-    "told_of",
-]
+from mavdiag.telemetry import Axis, Instant
 
 TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
@@ -130,6 +116,11 @@ POLICY: Mapping[Kind, Policy] = {
     Kind.OTHER_VEHICLE: Policy(Severity.WARNING, "PROP not the vehicle of the baseline"),
     Kind.OTHER_LAYOUT: Policy(Severity.WARNING, "PROP flights contradict rotor layout {}"),  # its name
 }
+_DECLARED: Mapping[FaultKind | None, Kind] = {
+    FaultKind.SENSOR: Kind.SENSOR,
+    FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
+    FaultKind.GROSS_LOSS: Kind.THRUST,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,60 +144,15 @@ class Notice:
             return text
         return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
 
-
-_DECLARED: Mapping[FaultKind | None, Kind] = {
-    FaultKind.SENSOR: Kind.SENSOR,
-    FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
-    FaultKind.GROSS_LOSS: Kind.THRUST,
-}
+    @property
+    def effect(self) -> SendText:
+        """The text as it is sent."""
+        return SendText(POLICY[self.kind].severity, self.text)
 
 
 def label_of(monitor: str) -> str:
     """How a text calls a monitor: by its label, of at most 10 characters."""
     return BY_NAME[monitor].label if monitor in BY_NAME else monitor[:10]
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What was told of a fault.
-
-    stage, kind, motors, seen: of the diagnosis that was told last.
-    loud: the present episode of the fault brought news: a declaration, another rotor, a graver kind.
-    """
-
-    stage: Stage = Stage.NOT_JUDGED
-    kind: FaultKind | None = None
-    motors: str = ""
-    seen: bool = False
-    loud: bool = False
-
-
-def told_of(told: Told, diagnosis: Diagnosis, arming: int) -> tuple[Told, tuple[Notice, ...]]:
-    """What is to be said of a diagnosis now, and what is told then. arming: number of the present one."""
-    it, motors = diagnosis, motors_words(diagnosis)
-    news = told.stage is not Stage.FAULT or (it.kind, motors) != (told.kind, told.motors)
-    loud = it.seen and (news or (told.loud and told.seen))
-    after = Told(it.stage, it.kind, motors, it.seen, loud)
-    match it.stage:
-        case Stage.FAULT if loud:
-            kind = _DECLARED.get(it.kind, Kind.FAULT)
-            return after, (_notice(kind, it, f"{it.kind} {motors}"),)
-        case Stage.FAULT if it.seen:
-            return after, (_notice(Kind.AGAIN, it),)
-        case Stage.FAULT:
-            whose = motors if it.rotor is not None or it.kind is FaultKind.SENSOR else "the fault"
-            return after, (Notice(Kind.UNSEEN, (whose,), motors),)
-        case Stage.INSPECT:
-            return after, (Notice(Kind.INSPECT, (motors,), f"{motors} {arming}"),)
-        case Stage.SUSPECTED:
-            return after, (_notice(Kind.SUSPECT, it),)
-        case _:
-            return after, ()
-
-
-def _notice(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
-    room = TEXT_BYTES - len(POLICY[kind].template.format(""))
-    return Notice(kind, (finding_words(diagnosis, room),), key)
 
 
 def figure(value: float, decimals: int = 2) -> str:
@@ -224,85 +170,131 @@ def figure(value: float, decimals: int = 2) -> str:
     return f"{value:.{places}f}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Said:
-    """A matter.
+class Telling:
+    """The differences of the diagnosis, as they are told."""
 
-    begun: when it was said first; at: when it was said last; times: how often it was due by then.
-    offered: when it was offered last.
-    """
+    def __init__(self) -> None:
+        self._told = Diagnosis()
+        self._loud = False  # the present episode of the fault brought news: a declaration, another rotor, a graver kind
 
-    kind: Kind
+    def step(self, diagnosis: Diagnosis, arming: int) -> list[Notice]:
+        """What is to be said of a diagnosis now. arming: number of the present one."""
+        told, motors = self._told, motors_words(diagnosis)
+        news = told.stage is not Stage.FAULT or (diagnosis.kind, motors) != (told.kind, motors_words(told))
+        self._loud = diagnosis.seen and (news or (self._loud and told.seen))
+        self._told = diagnosis
+        match diagnosis.stage:
+            case Stage.FAULT if self._loud:
+                kind = _DECLARED.get(diagnosis.kind, Kind.FAULT)
+                return [_finding(kind, diagnosis, f"{diagnosis.kind} {motors}")]
+            case Stage.FAULT if diagnosis.seen:
+                return [_finding(Kind.AGAIN, diagnosis)]
+            case Stage.FAULT:
+                named = diagnosis.rotor is not None or diagnosis.kind is FaultKind.SENSOR
+                return [Notice(Kind.UNSEEN, (motors if named else "the fault",), motors)]
+            case Stage.INSPECT:
+                return [Notice(Kind.INSPECT, (motors,), f"{motors} {arming}")]
+            case Stage.SUSPECTED:
+                return [_finding(Kind.SUSPECT, diagnosis)]
+        return []
+
+
+def _finding(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
+    room = TEXT_BYTES - len(POLICY[kind].template.format(""))
+    return Notice(kind, (finding_words(diagnosis, room),), key)
+
+
+@dataclass(slots=True)
+class _Matter:
+    """What was said of a lasting matter. begun, at: when first and last. times: how often it was due by then.
+    offered: when it was offered last."""
+
     key: str
     begun: Instant
     at: Instant
     times: int
     offered: Instant
 
+    def due(self, notice: Notice, now: Instant) -> bool:
+        """Whether there is something to say; what is offered once always has."""
+        policy = POLICY[notice.kind]
+        if not policy.again_s:
+            return True
+        return now - self.at >= GAP_S if self.key != notice.key else policy.times(now - self.begun) > self.times
 
-@dataclass(frozen=True, slots=True)
+
 class Presenter:
-    """What was said lately.
+    """Says what is offered, within its budget. suppressed: texts held back so far."""
 
-    per_minute: the budget.
-    sent: texts of the last minute: whether loud, and when.
-    said: matters that last.
-    held: matters that were held back and counted already.
-    suppressed: texts held back so far.
+    def __init__(self, per_minute: int = 30) -> None:
+        self.suppressed = 0
+        self._per_minute = per_minute
+        self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
+        self._said: dict[Kind, _Matter] = {}
+        self._held: set[tuple[Kind, str]] = set()  # matters that were held back and counted already
+
+    def present(self, notices: Sequence[Notice], now: Instant) -> list[Effect]:
+        """Say what is to be said of the notices of this step, loudest first."""
+        self._sent = [(loud, at) for loud, at in self._sent if now - at < MINUTE_S]
+        effects: list[Effect] = []
+        for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
+            before = self._said.get(notice.kind)
+            if before is None or before.due(notice, now):
+                effects += self._say(notice, before, now)
+        # A lasting matter that was not offered for a while is over: the next one begins anew.
+        offered = {notice.kind for notice in notices}
+        for kind in offered & self._said.keys():
+            self._said[kind].offered = now
+        self._said = {kind: matter for kind, matter in self._said.items() if now - matter.offered < LULL_S}
+        self._held = {matter for matter in self._held if matter[0] in offered}
+        return effects
+
+    def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
+        policy = POLICY[notice.kind]
+        loud = policy.severity <= Severity.CRITICAL
+        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
+        if spent or (before is not None and now - before.at < GAP_S):
+            if policy.again_s and (notice.kind, notice.key) in self._held:
+                return []
+            if policy.again_s:
+                self._held.add((notice.kind, notice.key))
+            self.suppressed += 1
+            return [TextSuppressed(notice.text, self.suppressed)]
+        begun = now if before is None else before.begun
+        self._said[notice.kind] = _Matter(notice.key, begun, now, policy.times(now - begun), now)
+        self._held = {matter for matter in self._held if matter[0] is not notice.kind}
+        self._sent.append((loud, now))
+        return [notice.effect]
+
+
+class NamedValues:
+    """The figures of the thesis rule as NAMED_VALUE_FLOAT, a few times a second.
+
+    PF_RES  [rad/s] residual of largest magnitude since the last one sent, as sampled once a step
+    PF_MARG [rad/s] its margin
+    PF_FSD  [s] longest fault signature duration since the last one sent, as sampled once a step
+    PF_FML  [s] its limit
+
+    period_s: how often. axis: whose figures; of another axis if that one is not judged.
     """
 
-    per_minute: int = 30
-    sent: tuple[tuple[bool, Instant], ...] = ()
-    said: tuple[_Said, ...] = ()
-    held: frozenset[tuple[Kind, str]] = frozenset()
-    suppressed: int = 0
+    NAMES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # at most 10 bytes: NAMED_VALUE_FLOAT.name
 
+    def __init__(self, period_s: float = 0.2, axis: Axis = Axis.ROLL) -> None:
+        self._period_s, self._axis = period_s, axis
+        self._sent: Instant | None = None
+        self._residual = self._fsd_s = 0.0
 
-def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> tuple[Presenter, tuple[Effect, ...]]:
-    """Say what is to be said of the notices of this step, loudest first."""
-    out: list[Effect] = []
-    presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one[1] < MINUTE_S))
-    for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
-        if _to_say(presenter, notice, now):
-            presenter, effect = _say(presenter, notice, now)
-            out += () if effect is None else (effect,)
-    # A lasting matter that was not offered for a while is over: the next one begins anew.
-    offered = {notice.kind for notice in notices}
-    said = tuple(replace(one, offered=now) if one.kind in offered else one for one in presenter.said)
-    said = tuple(one for one in said if now - one.offered < LULL_S)
-    held = frozenset(one for one in presenter.held if one[0] in offered)
-    return replace(presenter, said=said, held=held), tuple(out)
-
-
-def _to_say(presenter: Presenter, notice: Notice, now: Instant) -> bool:
-    """Whether a lasting matter has something to say; what is offered once always has."""
-    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
-    if not policy.again_s or last is None:
-        return True
-    if last.key != notice.key:
-        return now - last.at >= GAP_S
-    return policy.times(now - last.begun) > last.times
-
-
-def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter, Effect | None]:
-    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
-    loud = policy.severity <= Severity.CRITICAL
-    spent = sum(one == loud for one, _ in presenter.sent) >= presenter.per_minute // 2
-    if spent or (last is not None and now - last.at < GAP_S):
-        matter = (notice.kind, notice.key)
-        if policy.again_s and matter in presenter.held:
-            return presenter, None
-        held = presenter.held | {matter} if policy.again_s else presenter.held
-        count = presenter.suppressed + 1
-        return replace(presenter, suppressed=count, held=held), TextSuppressed(notice.text, count)
-    begun = now if last is None else last.begun
-    fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun), now)
-    said = (*(one for one in presenter.said if one.kind is not notice.kind), fresh)
-    held = frozenset(one for one in presenter.held if one[0] is not notice.kind)
-    return replace(presenter, said=said, held=held, sent=(*presenter.sent, (loud, now))), SendText(
-        policy.severity, notice.text
-    )
-
-
-def _last(presenter: Presenter, kind: Kind) -> _Said | None:
-    return next((one for one in presenter.said if one.kind is kind), None)
+    def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
+        """Take in the gauges of a step; return the floats that are to be sent."""
+        thesis = [gauge for gauge in output.gauges if gauge.monitor == "fsd"]
+        gauge = next((gauge for gauge in thesis if gauge.axis is self._axis), thesis[0] if thesis else None)
+        if gauge is None or output.now_ns is None:
+            return []
+        self._residual = max(self._residual, gauge.signal, key=abs)
+        self._fsd_s = max(self._fsd_s, gauge.statistic)
+        if self._sent is not None and now - self._sent < self._period_s:
+            return []
+        figures = (self._residual, gauge.reference, self._fsd_s, gauge.threshold)
+        self._sent, self._residual, self._fsd_s = now, 0.0, 0.0
+        return [SendFloat(name, value, output.now_ns) for name, value in zip(self.NAMES, figures, strict=True)]

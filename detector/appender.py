@@ -16,8 +16,6 @@ from typing import BinaryIO
 
 from mavdiag.errors import UsageError
 
-__all__ = ["Appender", "Rotation", "check_appendable", "older"]
-
 MB = 1_000_000
 _REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
 

@@ -3,18 +3,15 @@
 from collections.abc import Iterator
 
 from detector.appender import check_appendable
-from detector.config import Settings, split_metrics_address, split_web_address
+from detector.config import Settings, split_address
 from detector.judging import rescaled
-from detector.web.child import Place, check_installed
-from detector.web.token import read_token
+from detector.web.child import Place, check_installed, read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import LinkError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import check_address
 from mavdiag.storage import check_output
-
-__all__ = ["plan"]
 
 
 def plan(settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None) -> str:
@@ -58,13 +55,13 @@ def _lines(
             check_appendable(path, f"--{option}")
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.metrics is not None:
-        host, port = split_metrics_address(settings.metrics)
+        host, port = split_address(settings.metrics, "metrics")
         yield f"metrics    http://{host}:{port}/metrics"
     if settings.web is not None:
         check_installed()
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)
         asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
-        yield f"web page   {Place(*split_web_address(settings.web), token).url}{asks}"
+        yield f"web page   {Place(*split_address(settings.web, 'web'), token).url}{asks}"
 
 
 def _place(address: str) -> str:

@@ -1,12 +1,46 @@
-"""Where the daemon stands at a moment: for the metrics, the health command and the service manager."""
+"""Where the daemon and its vehicles stand at a moment: for the metrics, the page and the service manager."""
 
 from collections import Counter
 from dataclasses import dataclass
 
-from detector.fleet import VehicleFigures
+from detector.states import State
+from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
 from mavdiag.link.ports import Traffic
+from mavdiag.link.timesync import Timesync
 
-__all__ = ["DaemonFigures", "LinkFigures"]
+NOT_ASKED = Timesync()
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleFigures:
+    """One vehicle at a moment.
+
+    vehicle: system id.
+    state: of its session.
+    received, lost: its autopilot's frames, so far.
+    gyro_hz: measured rate of the gyro.
+    judged_s, events: so far.
+    flight_s: flight time so far.
+    rates: measured rate of each stream that is metered [Hz].
+    ratios: statistic over threshold of each monitor and axis that is valid now.
+    timesync: round trip and offset of the vehicle's clock, as asked last.
+    drift_ppm: of the first clock of its messages against another one; None if they have one clock.
+    diagnosis: what is held of it.
+    """
+
+    vehicle: int
+    state: State
+    received: int
+    lost: int
+    gyro_hz: float
+    judged_s: float
+    events: int
+    flight_s: float = 0.0
+    rates: tuple[tuple[str, float], ...] = ()
+    ratios: tuple[tuple[str, str, float], ...] = ()
+    timesync: Timesync = NOT_ASKED
+    drift_ppm: float | None = None
+    diagnosis: Diagnosis = NOTHING_SEEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +76,12 @@ class DaemonFigures:
     @property
     def working(self) -> bool:
         """Whether the daemon does its work or still may: not when all of its sessions are off."""
-        return not self.vehicles or any(one.working for one in self.vehicles)
+        return not self.vehicles or any(vehicle.state is not State.FAULTED for vehicle in self.vehicles)
 
     @property
     def status(self) -> str:
         """One line for a person."""
-        states = Counter(one.state for one in self.vehicles)
-        judged_s = sum(one.judged_s for one in self.vehicles)
+        states = Counter(vehicle.state for vehicle in self.vehicles)
+        judged_s = sum(vehicle.judged_s for vehicle in self.vehicles)
         words = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
         return f"{words}; {judged_s:.0f} s judged" if words else "no vehicle was received yet"

@@ -1,13 +1,7 @@
-"""The session's life as a table: state x trigger -> state.
-
-Two rules keep it honest. Everything that changes a session's state is a row of this table, and this file does not
-know what a session does in a state. A trigger that a state's row does not list is a bug in the caller.
-"""
+"""The session's life as a table, state x trigger -> state. Nothing else changes a session's state."""
 
 from collections.abc import Mapping
 from enum import StrEnum
-
-__all__ = ["TABLE", "State", "Trigger", "advance", "diagram"]
 
 
 class State(StrEnum):

@@ -1,4 +1,4 @@
-"""What goes into a session and what comes out of it: closed, frozen values. The daemon acts on each effect."""
+"""What goes into a session and what comes out of it. The daemon acts on each effect."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,24 +13,6 @@ from mavdiag.link.profiles import Profile
 from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
-
-__all__ = [
-    "AskInterval",
-    "AskParameters",
-    "Effect",
-    "EventClosed",
-    "EventOpened",
-    "Inbox",
-    "Learn",
-    "LearningFailed",
-    "Note",
-    "Record",
-    "SendFloat",
-    "SendText",
-    "SessionSpec",
-    "StateChanged",
-    "TextSuppressed",
-]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,5 +146,5 @@ class Note:
 
 
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
-"""What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
+"""What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it."""
 Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn | TimesyncMessage

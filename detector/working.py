@@ -5,10 +5,8 @@ It says nothing about the vehicles: their verdict is a metric of its own.
 
 import http.client
 
-from detector.config import split_metrics_address
+from detector.config import split_address
 from mavdiag.errors import UsageError
-
-__all__ = ["FRESH_S", "ask_working", "working"]
 
 FRESH_S = 5.0  # figures are set once a second; older ones mean that the loop hangs (our choice)
 TIMEOUT_S = 3.0
@@ -22,7 +20,7 @@ def ask_working(metrics: str | None) -> tuple[bool, str]:
     """
     if metrics is None:
         raise UsageError("--working asks the daemon's metrics; name the --metrics HOST:PORT that it serves")
-    host, port = split_metrics_address(metrics)
+    host, port = split_address(metrics, "metrics")
     connection = http.client.HTTPConnection(ANY.get(host, host), port, timeout=TIMEOUT_S)
     try:
         connection.request("GET", "/metrics")

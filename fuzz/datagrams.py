@@ -138,7 +138,7 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
         if progress and time.monotonic() - told_at > progress:
             told_at = time.monotonic()
             print(f"{fed} fed, {resident_mb():.1f} MB, {len(alerts)} alerts", flush=True)
-    session = fleet.vehicles[VEHICLE].session.state if VEHICLE in fleet.vehicles else None
+    session = fleet.vehicles[VEHICLE].session if VEHICLE in fleet.vehicles else None
     state = State.WAITING if session is None else session.state
     judged_s = session.judge.judged_s if session is not None and session.judge is not None else 0.0
     growth_mb = resident_mb() - warm_mb

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from detector.config import SessionSettings
-from detector.session import Session, SessionState
+from detector.session import Session
 from detector.states import State
 from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
@@ -149,8 +149,8 @@ class Story:
         self.session = Session(self.spec, self.now)
 
     @property
-    def state(self) -> SessionState:
-        return self.session.state
+    def state(self) -> Session:
+        return self.session
 
     @property
     def now(self) -> Instant:
@@ -209,7 +209,7 @@ class Story:
 
     def at(self, state: State) -> bool:
         """Whether it stands there now."""
-        return self.state.state is state
+        return self.session.state is state
 
     @property
     def texts(self) -> list[str]:

@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-__all__ = ["HEADERS", "Access", "Answer", "is_loopback"]
-
 PORT_DIGITS = 5
 ACKNOWLEDGE = "/acknowledge"  # the one path that is posted to: it changes something
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")

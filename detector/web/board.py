@@ -12,8 +12,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from itertools import islice
 
-__all__ = ["FIRST", "KEPT", "Board", "Reader", "parse_last"]
-
 KEPT = 10_000  # entries
 FIRST = 500  # entries that a page gets which asks for none
 STRIP_PARTS = 110  # snapshots of a vehicle that are kept: over 20 s of strips
@@ -110,6 +108,11 @@ class Reader:
                 parts.append(f"event: entry\nid: {self.board.run}-{number}\ndata: {content}\n\n")
                 self.sent = number
         return "".join(parts).encode()
+
+
+def is_vehicle(text: str) -> bool:
+    """Whether a text is a number that may be a system id."""
+    return text.isascii() and text.isdecimal() and len(text) < 4
 
 
 def parse_last(text: str | None, run: str) -> int | None:

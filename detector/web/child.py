@@ -13,36 +13,19 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
 
-from mavdiag.errors import LinkError, missing_extra
+from mavdiag.errors import LinkError, UsageError, missing_extra
+from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
-
-__all__ = ["Child", "Place", "ServerProcess", "check_installed"]
 
 START_S = 20.0  # until it listens, at the start (our choice: an import on a slow companion takes some seconds)
 AGAIN_S, AGAIN_MOST_S = 1.0, 60.0  # pause before it is started again, the first and the longest (our choice)
 STEADY_S = 60.0  # after so long the pause begins anew
 END_S = 1.0
 READ_BYTES = 65_536
+TOKEN_LEAST = 16  # characters
 COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the present folder
-
-
-class Child(Protocol):
-    """Whoever serves the page: what the feed needs of it."""
-
-    @property
-    def where(self) -> str:
-        """Where the page is, for a person."""
-
-    def look(self, now: Instant) -> tuple[bool, list[str]]:
-        """Whether it began anew since the last call and knows nothing, and what it said."""
-
-    def put(self, data: bytes) -> bool:
-        """Give it lines; False, and nothing is given, while it has no room."""
-
-    def close(self) -> None:
-        """End it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +40,15 @@ class Place:
     def url(self) -> str:
         """Where to open it."""
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
+
+
+def read_token(path: Path) -> str:
+    """The token in a file. Raises UsageError unless the file keeps the rules of a key file, and the line will do."""
+    form = f"{TOKEN_LEAST} or more ASCII characters without blanks"
+    text = read_secret(path, "web token", form).decode("ascii", errors="replace")
+    if len(text) < TOKEN_LEAST or not all("!" <= character <= "~" for character in text):
+        raise UsageError(f"{path}: a web token is one line: {form}")
+    return text
 
 
 def check_installed() -> None:
@@ -101,11 +93,11 @@ class ServerProcess:
 
     @property
     def where(self) -> str:
-        """As `Child`; the token itself is not shown."""
+        """Where the page is, for a person; the token itself is not shown."""
         return self.place.url if self.place.token is None else f"{self.place.url}?token=TOKEN"
 
     def look(self, now: Instant) -> tuple[bool, list[str]]:
-        """As `Child`. Starts it again where it ended."""
+        """Whether it began anew since the last call and knows nothing, and what it said. One that ended begins anew."""
         if self._process is None:
             if now - self._again < 0:
                 return False, []
@@ -128,7 +120,7 @@ class ServerProcess:
         return fresh, lines
 
     def put(self, data: bytes) -> bool:
-        """As `Child`."""
+        """Give it lines; False, and nothing is given, while it has no room."""
         process = self._process
         if process is None or process.stdin is None or not self._flushed(process.stdin.fileno()):
             return False
@@ -137,7 +129,7 @@ class ServerProcess:
         return True
 
     def close(self) -> None:
-        """As `Child`: it ends when its stdin does."""
+        """End it: it ends when its stdin does."""
         process, self._process = self._process, None
         if process is None:
             return

@@ -3,9 +3,8 @@
     python -m detector.web.server      not for people: the daemon starts it
 
 Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes,
-and `ack VEHICLE`. It ends when stdin does, so it never outlives
-the daemon.
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does,
+so it never outlives the daemon.
 """
 
 import asyncio
@@ -20,9 +19,7 @@ from pathlib import Path
 from aiohttp import web
 
 from detector.web.access import ACKNOWLEDGE, HEADERS, Access, Answer
-from detector.web.board import Board, Reader, parse_last
-
-__all__ = ["Server", "main"]
+from detector.web.board import Board, Reader, is_vehicle, parse_last
 
 PAGES = 32  # streams at a time
 LINE_BYTES = 4_000_000  # of a line on stdin, at most
@@ -103,7 +100,7 @@ class Server:
     async def _acknowledge(self, request: web.Request) -> web.Response:
         """Somebody has looked at a vehicle. The journal tells what came of it."""
         vehicle = request.query.get("vehicle", "")
-        if not (vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4):
+        if not is_vehicle(vehicle):
             raise web.HTTPBadRequest(reason="name a vehicle: ?vehicle=1")
         _to_daemon(f"ack {vehicle}")
         return _said(202, "handed to the detector")
@@ -115,7 +112,7 @@ class Server:
         last = request.headers.get("Last-Event-ID") or request.query.get("after")
         response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream; charset=utf-8"})
         await response.prepare(request)
-        number = int(vehicle) if vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4 else None
+        number = int(vehicle) if is_vehicle(vehicle) else None
         reader = self._board.enter(number, parse_last(last, self._board.run))
         self._wake[reader] = event = asyncio.Event()
         self._tell()

@@ -23,7 +23,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings
-from detector.pacing import STOP_S, Pacing
+from detector.fleet import STOP_S, due_turns
 from detector.states import State
 from mavdiag.link.codec import Decoder, Encoder, field_index
 from mavdiag.link.keys import KeptSigning, read_key
@@ -140,11 +140,11 @@ def test_the_summary_at_the_end_tells_what_was_judged() -> None:
 def test_what_waits_is_judged_before_the_summary() -> None:
     """A daemon that has no time judges a vehicle every two seconds; what came since then is judged as it stops."""
     told = []
-    for pacing in (Pacing(), Pacing(budget_s=0.0)):
+    for budget_s in (None, 0.0):
         bench = Attacked(
             Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
         )
-        bench.daemon.fleet._pacing = pacing
+        bench.daemon.fleet.budget_s = budget_s
         bench.fly(13.0)
         before_s = bench.judged_s
         bench.close()
@@ -159,7 +159,7 @@ def test_an_end_without_time_judges_no_more_and_still_ends() -> None:
     bench = Attacked(
         Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[MadeVehicle(1)]
     )
-    bench.daemon.fleet._pacing = Pacing(budget_s=0.0)
+    bench.daemon.fleet.budget_s = 0.0
     bench.fly(13.0)
     fleet = bench.daemon.fleet
     before_s = bench.judged_s
@@ -168,14 +168,7 @@ def test_an_end_without_time_judges_no_more_and_still_ends() -> None:
     bench.close()
 
 
-class OneALook(Pacing):
-    """Time for one vehicle in each look."""
-
-    def judges(self, waited_s: float, spent_s: float, first: bool) -> bool:
-        return first
-
-
-def test_vehicles_of_one_source_do_not_delay_that_of_another() -> None:
+def test_vehicles_of_one_source_do_not_delay_that_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
     strangers = [MadeVehicle(sysid) for sysid in range(2, 6)]
     attack = ([frame for one in strangers for frame in one.samples(4)] for _ in itertools.count())
     bench = Attacked(
@@ -184,11 +177,11 @@ def test_vehicles_of_one_source_do_not_delay_that_of_another() -> None:
     bench.fly(5.0, attack)
     fleet = bench.daemon.fleet
     assert set(fleet.vehicles) == set(range(1, 6))
-    fleet._pacing = OneALook()
-    judged = [fleet._judged[1]]
+    monkeypatch.setattr("detector.fleet.due_turns", lambda *given: itertools.islice(due_turns(*given), 1))
+    judged = [fleet.vehicles[1].turn]
     for _ in range(40):
         bench.fly(TICK_S, attack)
-        judged.append(fleet._judged[1])
+        judged.append(fleet.vehicles[1].turn)
     assert sum(after != before for before, after in itertools.pairwise(judged)) >= 19  # of 40; 8 by waiting alone
     bench.close()
 

@@ -10,7 +10,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings, VehicleSettings
-from detector.own_parameters import PARAMETERS
+from detector.requests import PARAMETERS
 from detector.states import State
 from detector.values import LearningFailed
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
@@ -126,7 +126,7 @@ def test_a_larger_scale_silences_a_small_fault_and_the_journal_says_who_set_what
     bench.run(4.0)
     assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 4.0))) == [("MD_THR_SCALE", 4.0)]
     bench.run(8.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     for turning, span_s, alerts in ((0.5, 0.8, False), (0.0, 3.0, False), (0.5, 3.0, True)):
         received(bench.far)
         vehicle.turning = turning
@@ -166,12 +166,12 @@ def test_learning_anew_is_begun_and_given_up_by_a_parameter(benches: Benches) ->
     assert shown(asked(bench, bench.far, setting("MD_LEARN_S", 60.0))) == [("MD_LEARN_S", 60.0)]
     bench.run(4.0)
     session = bench.daemon.fleet.vehicles[1].session
-    assert session.state.state is State.LEARNING
+    assert session.state is State.LEARNING
     # While there is nothing to judge by, the thresholds cannot be set.
     assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 2.0))) == [("MD_THR_SCALE", 1.0)]
     assert shown(asked(bench, bench.far, setting("MD_LEARN_S", 0.0))) == [("MD_LEARN_S", 0.0)]
     bench.run(4.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
 
 
 def test_what_is_learnt_anew_is_judged_by(benches: Benches) -> None:
@@ -181,7 +181,7 @@ def test_what_is_learnt_anew_is_judged_by(benches: Benches) -> None:
     asked(bench, bench.far, setting("MD_LEARN_S", 5.0))
     bench.run(14.0)
     assert len(fitter.jobs) == 1
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
 
 
 def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benches) -> None:
@@ -241,7 +241,7 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     table = {sysid: VehicleSettings(baseline=Path("b.json")) for sysid in own}
     bench = benches(Settings(connect=UDP_IN, vehicles=table), *(MadeVehicle(k) for k in (1, 2, 3)), baselines=own)
     bench.run(4.0)
-    found = {sysid: vehicle.session.state.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+    found = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
     assert found == own
     words = [line for line in bench.host.lines if "vehicle 1" in line]
     assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]

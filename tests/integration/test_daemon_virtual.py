@@ -87,7 +87,7 @@ def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
     [figures] = bench.daemon.fleet.figures()
     assert figures.received == 2 * vehicle.sent + vehicle.sent // 100
     assert figures.lost == 0
-    assert bench.daemon.fleet.vehicles[1].session.state.streams.gyro.samples == vehicle.sent
+    assert bench.daemon.fleet.vehicles[1].session.streams.gyro.samples == vehicle.sent
     assert figures.gyro_hz == pytest.approx(100.0)
 
 
@@ -96,7 +96,7 @@ def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
     fitter = FakeFitter(baseline_for())
     bench = benches(Settings(connect=UDP_IN, learn=5.0, save=path), MadeVehicle(1), fitter=fitter)
     bench.run(12.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert path.exists()
     assert "PROP monitoring" in texts(received(bench.far))
     assert [job.airframe.name for job in fitter.jobs] == ["vehicle 1"]
@@ -137,7 +137,7 @@ def test_the_heartbeat_stops_when_the_session_cannot_do_its_work(benches: Benche
     fitter = FakeFitter(LearningFailed("roll: the flight does not excite the model"))
     bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
     bench.run(25.0)  # three fits in vain
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
+    assert bench.daemon.fleet.vehicles[1].session.state is State.FAULTED
     received(bench.far)
     bench.run(10.0)
     assert of(received(bench.far), MessageId.HEARTBEAT) == []
@@ -153,7 +153,7 @@ def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot:
     )
     bench.run(3.0)
     assert bench.daemon.fleet.vehicles[1].session.spec.profile.name == profile
-    faulted = bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
+    faulted = bench.daemon.fleet.vehicles[1].session.state is State.FAULTED
     assert faulted == (profile != "qdrone2")
     assert any(text.startswith("PROP OFF: link.profile") for text in texts(received(bench.far))) == faulted
 

@@ -71,7 +71,7 @@ def test_importing_the_command_brings_nothing_heavy() -> None:
     [
         ((), "name a --baseline FILE, or --learn SECONDS"),
         (("--learn", "10", "--baseline", "b.json"), "not both"),
-        (("--learn", "ten"), "Invalid value for '--learn'"),
+        (("--learn", "ten"), "learn: Input should be a valid number"),
         (("--lern", "10"), "No such option: --lern"),
         (("--baseline", "absent.json"), "absent.json: no such file; make a baseline with `mavdiag identify`"),
         (("--baseline", os.devnull), "is not a regular file"),

@@ -70,7 +70,7 @@ def flown(bench: Bench, *, faulty: bool) -> Bench:
 
 
 def stage(bench: Bench) -> Stage:
-    return bench.daemon.fleet.vehicles[1].session.state.diagnosis.stage
+    return bench.daemon.fleet.vehicles[1].session.diagnosis.stage
 
 
 def acknowledgement() -> bytes:

@@ -22,8 +22,7 @@ from detector.states import State
 from detector.values import SessionSpec
 from detector.web.child import ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import About, Level, LinkNow, Now, SlotAbout, SlotNow, as_line
-from detector.web.strips import Strip
+from detector.web.snapshot import Level
 from mavdiag.airframe.layout import layout_named
 from mavdiag.drawing import airframe_svg
 from mavdiag.link.ports import open_endpoint
@@ -61,36 +60,45 @@ def fleet(*vehicles: int, sentence: str = "No fault found") -> str:
 
 
 def about(vehicle: int, name: str = "QDrone 2") -> str:
+    names = ("name", "label", "axis", "unit", "threshold", "decides", "margin")
     slots = (
-        SlotAbout("fsd", "FSD", "roll", "s", 0.12, False, 0.05),
-        SlotAbout("rotor_trim", "rotor trim", "", "fraction of hover", 0.06, True, None),
-        SlotAbout("vibration_level", "vibration", "", "m/s^2", 1.5, True, None),
+        ("fsd", "FSD", "roll", "s", 0.12, False, 0.05),
+        ("rotor_trim", "rotor trim", "", "fraction of hover", 0.06, True, None),
+        ("vibration_level", "vibration", "", "m/s^2", 1.5, True, None),
     )
-    drawing = airframe_svg(layout_named("x"), title=name)
-    return f"A {vehicle} {as_line(About(vehicle, name, 'qdrone2', 'rotor layout x', drawing, slots))}"
+    told = {"vehicle": vehicle, "airframe": name, "profile": "qdrone2", "layout": "rotor layout x"}
+    told |= {"drawing": airframe_svg(layout_named("x"), title=name)}
+    return f"A {vehicle} {json.dumps(told | {'slots': [dict(zip(names, slot, strict=True)) for slot in slots]})}"
 
 
 def now(vehicle: int, first: int, level: Level = Level.QUIET, rotor: int | None = None, sentence: str = "") -> str:
-    bins = tuple(range(first, first + 4))
-    residual = tuple(0.03 * ((one * 7) % 5 - 2) / 2 for one in bins)
-    strip = Strip(Axis.ROLL, bins, tuple(one - 0.01 for one in residual), residual, (0.02,) * 4, (True,) * 4)
-    slots = (SlotNow(0.02), SlotNow(0.11 if rotor else 0.01), SlotNow(None, "no VIBRATION"))
-    link = LinkNow(1000, 3, 0.0, (("gyro", 200.0), ("VIBRATION", 0.0)), 0.04, None)
-    rises = (0.0, 0.11, -0.05, -0.06) if rotor else (0.0, 0.01, -0.01, 0.0)
-    shown = Now(
-        vehicle,
-        level,
-        sentence or "No fault found",
-        rotor,
-        rises,
-        State.MONITORING,
-        "monitoring",
-        *(9.0, 14.0, 0),
-        slots,
-        (strip,),
-        link,
-    )
-    return f"N {vehicle} {as_line(shown)}"
+    bins = list(range(first, first + 4))
+    high = [0.03 * ((number * 7) % 5 - 2) / 2 for number in bins]
+    strip = {"axis": Axis.ROLL, "bins": bins, "low": [value - 0.01 for value in high], "high": high}
+    values = ((0.02, ""), (0.11 if rotor else 0.01, ""), (None, "no VIBRATION"))
+    shown = {
+        "vehicle": vehicle,
+        "level": level,
+        "sentence": sentence or "No fault found",
+        "rotor": rotor,
+        "rises": (0.0, 0.11, -0.05, -0.06) if rotor else (0.0, 0.01, -0.01, 0.0),
+        "state": State.MONITORING,
+        "reason": "monitoring",
+        "judged_s": 9.0,
+        "flight_s": 14.0,
+        "events": 0,
+        "slots": [{"value": value, "reason": reason} for value, reason in values],
+        "strips": [strip | {"fsd_s": [0.02] * 4, "judged": [True] * 4}],
+        "link": {
+            "received": 1000,
+            "lost": 3,
+            "silent_s": 0.0,
+            "round_trip_s": 0.04,
+            "drift_ppm": None,
+            "rates": (("gyro", 200.0), ("VIBRATION", 0.0)),
+        },
+    }
+    return f"N {vehicle} {json.dumps(shown)}"
 
 
 def open_page(chromium: Any, process: ServerProcess) -> None:

@@ -13,9 +13,7 @@ from made_vehicle import MadeVehicle
 
 from detector.config import SessionSettings, Settings
 from detector.fleet import Fleet
-from detector.own_parameters import PARAMETERS
-from detector.rate_guard import GUARDED
-from detector.requests import Requests
+from detector.requests import GUARDED, PARAMETERS, Requests
 from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
 from mavdiag.link.addressed import PARAMETER_REQUESTS

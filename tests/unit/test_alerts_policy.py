@@ -7,23 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import (
-    GAP_S,
-    POLICY,
-    TEXT_BYTES,
-    Kind,
-    Notice,
-    Presenter,
-    Told,
-    figure,
-    label_of,
-    present,
-    told_of,
-)
+from detector.alerts import GAP_S, POLICY, TEXT_BYTES, Kind, Notice, Presenter, Telling, figure, label_of
 from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
-from mavdiag.decision.words import motors_words
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
@@ -61,17 +48,18 @@ def finding(
     )
 
 
-def text(diagnosis: Diagnosis, told: Told | None = None) -> str:
-    (notice,) = told_of(told or Told(), diagnosis, 1)[1]
+def text(*diagnoses: Diagnosis) -> str:
+    """What is said of the last of them."""
+    telling = Telling()
+    [notice] = [telling.step(diagnosis, 1) for diagnosis in diagnoses][-1]
     return notice.text
 
 
 FAULT = Notice(Kind.FAULT, ("roll x",), "roll")
 
 
-def say(presenter: Presenter, at_s: float, *notices: Notice) -> tuple[Presenter, list[Effect]]:
-    presenter, effects = present(presenter, notices, Instant(round(at_s * 1e9)))
-    return presenter, list(effects)
+def say(presenter: Presenter, at_s: float, *notices: Notice) -> list[Effect]:
+    return presenter.present(notices, Instant(round(at_s * 1e9)))
 
 
 def test_h15_an_alert_reads_as_a_pilot_can_use_it() -> None:
@@ -106,11 +94,8 @@ def test_what_lasts_of_a_fault_is_told_by_its_motors() -> None:
 
 def kinds(*diagnoses: Diagnosis) -> list[Kind]:
     """What is said of one diagnosis after the other."""
-    told, said = Told(), []
-    for diagnosis in diagnoses:
-        told, notices = told_of(told, diagnosis, 1)
-        said += [notice.kind for notice in notices]
-    return said
+    telling = Telling()
+    return [notice.kind for diagnosis in diagnoses for notice in telling.step(diagnosis, 1)]
 
 
 def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> None:
@@ -145,8 +130,7 @@ def test_an_alert_is_never_cut_whatever_its_figures(
         assert len(said.encode()) <= TEXT_BYTES
         assert not said.endswith("..")
         if stage is Stage.FAULT:
-            told = Told(Stage.FAULT, given.kind, motors_words(given), seen=False)
-            assert not text(given, told).endswith("..")
+            assert not text(given, replace(given, seen=False), given).endswith("..")
 
 
 def test_a_link_that_is_back_is_never_cut_either() -> None:
@@ -204,25 +188,25 @@ def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
 def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute() -> None:
     presenter, said = Presenter(), []
     for tick in range(2500):
-        presenter, effects = say(presenter, tick / 10, FAULT)
+        effects = say(presenter, tick / 10, FAULT)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [0.0, 5.0, 15.0, 60.0, 120.0, 180.0, 240.0]
 
 
 def test_news_about_a_lasting_matter_waits_two_seconds_and_is_not_lost() -> None:
-    presenter, _ = say(Presenter(), 0.0, FAULT)
+    presenter = Presenter()
+    say(presenter, 0.0, FAULT)
     pitch, said = Notice(Kind.FAULT, ("pitch x",), "pitch"), []
     for tick in range(1, 40):
-        presenter, effects = say(presenter, tick / 10, pitch)
+        effects = say(presenter, tick / 10, pitch)
         said += [tick / 10 for effect in effects if isinstance(effect, SendText)]
     assert said == [2.0]
 
 
 def test_the_same_text_within_two_seconds_is_held_back_and_counted() -> None:
     lost = Notice(Kind.LINK_LOST)
-    presenter, first = say(Presenter(), 0.0, lost)
-    presenter, second = say(presenter, 1.0, lost)
-    presenter, third = say(presenter, GAP_S, lost)
+    presenter = Presenter()
+    first, second, third = (say(presenter, at_s, lost) for at_s in (0.0, 1.0, GAP_S))
     assert [type(effects[0]) for effects in (first, second, third)] == [SendText, TextSuppressed, SendText]
     assert presenter.suppressed == 1
 
@@ -230,36 +214,36 @@ def test_the_same_text_within_two_seconds_is_held_back_and_counted() -> None:
 def test_chatter_cannot_use_up_the_budget_of_faults() -> None:
     presenter, said = Presenter(per_minute=10), 0
     for second in range(40):
-        presenter, effects = say(presenter, 2.0 * second % 59, Notice(Kind.RATES, (str(second),)))
+        effects = say(presenter, 2.0 * second % 59, Notice(Kind.RATES, (str(second),)))
         said += sum(isinstance(effect, SendText) for effect in effects)
     assert said == 5
-    _, effects = say(presenter, 59.0, FAULT)
+    effects = say(presenter, 59.0, FAULT)
     assert isinstance(effects[0], SendText)
 
 
 def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_later() -> None:
     presenter = Presenter(per_minute=4)
     for at in (0.0, 3.0):
-        presenter, _ = say(presenter, at, Notice(Kind.REBOOT))
+        say(presenter, at, Notice(Kind.REBOOT))
     waiting, out = Notice(Kind.WAITING, ("no gyro",), "no gyro"), []
     for second in range(6, 70):
-        presenter, effects = say(presenter, second, waiting)
+        effects = say(presenter, second, waiting)
         out += [(second, type(effect)) for effect in effects]
     assert out == [(6, TextSuppressed), (60, SendText)]
 
 
 def test_a_matter_that_comes_back_after_a_while_is_news() -> None:
-    presenter, _ = say(Presenter(), 0.0, FAULT)
+    presenter = Presenter()
+    say(presenter, 0.0, FAULT)
     for tick in range(1, 40):
-        presenter, _ = say(presenter, tick / 10)
-    pause, effects = say(presenter, 4.0, FAULT)
-    assert effects == []
+        say(presenter, tick / 10)
+    assert say(presenter, 4.0, FAULT) == []
     for tick in range(41, 95):
-        pause, _ = say(pause, tick / 10)
-    _, effects = say(pause, 9.5, FAULT)
+        say(presenter, tick / 10)
+    effects = say(presenter, 9.5, FAULT)
     assert [type(effect) for effect in effects] == [SendText]
 
 
 def test_the_loudest_comes_first() -> None:
-    _, effects = say(Presenter(), 0.0, Notice(Kind.REBOOT), FAULT)
+    effects = say(Presenter(), 0.0, Notice(Kind.REBOOT), FAULT)
     assert [effect.severity for effect in effects if isinstance(effect, SendText)] == [Severity.CRITICAL, Severity.INFO]

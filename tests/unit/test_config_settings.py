@@ -7,7 +7,7 @@ import pytest
 from made_baselines import FRAME, NOW, healthy
 
 from detector.config import Settings, example_text, load_settings
-from detector.reporting import kept_baselines
+from detector.journal import kept_baselines
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import LearnOptions, learn
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 from flying_telemetry import flying
 
 from detector.alerts import Kind
-from detector.judging import records_of
-from detector.judging_notices import vehicle_notices
+from detector.judging import records_of, vehicle_notices
 from detector.values import Note
 from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome, compare
 from mavdiag.chain import Chain, ChainOutput, chain_of

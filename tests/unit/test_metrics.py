@@ -90,7 +90,7 @@ def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> No
     bench = flown(metrics)
     text = page(metrics)
     count = value(text, "verdict_latency_seconds_count")
-    judge = bench.daemon.fleet.vehicles[1].session.state.judge
+    judge = bench.daemon.fleet.vehicles[1].session.judge
     bench.close()
     assert judge is not None
     # The bench's clock stands still within a look: a sample waits for the filter's half window and for whole looks.

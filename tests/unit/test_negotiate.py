@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from detector.negotiate import HELD_S, Negotiation, Seen, negotiate
+from detector.negotiate import HELD_S, Negotiation, Seen
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Reading, telling
@@ -27,8 +27,7 @@ OUTPUTS = Want(Signal.ACTUATOR, MessageId.SERVO_OUTPUT_RAW, 25.0, 10.0)
 class Talk:
     """A negotiation, and all that came of it with its time [s]."""
 
-    autopilot: int = Autopilot.ARDUPILOTMEGA
-    state: Negotiation = field(default_factory=Negotiation)
+    negotiation: Negotiation = field(default_factory=lambda: Negotiation(Autopilot.ARDUPILOTMEGA))
     ticks: int = 0
     asked: list[tuple[float, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -37,7 +36,7 @@ class Talk:
         for _ in range(round(seconds / TICK_S)):
             self.ticks += 1
             now = Instant(round(self.ticks * TICK_S * 1e9))
-            self.state, effects, _ = negotiate(self.state, seen, acks, now, self.autopilot)
+            effects, _ = self.negotiation.step(seen, acks, now)
             acks = ()
             self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
             self.notes += [one.text for one in effects if isinstance(one, Note)]

@@ -38,8 +38,8 @@ def environ(manager: socket.socket, **more: str) -> dict[str, str]:
 def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socket) -> None:
     notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
     notifier.ready()
-    notifier.alive("one\nline")
-    notifier.alive("one\nline")
+    notifier.status("one\nline", alive=True)
+    notifier.status("one\nline", alive=True)
     notifier.stopping()
     notifier.close()
     assert told(manager) == ["READY=1", "WATCHDOG=1", "STATUS=one line", "WATCHDOG=1", "STOPPING=1"]
@@ -48,7 +48,7 @@ def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socke
 @pytest.mark.parametrize("more", [{}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid() + 1)}])
 def test_a_watchdog_that_is_off_or_of_another_process_is_not_fed(manager: socket.socket, more: dict[str, str]) -> None:
     notifier = Notifier(environ(manager, **more))
-    notifier.alive("works")
+    notifier.status("works", alive=True)
     notifier.close()
     assert told(manager) == ["STATUS=works"]
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from detector.config import Settings, load_settings
 from detector.web.access import HEADERS, Access, Answer
-from detector.web.token import read_token
+from detector.web.child import read_token
 from mavdiag.errors import UsageError
 
 LOCAL = Access("127.0.0.1", 8080)

@@ -5,24 +5,27 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
+from made_baselines import thesis
 from made_session import Story, baseline_for
+from made_telemetry import cut, flight
 from made_vehicle import START_NS, Bench, MadeVehicle
 
 from detector.config import SessionSettings, Settings
-from detector.fleet import VehicleFigures
+from detector.figures import VehicleFigures
 from detector.values import SessionSpec
 from detector.web.board import KEPT
 from detector.web.child import Place, ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import Level, Memory, about, as_line, snapshot
+from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, as_line, strips_of
 from mavdiag.airframe.layout import layout_named
-from mavdiag.chain import Piece
+from mavdiag.chain import Chain, Piece, chain_of
 from mavdiag.errors import UsageError
 from mavdiag.link.profiles import PROFILES
-from mavdiag.telemetry import Instant, Signal
+from mavdiag.telemetry import Axis, Instant, Signal
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
 
@@ -68,7 +71,7 @@ def child() -> FakeChild:
 
 @pytest.fixture
 def bench(child: FakeChild, tmp_path: Path) -> Iterator[Bench]:
-    web = Feed(child, Instant(START_NS))
+    web = Feed(cast(ServerProcess, child), Instant(START_NS))
     one = Bench(
         SETTINGS, baseline_for(), vehicles=[MadeVehicle(1), MadeVehicle(2)], web=web, journal=tmp_path / "j.jsonl"
     )
@@ -158,7 +161,7 @@ def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.Monk
 
 def test_only_so_many_entries_are_kept() -> None:
     child = FakeChild(room=False)
-    feed = Feed(child, Instant(0))
+    feed = Feed(cast(ServerProcess, child), Instant(0))
     for k in range(KEPT + 70):
         feed.write(json.dumps({"k": k}))
     child.room = True
@@ -184,7 +187,7 @@ class Watched:
     """A made flight, and what the page shows of it."""
 
     story: Story
-    memory: Memory = field(default_factory=Memory)
+    snapshots: Snapshots = field(default_factory=Snapshots)
 
     def after(self, seconds: float, **how: Any) -> dict[str, Any]:
         """Fly on, and return the last snapshot as the page gets it."""
@@ -193,13 +196,16 @@ class Watched:
             pieces = list[Piece]()
             for _ in range(2):
                 self.story.fly(0.1, **how)
-                judge = self.story.state.judge
+                judge = self.story.session.judge
                 pieces += judge.pieces if judge is not None else ()
-            figures = VehicleFigures(1, self.story.state.state, 10, 0, 100.0, 1.0, 0)
-            self.memory, now = snapshot(self.memory, figures, self.story.state, pieces, self.story.now)
-            shown = as_line(now)
+            shown = as_line(self.shown(*pieces))
         found: dict[str, Any] = json.loads(shown)
         return found
+
+    def shown(self, *pieces: Piece) -> Json:
+        session = self.story.session
+        figures = VehicleFigures(1, session.state, 10, 0, 100.0, 1.0, 0)
+        return self.snapshots.next(figures, session, pieces, self.story.now)
 
 
 @pytest.fixture
@@ -219,7 +225,7 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     quiet = watched.after(15.0, outputs=True)
     assert (quiet["level"], quiet["sentence"], quiet["rotor"]) == (Level.QUIET, "No fault found", None)
     assert len(quiet["rises"]) == 4
-    by_name = dict(zip([one.name for one in slots_of(watched)], quiet["slots"], strict=True))
+    by_name = dict(zip([one["name"] for one in slots_of(watched)], quiet["slots"], strict=True))
     assert by_name["fsd"]["value"] is not None
     assert by_name["rotor_trim"]["value"] is not None
     assert by_name["vibration_level"] == {"value": None, "reason": "no VIBRATION"}
@@ -235,22 +241,22 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
 def test_a_lost_link_is_off_and_says_so(watched: Watched) -> None:
     watched.after(12.0)
     watched.story.silence(5.0)
-    state = watched.story.state
-    _, now = snapshot(watched.memory, VehicleFigures(1, state.state, 1, 0, 0.0, 0.0, 0), state, [], watched.story.now)
-    assert now.level is Level.OFF
-    assert "nothing came for 3 s" in now.sentence
-    assert now.link.silent_s >= 5.0
-    assert all(slot.value is None and slot.reason for slot in now.slots)
+    now = watched.shown()
+    assert now["level"] is Level.OFF
+    assert "nothing came for 3 s" in now["sentence"]
+    assert now["link"]["silent_s"] >= 5.0
+    assert all(slot["value"] is None and slot["reason"] for slot in now["slots"])
 
 
-def slots_of(watched: Watched) -> tuple[Any, ...]:
-    return about(1, "qdrone2", watched.story.state.judge).slots
+def slots_of(watched: Watched) -> list[Json]:
+    slots: list[Json] = about(1, "qdrone2", watched.story.session.judge)["slots"]
+    return slots
 
 
 def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
     assert json.loads(as_line(about(1, "qdrone2", None)))["slots"] == []
     watched.after(3.0)
-    judge = watched.story.state.judge
+    judge = watched.story.session.judge
     assert judge is not None
     told = json.loads(as_line(about(1, "qdrone2", judge)))
     assert [one["name"] for one in told["slots"]] == [slot.monitor.name for slot in judge.chain.slots]
@@ -258,17 +264,76 @@ def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
     assert (thesis["axis"], thesis["margin"], thesis["threshold"]) == ("roll", 0.02, 0.3)
     assert told["drawing"] == ""  # the made baseline knows no layout
     airframe = replace(judge.baseline.airframe, layout=layout_named("x"))
-    drawn = replace(judge, baseline=judge.baseline.model_copy(update={"airframe": airframe}))
-    assert "airframe-rotor-4" in about(1, "qdrone2", drawn).drawing
+    judge.baseline = judge.baseline.model_copy(update={"airframe": airframe})
+    assert "airframe-rotor-4" in about(1, "qdrone2", judge)["drawing"]
 
 
 def test_a_stream_that_stops_is_the_reason(watched: Watched) -> None:
     watched.after(12.0, outputs=True)
     shown = watched.after(4.0, outputs=True, without=(Signal.ATTITUDE_SETPOINT,))
-    values = {one.name: slot for one, slot in zip(slots_of(watched), shown["slots"], strict=True)}
+    values = {one["name"]: slot for one, slot in zip(slots_of(watched), shown["slots"], strict=True)}
     assert values["fsd"] == {"value": None, "reason": "no set-points"}
     assert values["rotor_trim"]["value"] is not None
     shown = watched.after(4.0, without=(Signal.BODY_RATE,))
     assert (shown["state"], shown["level"]) == ("waiting", Level.NOT_JUDGED)
     assert all(slot["value"] is None for slot in shown["slots"])
     assert "no gyro" in shown["sentence"]
+
+
+# --- The strips: the same points however the flight is cut, and no peak is lost
+
+
+@pytest.fixture(scope="module")
+def judged() -> tuple[Chain, list[Piece]]:
+    chain, telemetry = chain_of(thesis()), flight(6000, 5)
+    state, pieces = chain.start(), list[Piece]()
+    began_ns = int(telemetry[Signal.BODY_RATE].host_ns[0])
+    for chunk in cut(telemetry, [began_ns + k * 130_000_000 for k in range(1, 46)]):
+        state, output = chain.step(state, chunk)
+        pieces += output.pieces
+    return chain, pieces
+
+
+def merged(strips: list[Json]) -> dict[int, tuple[float, float, float, bool]]:
+    """As the page puts them together: points of one bin become one."""
+    found: dict[int, tuple[float, float, float, bool]] = {}
+    for strip in strips:
+        for i, number in enumerate(strip["bins"]):
+            low, high, fsd_s, valid = found.get(number, (np.inf, -np.inf, 0.0, False))
+            longest, judged = max(fsd_s, strip["fsd_s"][i]), valid or strip["judged"][i]
+            found[number] = min(low, strip["low"][i]), max(high, strip["high"][i]), longest, judged
+    return found
+
+
+@pytest.mark.parametrize("size", [1, 2, 7])
+def test_any_cut_gives_the_same_points(judged: tuple[Chain, list[Piece]], size: int) -> None:
+    chain, pieces = judged
+    whole = strips_of(chain, pieces)
+    parts = [strips_of(chain, pieces[i : i + size]) for i in range(0, len(pieces), size)]
+    assert [one["axis"] for one in whole] == [Axis.ROLL, Axis.PITCH]
+    for number, one in enumerate(whole):
+        assert merged([part[number] for part in parts]) == merged([one])
+
+
+def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piece]]) -> None:
+    chain, pieces = judged
+    rows = sum(len(piece.rows.rates) for piece in pieces)
+    for number, strip in enumerate(strips_of(chain, pieces)):
+        signal = np.concatenate([piece.found[number].signal for piece in pieces])
+        t_ns = np.concatenate([piece.found[number].t_ns for piece in pieces])
+        assert max(strip["high"]) == pytest.approx(float(signal.max()), abs=1e-5)
+        assert min(strip["low"]) == pytest.approx(float(signal.min()), abs=1e-5)
+        assert strip["bins"] == sorted(set((t_ns // BIN_NS).tolist()))
+        assert len(strip["bins"]) <= rows / 4
+
+
+def test_without_rows_there_are_no_points(judged: tuple[Chain, list[Piece]]) -> None:
+    chain, _ = judged
+    assert [one["bins"] for one in strips_of(chain, [])] == [[], []]
+
+
+def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
+    chain, pieces = judged
+    wild = [replace(one, signal=np.where(one.signal > 0, np.inf, np.nan)) for one in pieces[0].found]
+    for strip in strips_of(chain, [Piece(pieces[0].rows, tuple(wild))]):
+        assert np.isfinite([*strip["low"], *strip["high"]]).all()
