@@ -120,7 +120,9 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
     """Run on the virtual clock and print the figures."""
     baseline = taught(rate_hz, seed)
     settings = Settings(learn=1.0, negotiate=False)
-    fleet = Fleet(lambda profile: SessionSpec(profile, baseline, settings), profile=None, only=None, datagrams=True)
+    fleet = Fleet(
+        lambda sysid, profile: SessionSpec(profile, baseline, settings), profile=None, only=None, datagrams=True
+    )
     loops = [loop_of(None, HEALTHY_S, rate_hz, seed + 50), loop_of(FAULT, FAULTY_S, rate_hz, seed + 51)]
     encode = Encoder(1, Component.AUTOPILOT1).encode_payload
     record, base_ns, started_s = Record(), 1000 * NS_PER_S, time.process_time()

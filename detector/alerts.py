@@ -1,11 +1,10 @@
 """What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
-A text is one STATUSTEXT of at most 50 bytes. A declared fault is CRITICAL; a suspicion, a fault that is seen again, an
-open inspection or a detector that cannot work is a WARNING, everything else INFO. A *lasting* matter is offered at
-every step: it is said when it begins, when what it is about changes, and at the times after its beginning that the
-table gives. It is over once it was not offered for 5 s. Anything else is offered once and said once. Nothing of a kind
-is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a vehicle keep to a budget
-a minute, half of it for declared faults and half for the rest. What the budget holds back is counted and recorded.
+A text is one STATUSTEXT of at most 50 bytes. A *lasting* matter is offered at every step: it is said when it begins,
+when what it is about changes, and at the times after its beginning that the table gives. It is over once it was not
+offered for 5 s. Anything else is offered once and said once. Nothing of a kind is said twice within 2 s (MAVProxy drops
+identical texts within that time), and all texts of a vehicle keep to a budget a minute, half of it for declared faults
+and half for the rest. What the budget holds back is counted and recorded.
 
 What is said of a fault are the differences of the diagnosis (`Telling`). Nothing is ever called clear: a fault that is
 not seen any longer lasts, and after the flight it is an inspection.
@@ -13,7 +12,7 @@ not seen any longer lasts, and after the flight it is an inspection.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum
 from itertools import pairwise
 
 from detector.values import Effect, SendFloat, SendText, TextSuppressed
@@ -31,47 +30,16 @@ MINUTE_S = 60.0
 LULL_S = 5.0  # a lasting matter that is offered again within so long goes on where it was (our choice)
 
 
-class Kind(StrEnum):
-    """What a text is about."""
-
-    FAULT = "fault"
-    SENSOR = "sensor fault"
-    CONTROL = "loss of control"
-    THRUST = "loss of thrust"
-    SUSPECT = "suspect"
-    AGAIN = "seen again"
-    UNSEEN = "no longer seen"
-    INSPECT = "inspect"
-    ACKNOWLEDGED = "acknowledged"
-    WAITING = "waiting"
-    LEARNING = "learning"
-    FITTING = "fitting"
-    LEARNED = "learned"
-    NOT_LEARNED = "not learned"
-    MONITORING = "monitoring"
-    HIDDEN = "flies, not judged"
-    LINK_LOST = "link lost"
-    LINK_BACK = "link back"
-    REBOOT = "reboot"
-    OFF = "off"
-    RATES = "rates"
-    NO_LAYOUT = "no rotor layout"
-    OTHER_LAYOUT = "other rotor layout"
-    OTHER_VEHICLE = "other vehicle"
-
-
 @dataclass(frozen=True, slots=True)
 class Policy:
     """How a kind is said.
 
-    severity: of the STATUSTEXT.
-    template: takes the notice's words.
     again_s: times after its beginning at which a lasting matter is said again; from the last on it is said again and
         again, as far apart as the last two (or as the only one from the beginning). Empty for what is said once.
     """
 
-    severity: Severity
-    template: str
+    severity: Severity  # of the STATUSTEXT
+    template: str  # takes the notice's words
     again_s: tuple[float, ...] = ()
 
     def times(self, begun_s: float) -> int:
@@ -89,33 +57,37 @@ class Policy:
 
 _ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
 
-# Times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
-POLICY: Mapping[Kind, Policy] = {
-    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # what was found
-    Kind.SENSOR: Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S),  # what was found
-    Kind.CONTROL: Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S),  # the rotor that was named before
-    Kind.THRUST: Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S),  # the rotor, if it is known
-    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # what was found
-    Kind.AGAIN: Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S),  # what was found
-    Kind.UNSEEN: Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,)),  # which motors
-    Kind.INSPECT: Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,)),  # which motors
-    Kind.ACKNOWLEDGED: Policy(Severity.INFO, "PROP {}: inspection acknowledged"),  # which motors
-    Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", (60.0,)),  # reason
-    Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", (60.0,)),  # progress, ": reason"
-    Kind.FITTING: Policy(Severity.INFO, "PROP fitting the baseline"),
-    Kind.LEARNED: Policy(Severity.INFO, "PROP baseline learned: {} monitors{}"),  # how many, ", N cannot"
-    Kind.NOT_LEARNED: Policy(Severity.WARNING, "PROP not learned, goes on: {}"),  # reason
-    Kind.MONITORING: Policy(Severity.INFO, "PROP monitoring{}", (300.0,)),  # ": reason" or "; what is not judged"
-    Kind.HIDDEN: Policy(Severity.WARNING, "PROP not judged: {}", (60.0,)),  # why, although it flies
-    Kind.LINK_LOST: Policy(Severity.INFO, "PROP link lost"),
-    Kind.LINK_BACK: Policy(Severity.INFO, "PROP link back after {}s"),  # how long
-    Kind.REBOOT: Policy(Severity.INFO, "PROP vehicle rebooted, starting anew"),
-    Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", (60.0,)),  # reason
-    Kind.RATES: Policy(Severity.INFO, "PROP got {}"),  # message and rate, ...
-    Kind.NO_LAYOUT: Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off"),  # how many
-    Kind.OTHER_VEHICLE: Policy(Severity.WARNING, "PROP not the vehicle of the baseline"),
-    Kind.OTHER_LAYOUT: Policy(Severity.WARNING, "PROP flights contradict rotor layout {}"),  # its name
-}
+
+class Kind(Enum):
+    """What a text is about. Times are our choices; the severities follow what ground stations do with them (they pop up
+    0 to 3)."""
+
+    FAULT = Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S)  # what was found
+    SENSOR = Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S)  # what was found
+    CONTROL = Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S)  # the rotor that was named before
+    THRUST = Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S)  # the rotor, if it is known
+    SUSPECT = Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S)  # what was found
+    AGAIN = Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S)  # what was found
+    UNSEEN = Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,))  # which motors
+    INSPECT = Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,))  # which motors
+    ACKNOWLEDGED = Policy(Severity.INFO, "PROP {}: inspection acknowledged")  # which motors
+    WAITING = Policy(Severity.INFO, "PROP waiting: {}", (60.0,))  # reason
+    LEARNING = Policy(Severity.INFO, "PROP learning {}%{}", (60.0,))  # progress, ": reason"
+    FITTING = Policy(Severity.INFO, "PROP fitting the baseline")
+    LEARNED = Policy(Severity.INFO, "PROP baseline learned: {} monitors{}")  # how many, ", N cannot"
+    NOT_LEARNED = Policy(Severity.WARNING, "PROP not learned, goes on: {}")  # reason
+    MONITORING = Policy(Severity.INFO, "PROP monitoring{}", (300.0,))  # ": reason" or "; what is not judged"
+    HIDDEN = Policy(Severity.WARNING, "PROP not judged: {}", (60.0,))  # why, although it flies
+    LINK_LOST = Policy(Severity.INFO, "PROP link lost")
+    LINK_BACK = Policy(Severity.INFO, "PROP link back after {}s")  # how long
+    REBOOT = Policy(Severity.INFO, "PROP vehicle rebooted, starting anew")
+    OFF = Policy(Severity.WARNING, "PROP OFF: {}", (60.0,))  # reason
+    RATES = Policy(Severity.INFO, "PROP got {}")  # message and rate, ...
+    NO_LAYOUT = Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off")  # how many
+    OTHER_VEHICLE = Policy(Severity.WARNING, "PROP not the vehicle of the baseline")
+    OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
+
+
 _DECLARED: Mapping[FaultKind | None, Kind] = {
     FaultKind.SENSOR: Kind.SENSOR,
     FaultKind.LOSS_OF_CONTROL: Kind.CONTROL,
@@ -125,21 +97,16 @@ _DECLARED: Mapping[FaultKind | None, Kind] = {
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """Something to say.
-
-    kind: what it is about.
-    words: fill the template.
-    key: what a lasting matter is about (another key is news).
-    """
+    """Something to say."""
 
     kind: Kind
-    words: tuple[str, ...] = ()
-    key: str = ""
+    words: tuple[str, ...] = ()  # fill the template
+    key: str = ""  # what a lasting matter is about: another key is news
 
     @property
     def text(self) -> str:
         """The text, within `TEXT_BYTES`: free text that does not fit is cut, at a whole character."""
-        text = POLICY[self.kind].template.format(*self.words).rstrip()
+        text = self.kind.value.template.format(*self.words).rstrip()
         if len(text.encode()) <= TEXT_BYTES:
             return text
         return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
@@ -147,7 +114,7 @@ class Notice:
     @property
     def effect(self) -> SendText:
         """The text as it is sent."""
-        return SendText(POLICY[self.kind].severity, self.text)
+        return SendText(self.kind.value.severity, self.text)
 
 
 def label_of(monitor: str) -> str:
@@ -200,24 +167,23 @@ class Telling:
 
 
 def _finding(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
-    room = TEXT_BYTES - len(POLICY[kind].template.format(""))
+    room = TEXT_BYTES - len(kind.value.template.format(""))
     return Notice(kind, (finding_words(diagnosis, room),), key)
 
 
 @dataclass(slots=True)
 class _Matter:
-    """What was said of a lasting matter. begun, at: when first and last. times: how often it was due by then.
-    offered: when it was offered last."""
+    """What was said of a lasting matter."""
 
     key: str
-    begun: Instant
-    at: Instant
-    times: int
-    offered: Instant
+    begun: Instant  # when it was said first
+    at: Instant  # ... and last
+    times: int  # how often it was due by then
+    offered: Instant  # when it was offered last
 
     def due(self, notice: Notice, now: Instant) -> bool:
         """Whether there is something to say; what is offered once always has."""
-        policy = POLICY[notice.kind]
+        policy = notice.kind.value
         if not policy.again_s:
             return True
         return now - self.at >= GAP_S if self.key != notice.key else policy.times(now - self.begun) > self.times
@@ -237,7 +203,7 @@ class Presenter:
         """Say what is to be said of the notices of this step, loudest first."""
         self._sent = [(loud, at) for loud, at in self._sent if now - at < MINUTE_S]
         effects: list[Effect] = []
-        for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
+        for notice in sorted(notices, key=lambda notice: notice.kind.value.severity):
             before = self._said.get(notice.kind)
             if before is None or before.due(notice, now):
                 effects += self._say(notice, before, now)
@@ -250,7 +216,7 @@ class Presenter:
         return effects
 
     def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
-        policy = POLICY[notice.kind]
+        policy = notice.kind.value
         loud = policy.severity <= Severity.CRITICAL
         spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
         if spent or (before is not None and now - before.at < GAP_S):

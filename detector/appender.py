@@ -22,14 +22,10 @@ _REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another p
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a file makes room for a new one.
+    """When a file makes room for a new one."""
 
-    limit_bytes: size that it does not exceed; None for no limit.
-    keep: how many old ones stay.
-    """
-
-    limit_bytes: int | None = None
-    keep: int = 0
+    limit_bytes: int | None = None  # size that it does not exceed; None for no limit
+    keep: int = 0  # how many old ones stay
 
     @classmethod
     def of(cls, limit_mb: float, keep: int) -> "Rotation":

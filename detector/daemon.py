@@ -17,7 +17,7 @@ from detector.figures import DaemonFigures, LinkFigures
 from detector.fitting import FittingJob, ProcessFitter
 from detector.fleet import SHARE, Fleet, Turn
 from detector.guard import Guard
-from detector.journal import Journal, Lines, Recorder, Reporter, When
+from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
 from detector.relay import Relay
 from detector.requests import Handled, Requests
@@ -46,7 +46,6 @@ DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is work
 UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
-_DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
 _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
 
 
@@ -77,8 +76,7 @@ class Daemon:
     """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test.
 
     baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
-    notifier: tells the service manager; None for nobody.
-    inspections: those that are open; None keeps none.
+    notifier: tells the service manager; None for nobody. inspections: those that are open; None keeps none.
     """
 
     def __init__(
@@ -103,31 +101,26 @@ class Daemon:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
         self._airframe, self._notifier, self._web = airframe, notifier or Notifier({}), web
-        kind = parse_address(settings.connect).kind
-        self._announces = kind in _ANNOUNCING
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
-        self._passed: list[tuple[bytes, int]] = []
         self._kept, self._signing = signing, None if signing is None else signing.signing
+        kind, self._passed = parse_address(settings.connect).kind, list[tuple[bytes, int]]()
+        self._announces = kind in _ANNOUNCING
         self.fleet = Fleet(
             self._spec,
             profile=None if settings.profile is None else PROFILES[settings.profile],
             only=settings.vehicle,
-            datagrams=kind in _DATAGRAMS,
-            adapt=self._adapted,
+            datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
             most=settings.max_vehicles,
-            measured=metrics is not None,
             budget_s=SHARE * settings.tick_s,
             signing=self._signing,
             passed=self._passed if self._relay.wants else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
-        self._files = tuple((name, file) for name, file in files if file is not None)
-        takers: tuple[Lines | None, ...] = (journal, web)
-        self._reporter = Reporter([taker for taker in takers if taker], host.say, self._when, settings.save)
+        self._files = {name: file for name, file in (("journal", journal), ("record", recorder)) if file is not None}
+        self._reporter = Reporter([taker for taker in (journal, web) if taker], host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
-        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
+        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._started = self._beat_at = self._now()
         self._late, self._latest_s = 0, 0.0
         self._unclear: dict[int, str] = {}
@@ -183,11 +176,10 @@ class Daemon:
             for sysid in self._web.acknowledged():
                 self._acknowledge(sysid, "the live page")
         if now - self._beat_at >= 0:
-            self._beat()
+            self._beat(now)
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        for _, file in self._files:
-            file.flush()
+        self._flush()
 
     def end(self) -> None:
         """Judge what waits, record the open events, write the last line and the summary."""
@@ -196,14 +188,13 @@ class Daemon:
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
-        for _, file in self._files:
-            file.flush()
+        self._flush()
         self._host.say(summary)
 
     def figures(self) -> DaemonFigures:
         """Where it stands."""
         links = (LinkFigures(link.address, link.connected, link.traffic) for link in (self._link, *self._behind))
-        lost = tuple((name, file.lost) for name, file in self._files)
+        lost = tuple((name, file.lost) for name, file in self._files.items())
         counts = (self._late, self._host.cpu_s(), lost, self._guard.refused, self.fleet.delay.longest_s)
         return DaemonFigures(self.fleet.figures(), tuple(links), *counts)
 
@@ -216,22 +207,30 @@ class Daemon:
     def _unix_ns(self) -> int:
         return round(self._host.utc().timestamp() * NS_PER_S)
 
-    def _spec(self, profile: Profile) -> SessionSpec:
-        return SessionSpec(profile, self._baseline, self._settings, self._unix_ns() - self._host.now_ns())
+    def _flush(self) -> None:
+        for file in self._files.values():
+            file.flush()
 
-    def _adapted(self, sysid: int, spec: SessionSpec) -> SessionSpec | None:
-        """With the vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
+    def _note(self, text: str) -> None:
+        """About the daemon, in the journal and the log."""
+        self._reporter.mark("note", {"text": text})
+        self._host.say(text)
+
+    def _sender(self, vehicle: int) -> MavlinkSender:
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
+
+    def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
+        """By the vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
         baseline = self._baselines.get(sysid) or self._baseline
         held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
         if baseline is None and self._settings.learn is None:
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]")
             return None
-        return replace(spec, held=held, baseline=baseline)
+        return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
     def _chunks(self) -> tuple[list[Chunk], list[Source]]:
         """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
-        chunks: list[Chunk] = []
-        sources: list[Source] = []
+        chunks, sources = list[Chunk](), list[Source]()
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
@@ -248,9 +247,8 @@ class Daemon:
             self._acknowledge(sysid, whose)
         failure = None if self._kept is None else self._kept.step(self._unix_ns())
         self._carry_out(turns)
-        for text in (*texts, *((failure,) if failure else ())):
-            self._reporter.mark("note", {"text": text})
-            self._host.say(text)
+        for text in filter(None, (*texts, failure)):
+            self._note(text)
 
     def _acknowledge(self, sysid: int, whose: str) -> None:
         """Somebody has looked at a vehicle, which may not be there now."""
@@ -260,23 +258,6 @@ class Daemon:
         else:
             self._inspections.close(sysid)
             self._reporter.mark("note", {"text": f"inspection of vehicle {sysid} acknowledged by {whose}"})
-
-    def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
-
-    def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
-        """What of a link behind goes to the vehicle; what is for us is answered."""
-        handled = self._requests.from_behind(frames, self._now())
-        self._answer(handled, behind.send)
-        return handled.passed
-
-    def _answer(self, handled: Handled, send: Callable[[bytes], object]) -> None:
-        for frame in handled.answers:
-            send(frame)
-        self._carry_out(handled.turns)
-
-    def _answer_to(self, source: Source, frame: bytes) -> None:
-        self._link.answer(frame, source)
 
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
@@ -290,11 +271,11 @@ class Daemon:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
         shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
         if new and shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
-            name = self._baseline.airframe.name
             advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
+            name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
 
-    def _beat(self) -> None:
+    def _beat(self, now: Instant) -> None:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
@@ -302,20 +283,31 @@ class Daemon:
         if self._announces and not self.fleet.vehicles:
             self._link.send(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
         figures = self.figures()
-        if text := self.fleet.delay.news(self._now()):
+        if text := self.fleet.delay.news(now):
             self._host.say(text)
         if self._metrics is not None:
             self._metrics.show(figures, self._host.now_ns())
         if self._web is not None:
-            self._web.show(self.fleet, figures, self._now())
+            self._web.show(self.fleet, figures, now)
         self._notifier.status(figures.status, alive=figures.working)
+
+    def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
+        """What of a link behind goes to the vehicle; what is for us is answered."""
+        handled = self._requests.from_behind(frames, self._now())
+        self._answer(handled, behind.send)
+        return handled.passed
+
+    def _answer(self, handled: Handled, send: Callable[[bytes], object]) -> None:
+        for frame in handled.answers:
+            send(frame)
+        self._carry_out(handled.turns)
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
             for command in turn.commands:
                 source = self.fleet.link.source(command.sysid, command.compid)
                 handled = self._requests.command(command, turn.vehicle, trusted=self._signing is not None)
-                self._answer(handled, partial(self._answer_to, source))
+                self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._reporter.record(turn.vehicle, effect)
@@ -325,10 +317,9 @@ class Daemon:
 
     def _act(self, sysid: int, effect: Effect) -> None:
         """The effects that do something."""
-        sender = self._sender(sysid)
-        for frame in sender.to_all(effect):
+        for frame in self._sender(sysid).to_all(effect):
             self._relay.send_to_all(frame)
-        for frame in sender.to_vehicle(effect):
+        for frame in self._sender(sysid).to_vehicle(effect):
             self._link.send(frame)
         match effect:
             case AskInterval(msgid, interval_us):
@@ -343,9 +334,8 @@ class Daemon:
                 baseline = self.fleet.vehicles[sysid].session.baseline
                 judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)
                 self._inspections.take(sysid, effect, *judged_by, self._host.utc().isoformat(timespec="seconds"))
-            case EventOpened(event):
-                if self._metrics is not None:
-                    self._metrics.count_event(sysid, event.monitor)
+            case EventOpened(event) if self._metrics is not None:
+                self._metrics.count_event(sysid, event.monitor)
 
     def _summary(self) -> str:
         ran_s = self._now() - self._started
@@ -355,8 +345,7 @@ class Daemon:
             for vehicle in self.fleet.figures()
         )
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
-        lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files if file.lost)
+        lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files.items() if file.lost)
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
         overflowed = f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU"
-        parts = (f"stopped after {ran_s:.1f} s", *vehicles, self._guard.summary(), overflowed)
-        return "; ".join(part for part in parts if part)
+        return "; ".join(filter(None, (f"stopped after {ran_s:.1f} s", *vehicles, self._guard.summary(), overflowed)))

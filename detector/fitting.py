@@ -27,22 +27,14 @@ Outcome: TypeAlias = Baseline | LearningFailed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittingJob:
-    """One vehicle's healthy flight.
+    """One vehicle's healthy flight."""
 
-    vehicle: system id.
-    airframe: what is known of it; its name is the one that the baseline gets.
-    profile: of its link.
-    telemetry: the flight.
-    parameters: of its autopilot, by name.
-    accept: a baseline of grade D is taken, too.
-    """
-
-    vehicle: int
-    airframe: Airframe
-    profile: str
-    telemetry: Telemetry
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    accept: bool = False
+    vehicle: int  # system id
+    airframe: Airframe  # what is known of it; its name is the one that the baseline gets
+    profile: str  # of its link
+    telemetry: Telemetry  # the flight
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot, by name
+    accept: bool = False  # a baseline of grade D is taken, too
 
 
 def fit_baseline(job: FittingJob) -> Outcome:

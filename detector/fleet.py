@@ -8,12 +8,10 @@ vehicles delays those of his own source.
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import TypeAlias
-
-import numpy as np
 
 from detector.figures import VehicleFigures
 from detector.session import Session
@@ -26,98 +24,38 @@ from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.timesync import Timesync, exchanged
-from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received
-from mavdiag.telemetry import Instant, IntArray, Series, Signal
-from mavdiag.units import NS_PER_S
+from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
+from mavdiag.telemetry import Instant, Series, Signal
 
 SHARE = 0.5  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
 MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
 STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
 LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
 QUIET_S = 10.0  # between two such lines (our choice)
-AWAITED_MOST = 8192  # samples that may wait for their verdict: several seconds (our choice)
-FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
-NONE: IntArray = np.empty(0, dtype=np.int64)
 
-SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
-Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
+SpecOf: TypeAlias = Callable[[int, Profile], SessionSpec | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """What came of one vehicle's step.
+    """What came of one vehicle's step."""
 
-    vehicle: system id.
-    effects: what its session wants done.
-    commands: of others to its companion, which we are.
-    parameter_requests: of others about its companion's parameters.
-    arrived_ns, judged_ns: when the gyro samples came that were taken in this step, and those that have their verdict
-        now (host clock); empty if it is not measured.
-    """
-
-    vehicle: int
-    effects: tuple[Effect, ...]
-    commands: tuple[Command, ...] = ()
-    parameter_requests: tuple[Frame, ...] = ()
-    arrived_ns: IntArray = field(default_factory=lambda: NONE)
-    judged_ns: IntArray = field(default_factory=lambda: NONE)
-
-
-class Awaiting:
-    """Gyro samples that came and are not yet judged, by the vehicle's clock and by when they came (host)."""
-
-    def __init__(self) -> None:
-        self.t_ns = self.host_ns = NONE
-
-    def step(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> IntArray:
-        """Take in new samples; return when those came that have their verdict now.
-
-        judged_ns: the vehicle's time up to which was judged, None for nothing. now_ns: host clock.
-        """
-        t_ns, host_ns = self.t_ns, self.host_ns
-        if gyro is not None and len(gyro):
-            t_ns, host_ns = np.append(t_ns, gyro.t_ns)[-AWAITED_MOST:], np.append(host_ns, gyro.host_ns)[-AWAITED_MOST:]
-        fresh = host_ns >= now_ns - FORGET_NS
-        judged = np.zeros(len(t_ns), dtype=np.bool_) if judged_ns is None else t_ns <= judged_ns
-        self.t_ns, self.host_ns = t_ns[fresh & ~judged], host_ns[fresh & ~judged]
-        return host_ns[judged & fresh]
+    vehicle: int  # system id
+    effects: tuple[Effect, ...]  # what its session wants done
+    commands: tuple[Command, ...] = ()  # of others to its companion, which we are
+    parameter_requests: tuple[Frame, ...] = ()  # of others about its companion's parameters
+    gyro: Series | None = None  # that it took in
+    judged_ns: int | None = None  # the vehicle's time up to which was judged
 
 
 class Vehicle:
-    """One vehicle and its session.
+    """One vehicle and its session."""
 
-    outcome: what came of its last `Learn`, until the session gets it.
-    events: that were opened, so far.
-    timesync: what is known of its clock by asking; asked and answered where we may negotiate.
-    turn: when it had its last turn.
-    measured: whether the time from a sample to its verdict is measured.
-    """
-
-    def __init__(self, spec: SessionSpec, now: Instant, *, measured: bool) -> None:
-        self.session, self.turn = Session(spec, now), now
-        self.outcome: Baseline | LearningFailed | None = None
-        self.events = 0
-        self.timesync = Timesync()
-        self._awaiting = Awaiting() if measured else None
-
-    def step(self, received: Received, reboots: int, profile: Profile, now: Instant) -> tuple[Effect, ...]:
-        """Hand the session what came. profile: with the IMU message that is read."""
-        outcome, self.outcome = self.outcome, None
-        came = (received.telemetry, received.present, reboots, received.acks, outcome, received.parameters)
-        effects = self.session.step(Inbox(*came, profile.imu), now)
-        self.events += sum(isinstance(effect, EventOpened) for effect in effects)
-        if not self.session.spec.settings.negotiate:
-            return effects
-        self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
-        return (*effects, *messages)
-
-    def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
-        """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
-        if self._awaiting is None:
-            return NONE, NONE
-        gyro, judge = received.telemetry.get(Signal.BODY_RATE), self.session.judge
-        judged_ns = self._awaiting.step(gyro, None if judge is None else judge.now_ns, now.ns)
-        return NONE if gyro is None else gyro.host_ns, judged_ns
+    def __init__(self, spec: SessionSpec, now: Instant) -> None:
+        self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
+        self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.events = 0  # that were opened, so far
+        self.timesync = Timesync()  # asked and answered where we may negotiate
 
     def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
         """Begin a new session in place of the present one; return what that leaves to record."""
@@ -146,9 +84,10 @@ def due_turns(
     for sysid in sorted(judged, key=lambda sysid: judged[sysid].ns):
         queues[source_of(sysid)].append(sysid)
     rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
-    waited_s = [(sysid, now - judged[sysid]) for each in rounds for sysid in each if sysid is not None]
-    for number, (sysid, span_s) in enumerate(waited_s):
-        if has_time() or (number == 0 and span_s > MOST_S):
+    waited, none_yet = [(sysid, now - judged[sysid]) for each in rounds for sysid in each if sysid is not None], True
+    for sysid, span_s in waited:
+        if has_time() or (none_yet and span_s > MOST_S):
+            none_yet = False
             yield sysid, span_s
 
 
@@ -174,17 +113,11 @@ class Delay:
 class Fleet:
     """All vehicles on one link.
 
-    spec_of: what to do with a vehicle of a profile.
-    profile: of all vehicles, None to go by what each sends.
-    only: the one system id to watch, None for all.
-    datagrams: whether a chunk of bytes holds whole frames.
-    adapt: what is different for the vehicle of a system id; None for one that is left alone.
-    most: how many vehicles may enter.
-    measured: whether the time from a sample to its verdict is measured.
+    spec_of: what to do with the vehicle of a system id and profile; None for one that is left alone.
+    profile: of all vehicles, None to go by what each sends. only: the one system id to watch, None for all.
+    datagrams: whether a chunk of bytes holds whole frames. most: how many vehicles may enter.
     budget_s: time after which no further vehicle is judged in a look; None for all vehicles in every look.
     signing, passed: as in `LinkDecoder`.
-    vehicles: those that are watched, by system id.
-    delay: by how much verdicts are put off.
     """
 
     def __init__(
@@ -194,9 +127,7 @@ class Fleet:
         profile: Profile | None,
         only: int | None,
         datagrams: bool,
-        adapt: Adapt = lambda sysid, spec: spec,
         most: int = VEHICLES_MAX,
-        measured: bool = False,
         budget_s: float | None = None,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
@@ -205,10 +136,10 @@ class Fleet:
         self.link = LinkDecoder(
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
-        self._spec_of, self._adapt, self._measured, self.budget_s = spec_of, adapt, measured, budget_s
+        self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
+        self.budget_s, self.delay = budget_s, Delay()
+        self._spec_of = spec_of
         self._left: set[int] = set()
-        self.vehicles: dict[int, Vehicle] = {}
-        self.delay = Delay()
 
     def step(
         self,
@@ -225,14 +156,13 @@ class Fleet:
             but for one that has waited for `MOST_S`.
         """
         self.link.take(chunks, now.ns, sources)
-        streams = self.link.vehicles
-        for sysid in streams.keys() - self.vehicles.keys() - self._left:
-            spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
+        for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
+            spec = self._spec_of(sysid, self.link.vehicles[sysid].profile)
             if spec is None:
                 self._left.add(sysid)
                 self.link.give_up(sysid)
             else:
-                self.vehicles[sysid] = Vehicle(spec, now, measured=self._measured)
+                self.vehicles[sysid] = Vehicle(spec, now)
         for sysid in self._left:
             self.link.leave(sysid)
         turns: list[Turn] = []
@@ -246,8 +176,7 @@ class Fleet:
 
         spent_s: time since the end began [s]; what still waits after `STOP_S` is not judged.
         """
-        due = self._due(now, lambda: spent_s() < STOP_S)
-        turns = [self._parted(sysid, now, self._turn) for sysid, _ in due]
+        turns = [self._parted(sysid, now, self._turn) for sysid, _ in self._due(now, lambda: spent_s() < STOP_S)]
         return [*turns, *(self._parted(sysid, now, self._last_turn) for sysid in self.vehicles)]
 
     def _due(self, now: Instant, has_time: Callable[[], bool]) -> Iterator[tuple[int, float]]:
@@ -259,9 +188,16 @@ class Fleet:
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
-        effects = vehicle.step(received, stream.reboots, stream.profile, now)
-        times_ns = vehicle.times_ns(received, now)
-        return Turn(sysid, effects, received.commands, received.parameter_requests, *times_ns)
+        session, alive = vehicle.session, received.present
+        came = (received.telemetry, alive, stream.reboots, received.acks, vehicle.outcome, received.parameters)
+        vehicle.outcome = None
+        effects = session.step(Inbox(*came, stream.profile.imu), now)
+        vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
+        if session.spec.settings.negotiate:
+            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
+            effects = (*effects, *messages)
+        gyro, judged_ns = received.telemetry.get(Signal.BODY_RATE), session.judge.now_ns if session.judge else None
+        return Turn(sysid, effects, received.commands, received.parameter_requests, gyro, judged_ns)
 
     def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:
         """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""

@@ -19,16 +19,7 @@ from typing import Protocol
 
 from detector.appender import Appender, Rotation
 from detector.config import Fsync
-from detector.values import (
-    Effect,
-    EventClosed,
-    EventOpened,
-    Note,
-    Record,
-    SendText,
-    StateChanged,
-    TextSuppressed,
-)
+from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.as_json import event_json, plain
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
@@ -132,11 +123,7 @@ class Journal(Appender):
     """
 
     def __init__(
-        self,
-        path: Path,
-        warn: Callable[[str], None],
-        rotation: Rotation | None = None,
-        fsync: Fsync = Fsync.ALERT,
+        self, path: Path, warn: Callable[[str], None], rotation: Rotation | None = None, fsync: Fsync = Fsync.ALERT
     ) -> None:
         super().__init__(path, "--journal", warn, rotation)
         self._fsync, self._due = fsync, False
@@ -200,11 +187,7 @@ class Reporter:
     """
 
     def __init__(
-        self,
-        lines: Sequence[Lines],
-        say: Callable[[str], None],
-        when: Callable[[int | None], When],
-        save: Path | None,
+        self, lines: Sequence[Lines], say: Callable[[str], None], when: Callable[[int | None], When], save: Path | None
     ) -> None:
         self._lines, self._say, self._when, self._path = tuple(lines), say, when, save
         self._saved: dict[int, Path] = {}

@@ -9,7 +9,7 @@ import asyncio
 import itertools
 import threading
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -24,13 +24,36 @@ from detector.fleet import Turn
 from detector.states import State
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
-from mavdiag.telemetry import IntArray
+from mavdiag.telemetry import IntArray, Series
 from mavdiag.units import NS_PER_S
 
 CONNECTIONS = 16  # at a time: for a further one the oldest is closed (our choice)
 REQUEST_S = 2.0  # for a whole request, and for its answer (our choice)
 REQUEST_BYTES = 8192
+AWAITED_MOST = 8192  # samples that may wait for their verdict: several seconds (our choice)
+FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
 BOUNDS_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.15, 0.2, 0.5, 1.0)  # upper ends of the bins of a latency
+
+
+class Awaiting:
+    """Gyro samples that came and are not yet judged, by the vehicle's clock and by when they came (host)."""
+
+    def __init__(self) -> None:
+        self.t_ns: IntArray = np.empty(0, dtype=np.int64)
+        self.host_ns = self.t_ns
+
+    def step(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> IntArray:
+        """Take in new samples; return when those came that have their verdict now.
+
+        judged_ns: the vehicle's time up to which was judged, None for nothing. now_ns: host clock.
+        """
+        t_ns, host_ns = self.t_ns, self.host_ns
+        if gyro is not None and len(gyro):
+            t_ns, host_ns = np.append(t_ns, gyro.t_ns)[-AWAITED_MOST:], np.append(host_ns, gyro.host_ns)[-AWAITED_MOST:]
+        fresh = host_ns >= now_ns - FORGET_NS
+        judged = np.zeros(len(t_ns), dtype=np.bool_) if judged_ns is None else t_ns <= judged_ns
+        self.t_ns, self.host_ns = t_ns[fresh & ~judged], host_ns[fresh & ~judged]
+        return host_ns[judged & fresh]
 
 
 class LatencyCounts:
@@ -72,6 +95,7 @@ class Metrics(Collector):
         self._shown: _Shown | None = None
         self._events: Counter[tuple[str, str]] = Counter()
         self._look, self._verdict = LatencyCounts(), LatencyCounts()
+        self._awaiting: defaultdict[int, Awaiting] = defaultdict(Awaiting)
         registry = CollectorRegistry()
         registry.register(self)
         try:
@@ -101,8 +125,9 @@ class Metrics(Collector):
     def observe(self, turns: Iterable[Turn], now_ns: int) -> None:
         """Count how long the samples of a look waited. now_ns: its end, monotonic clock."""
         for turn in turns:
-            self._look.add(turn.arrived_ns, now_ns)
-            self._verdict.add(turn.judged_ns, now_ns)
+            if turn.gyro is not None:
+                self._look.add(turn.gyro.host_ns, now_ns)
+            self._verdict.add(self._awaiting[turn.vehicle].step(turn.gyro, turn.judged_ns, now_ns), now_ns)
 
     def close(self) -> None:
         """Stop serving."""

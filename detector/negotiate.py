@@ -32,15 +32,11 @@ _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A stream that is wanted, as it comes.
-
-    rate_hz: as measured last; 0 if it does not come, None while it is being measured.
-    steady_hz: over the last 5 s.
-    """
+    """A stream that is wanted, as it comes."""
 
     want: Want
-    rate_hz: float | None
-    steady_hz: float = 0.0
+    rate_hz: float | None  # as measured last; 0 if it does not come, None while it is being measured
+    steady_hz: float = 0.0  # over the last 5 s
 
     @property
     def right(self) -> bool:
@@ -50,24 +46,15 @@ class Seen:
 
 @dataclass(slots=True)
 class _Ask:
-    """What was asked for one message.
+    """What was asked for one message."""
 
-    tries: since its rate held last.
-    at: when it was asked for last.
-    answer: MAV_RESULT of the last acknowledgement; None if none came.
-    right_since: since when its rate is right; None while it is not.
-    resets: how often others changed a rate that had been met.
-    told: what was said of it, once each: "lack", "resets", "rate".
-    reported_hz: the rate that was reported last; None if none was.
-    """
-
-    tries: int = 0
-    at: Instant | None = None
-    answer: int | None = None
-    right_since: Instant | None = None
-    resets: int = 0
-    told: set[str] = field(default_factory=set)
-    reported_hz: float | None = None
+    tries: int = 0  # since its rate held last
+    at: Instant | None = None  # when it was asked for last
+    answer: int | None = None  # MAV_RESULT of the last acknowledgement; None if none came
+    right_since: Instant | None = None  # since when its rate is right; None while it is not
+    resets: int = 0  # how often others changed a rate that had been met
+    told: set[str] = field(default_factory=set)  # what was said of it, once each: "lack", "resets", "rate"
+    reported_hz: float | None = None  # the rate that was reported last; None if none was
 
     @property
     def refused(self) -> bool:

@@ -43,13 +43,7 @@ ALL_GROUPS = 0
 #: (GCS_MAVLink_Copter.cpp, `STREAM_...`), with the messages of other autopilots beside those of the same kind.
 GROUPS: Mapping[int, frozenset[int]] = {
     1: frozenset(  # RAW_SENSORS
-        (
-            MessageId.RAW_IMU,
-            MessageId.SCALED_IMU,
-            MessageId.SCALED_IMU2,
-            MessageId.SCALED_IMU3,
-            MessageId.HIGHRES_IMU,
-        )
+        (MessageId.RAW_IMU, MessageId.SCALED_IMU, MessageId.SCALED_IMU2, MessageId.SCALED_IMU3, MessageId.HIGHRES_IMU)
     ),
     2: frozenset(),  # EXTENDED_STATUS
     3: frozenset((MessageId.SERVO_OUTPUT_RAW, MessageId.ACTUATOR_OUTPUT_STATUS)),  # RC_CHANNELS
@@ -63,16 +57,11 @@ _TARGETS = ("target_system", "target_component")
 
 @dataclass(frozen=True, slots=True)
 class Handled:
-    """What became of frames.
+    """What became of frames."""
 
-    passed: what goes to the vehicle.
-    answers: what goes back to who sent them.
-    turns: effects for the daemon.
-    """
-
-    passed: tuple[bytes, ...] = ()
-    answers: tuple[bytes, ...] = ()
-    turns: tuple[Turn, ...] = ()
+    passed: tuple[bytes, ...] = ()  # what goes to the vehicle
+    answers: tuple[bytes, ...] = ()  # what goes back to who sent them
+    turns: tuple[Turn, ...] = ()  # effects for the daemon
 
     def __add__(self, other: "Handled") -> "Handled":
         return Handled(self.passed + other.passed, self.answers + other.answers, self.turns + other.turns)
@@ -82,14 +71,12 @@ class Handled:
 class OwnParameter:
     """One parameter of ours.
 
-    name: at most 16 bytes.
     value: what it is now, of a session and its figures.
-    span: what it may be set to; None if it is only read.
     """
 
-    name: str
+    name: str  # at most 16 bytes
     value: Callable[[Session, VehicleFigures], float] = field(repr=False)
-    span: tuple[float, float] | None = None
+    span: tuple[float, float] | None = None  # what it may be set to; None if it is only read
 
 
 def _learn_s(session: Session, figures: VehicleFigures) -> float:
@@ -118,11 +105,7 @@ class Requests:
     """
 
     def __init__(
-        self,
-        fleet: Fleet,
-        settings: Settings,
-        sender: Callable[[int], MavlinkSender],
-        signing: Signing | None = None,
+        self, fleet: Fleet, settings: Settings, sender: Callable[[int], MavlinkSender], signing: Signing | None = None
     ) -> None:
         self._fleet, self._settings, self._sender, self._signing = fleet, settings, sender, signing
         self._decoder = Decoder(GUARDED | PARAMETER_REQUESTS)

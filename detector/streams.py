@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from mavdiag.link.wants import Want, wants_of
 from mavdiag.monitors import MONITORS
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import NATIVE_TOLERANCE
-from mavdiag.telemetry import Instant, IntArray, Series, Signal, Telemetry
+from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
 
 SILENT_S = 2.0  # without a sample for so long, a stream has stopped (our choice)
@@ -57,29 +58,23 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Hindrance:
-    """A reason and the figure that goes with it."""
+    """A reason, and the same with the figure that goes with it."""
 
     reason: Reason
-    figure: str = ""
+    text: str
 
-    @property
-    def text(self) -> str:
-        """Reason and figure, as one phrase."""
-        return f"{self.reason} {self.figure}".rstrip()
+
+def _hindrance(reason: Reason, figure: str = "") -> Hindrance:
+    return Hindrance(reason, f"{reason} {figure}".rstrip())
 
 
 class Meter:
-    """The rate of one stream, by the vehicle's stamps alone: a radio or a computer that stalls changes no rate.
-
-    latest: when a sample came last (host); None if none came, or none for `SILENT_S`.
-    periods_s: the last two measurements, as far as there are any: one odd second is no change of rate.
-    samples: all so far.
-    """
+    """The rate of one stream, by the vehicle's stamps alone: a radio or a computer that stalls changes no rate."""
 
     def __init__(self, samples: int = 0) -> None:
-        self.samples = samples
-        self.latest: Instant | None = None
-        self.periods_s: tuple[float, ...] = ()
+        self.samples = samples  # all so far
+        self.latest: Instant | None = None  # when one came last (host); None if none came, or none for `SILENT_S`
+        self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
         self._t_ns: list[IntArray] = []  # since the last measurement
         self._waiting = 0
         self._recent_ns: list[int] = []  # vehicle times of the last three samples
@@ -97,8 +92,8 @@ class Meter:
         if not self.periods_s:
             return 0.0
         period_s = self.periods_s[-1]
-        steps = np.diff(self._recent_ns) / NS_PER_S
-        slow_s = float(steps.min()) if len(steps) == 2 else 0.0
+        slow_s = min((b - a for a, b in pairwise(self._recent_ns)), default=0) / NS_PER_S
+        slow_s = slow_s if len(self._recent_ns) == 3 else 0.0
         return 1.0 / (slow_s if slow_s > SLOWER * period_s else period_s)
 
     def take(self, series: Series, now: Instant) -> None:
@@ -133,21 +128,15 @@ def _period_s(t_ns: IntArray) -> float | None:
 
 
 class Streams:
-    """The streams of one vehicle.
-
-    began: since when they are observed (host).
-    armed: 0 or 1 as said last; nan if never said.
-    thrust: collective set-point, 0..1; nan if never said.
-    scale_doubt: what the accelerometer feels and the profile that would explain it, if its scale is not the profile's.
-    """
+    """The streams of one vehicle."""
 
     def __init__(self) -> None:
-        self.began: Instant | None = None
-        self.armed = self.thrust = float("nan")
-        self.scale_doubt = ""
+        self.began: Instant | None = None  # since when they are observed (host)
+        self.armed = self.thrust = float("nan")  # 0 or 1; collective set-point, 0..1: as said last; nan if never said
+        self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
         self._meters = {signal: Meter() for signal in METERED}
-        self._weighed = np.zeros(3)
-        self._weighed_samples, self._weighed_since_ns = 0, 0
+        self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
+        self._weighed_since_ns = 0
         self._scale_believed = False
 
     def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
@@ -167,15 +156,14 @@ class Streams:
 
     def _weigh(self, force: Series, profile: Profile) -> None:
         """What the accelerometer feels, of a vehicle that stands or hovers; what is doubtful is weighed again."""
-        if not self._weighed_samples:
+        if not self._weighed:
             self._weighed_since_ns = int(force.t_ns[0])
-        self._weighed = self._weighed + force.values.sum(axis=0)
-        self._weighed_samples += len(force)
-        span_ns = int(force.t_ns[-1]) - self._weighed_since_ns
-        if self._weighed_samples >= WEIGH_SAMPLES and span_ns >= WEIGH_S * NS_PER_S:
-            self.scale_doubt = scale_doubt(profile, gravity_of(self._weighed[None, :] / self._weighed_samples))
-            self._scale_believed = not self.scale_doubt
-            self._weighed, self._weighed_samples = np.zeros(3), 0
+        self._weighed.append(force.values[:_MOST])
+        span_ns, samples = int(force.t_ns[-1]) - self._weighed_since_ns, sum(map(len, self._weighed))
+        if (samples >= WEIGH_SAMPLES and span_ns >= WEIGH_S * NS_PER_S) or samples > _MOST:
+            felt = np.concatenate(self._weighed).mean(axis=0)
+            self.scale_doubt = scale_doubt(profile, gravity_of(felt[None, :]))
+            self._scale_believed, self._weighed = not self.scale_doubt, []
 
     def meter(self, signal: Signal) -> Meter:
         """The meter of a signal."""
@@ -200,9 +188,9 @@ class Streams:
     def on_ground(self, gate: GateSpec) -> Hindrance | None:
         """Why the vehicle does not count as flying, None if it does. What it never says passes, as in the gate."""
         if gate.need_armed and self.armed < 0.5:
-            return Hindrance(Reason.NOT_ARMED)
+            return _hindrance(Reason.NOT_ARMED)
         if gate.min_thrust is not None and self.thrust < gate.min_thrust:
-            return Hindrance(Reason.NOT_AIRBORNE)
+            return _hindrance(Reason.NOT_AIRBORNE)
         return None
 
 
@@ -212,18 +200,12 @@ def _latest(old: float, series: Series | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What a session needs of a vehicle's streams.
+    """What a session needs of a vehicle's streams."""
 
-    wants: the streams to ask for.
-    least_hz: slowest gyro and set-points.
-    dt_s: row period of the baseline; None without one.
-    setpoints: whether nothing can be done without set-points.
-    """
-
-    wants: tuple[Want, ...]
-    least_hz: float
-    dt_s: float | None
-    setpoints: bool
+    wants: tuple[Want, ...]  # the streams to ask for
+    least_hz: float  # slowest gyro and set-points
+    dt_s: float | None  # row period of the baseline; None without one
+    setpoints: bool  # whether nothing can be done without set-points
 
     @classmethod
     def of(
@@ -248,22 +230,22 @@ class Demand:
         """What the streams lack, None if they will do. judging: a rate must be wrong twice before it has changed."""
         gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
         if gyro.latest is None:
-            return Hindrance(Reason.NO_GYRO)
+            return _hindrance(Reason.NO_GYRO)
         if streams.scale_doubt:
-            return Hindrance(Reason.SCALE, streams.scale_doubt)
+            return _hindrance(Reason.SCALE, streams.scale_doubt)
         if self.setpoints and setpoint.latest is None:
-            return Hindrance(Reason.NO_SETPOINTS)
+            return _hindrance(Reason.NO_SETPOINTS)
         if not gyro.periods_s or (self.setpoints and not setpoint.periods_s):
-            return Hindrance(Reason.MEASURING)
+            return _hindrance(Reason.MEASURING)
         periods_s = gyro.periods_s if judging else gyro.periods_s[-1:]
         if self._slow(periods_s):
-            return Hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
+            return _hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
         if self.dt_s is not None:
             tolerance = (2.0 if judging else 1.0) * RATE_TOLERANCE
             if all(abs(period_s / self.dt_s - 1.0) > tolerance for period_s in periods_s):
-                return Hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
+                return _hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
         if self.setpoints and self._slow(setpoint.periods_s):
-            return Hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
+            return _hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
         return None
 
     def _slow(self, periods_s: Sequence[float]) -> bool:

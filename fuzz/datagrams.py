@@ -114,7 +114,10 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
     """
     settings = SessionSettings(negotiate=False)
     fleet = Fleet(
-        lambda profile: SessionSpec(profile, baseline_for(), settings), profile=None, only=VEHICLE, datagrams=True
+        lambda sysid, profile: SessionSpec(profile, baseline_for(), settings),
+        profile=None,
+        only=VEHICLE,
+        datagrams=True,
     )
     source, vehicle, now_ns = Source(seed, spoof), MadeVehicle(VEHICLE), START_NS
     alerts, events, fed, warm_mb, flown_s = list[str](), 0, 0, 0.0, 0.0

@@ -12,7 +12,8 @@ from detector.figures import DaemonFigures
 from detector.fleet import Fleet, Turn
 from detector.web.board import KEPT, is_vehicle
 from detector.web.child import ServerProcess
-from detector.web.snapshot import Snapshots, about, as_line, fleet_now
+from detector.web.snapshot import Snapshots, about, fleet_now
+from mavdiag.as_json import json_line
 from mavdiag.chain import Chain, Piece
 from mavdiag.telemetry import Instant
 
@@ -72,7 +73,7 @@ class Feed:
     def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
         """The vehicles and links, once a second."""
         sessions = {sysid: vehicle.session for sysid, vehicle in fleet.vehicles.items()}
-        self._fleet = as_line(fleet_now(figures, sessions, now, self._began))
+        self._fleet = json_line(fleet_now(figures, sessions, now, self._began))
         self._put("F", self._fleet)
 
     def acknowledged(self) -> list[int]:
@@ -116,8 +117,8 @@ class Feed:
         session = vehicle.session
         chain = None if session.judge is None else session.judge.chain
         if sysid not in self._about or self._about[sysid] is not chain:
-            if not self._put(f"A {sysid}", as_line(about(sysid, session.spec.profile.name, session.judge))):
+            if not self._put(f"A {sysid}", json_line(about(sysid, session.spec.profile.name, session.judge))):
                 return
             self._about[sysid] = chain
         pieces = self._pieces.pop(sysid, [])
-        self._put(f"N {sysid}", as_line(self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, now)))
+        self._put(f"N {sysid}", json_line(self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, now)))

@@ -1,4 +1,4 @@
-"""What the live page shows, as values that `as_line` writes as JSON. No clock, no socket.
+"""What the live page shows, as values for JSON. No clock, no socket.
 
     about   what a vehicle is judged by; sent when a chain begins
     now     where it stands, a few times a second while somebody looks, with what came since the last one
@@ -9,7 +9,6 @@ numbered by vehicle time over `BIN_NS`, low and high are the least and the great
 longest run above the margin, and no peak is lost. A bin that the next strip continues is put together with it.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -257,11 +256,3 @@ def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Inst
         "uptime_s": round(now - began, 1),
         "refused": figures.refused,
     }
-
-
-def as_line(shown: Json) -> str:
-    """The JSON of what is shown, in one line of ASCII; a number that is not finite becomes null."""
-    try:
-        return json.dumps(shown, allow_nan=False)
-    except ValueError:
-        return json.dumps(json.loads(json.dumps(shown), parse_constant=lambda name: None))

@@ -204,7 +204,10 @@ def test_alarms_that_decide_nothing_are_folded_away(chromium: Any, process: Serv
 
 def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
     """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
-    feed, nobody = Feed(process, host_now()), Fleet(SessionSpec, profile=None, only=None, datagrams=True)
+    feed, nobody = (
+        Feed(process, host_now()),
+        Fleet(lambda sysid, profile: SessionSpec(profile), profile=None, only=None, datagrams=True),
+    )
 
     def write(first: int, last: int) -> None:
         for number in range(first, last + 1):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import GAP_S, POLICY, TEXT_BYTES, Kind, Notice, Presenter, Telling, figure, label_of
+from detector.alerts import GAP_S, TEXT_BYTES, Kind, Notice, Presenter, Telling, figure, label_of
 from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
@@ -16,6 +16,7 @@ from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
 
+POLICY = {kind: kind.value for kind in Kind}
 FIGURES = (0.0, 0.09, 0.118, 0.41, 9.99, 12.34, 98.7, 1234.5, 1e9, float("inf"), float("nan"))
 CAUSES = list(itertools.product((None, 1, 4, 12), (None, "F1", "F2", "F3"), (None, 1, 3)))
 UNITS = {"fsd": "s", "unbalance": "g mm"}
@@ -158,7 +159,7 @@ def test_a_reason_is_never_cut(reason: Reason) -> None:
 
 @given(words=st.lists(st.text(max_size=80), min_size=2, max_size=2), kind=st.sampled_from(Kind))
 def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kind) -> None:
-    count = POLICY[kind].template.count("{}")
+    count = kind.value.template.count("{}")
     assert 0 < len(Notice(kind, tuple(words[:count])).text.encode()) <= TEXT_BYTES
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from detector.fleet import AWAITED_MOST, FORGET_NS, Awaiting
-from detector.metrics import BOUNDS_S, LatencyCounts
+from detector.metrics import AWAITED_MOST, BOUNDS_S, FORGET_NS, Awaiting, LatencyCounts
 from mavdiag.telemetry import Series, Signal
 
 MS = 1_000_000

@@ -21,6 +21,7 @@ from detector.working import ask_working, working
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.errors import LinkError, UsageError
 from mavdiag.monitors.base import FaultKind
+from mavdiag.telemetry import Series, Signal
 
 
 @pytest.fixture
@@ -142,9 +143,13 @@ def test_health_without_an_address_says_what_to_do() -> None:
         ask_working(None)
 
 
+def gyro(*t_ns: int) -> Series:
+    times = np.array(t_ns, dtype=np.int64)
+    return Series(Signal.BODY_RATE, times, times, np.zeros((len(times), 3)))
+
+
 def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:
-    two, one = np.array([0, 1], dtype=np.int64), np.array([2], dtype=np.int64)
-    metrics.observe([Turn(1, (), arrived_ns=two, judged_ns=two), Turn(2, (), arrived_ns=one)], 1_000_000)
+    metrics.observe([Turn(1, (), gyro=gyro(0, 1), judged_ns=1), Turn(2, (), gyro=gyro(2))], 1_000_000)
     assert (metrics._look.counts.sum(), metrics._verdict.counts.sum()) == (3, 2)
 
 
@@ -175,7 +180,7 @@ def test_a_page_is_of_one_moment(metrics: Metrics) -> None:
     bench = flown(metrics)
     before = page(metrics)
     metrics.count_event(1, "fsd")
-    metrics.observe([Turn(1, (), arrived_ns=np.array([0]), judged_ns=np.array([0]))], 10**9)
+    metrics.observe([Turn(1, (), gyro=gyro(0), judged_ns=0)], 10**9)
 
     def counted(text: str) -> list[str]:
         return [line for line in text.splitlines() if line.startswith(("mavdiag_events", "mavdiag_look_latency"))]

@@ -20,8 +20,9 @@ from detector.values import SessionSpec
 from detector.web.board import KEPT
 from detector.web.child import Place, ServerProcess
 from detector.web.feed import Feed
-from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, as_line, strips_of
+from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, strips_of
 from mavdiag.airframe.layout import layout_named
+from mavdiag.as_json import json_line
 from mavdiag.chain import Chain, Piece, chain_of
 from mavdiag.errors import UsageError
 from mavdiag.link.profiles import PROFILES
@@ -198,7 +199,7 @@ class Watched:
                 self.story.fly(0.1, **how)
                 judge = self.story.session.judge
                 pieces += judge.pieces if judge is not None else ()
-            shown = as_line(self.shown(*pieces))
+            shown = json_line(self.shown(*pieces))
         found: dict[str, Any] = json.loads(shown)
         return found
 
@@ -254,11 +255,11 @@ def slots_of(watched: Watched) -> list[Json]:
 
 
 def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
-    assert json.loads(as_line(about(1, "qdrone2", None)))["slots"] == []
+    assert json.loads(json_line(about(1, "qdrone2", None)))["slots"] == []
     watched.after(3.0)
     judge = watched.story.session.judge
     assert judge is not None
-    told = json.loads(as_line(about(1, "qdrone2", judge)))
+    told = json.loads(json_line(about(1, "qdrone2", judge)))
     assert [one["name"] for one in told["slots"]] == [slot.monitor.name for slot in judge.chain.slots]
     thesis = next(one for one in told["slots"] if one["name"] == "fsd")
     assert (thesis["axis"], thesis["margin"], thesis["threshold"]) == ("roll", 0.02, 0.3)
