@@ -25,7 +25,6 @@ from detector.journal import Journal, Recorder, kept_baselines
 from detector.notify import Notifier
 from mavdiag import commandline
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.load import airframe_from, with_layout
 from mavdiag.baseline import Baseline
 from mavdiag.chain import warm
 from mavdiag.inspections import Inspections
@@ -186,6 +185,8 @@ def _baselines(settings: Settings) -> tuple[Baseline | None, dict[int, Baseline]
 
 def _airframe(settings: Settings) -> Airframe | None:
     """What the user said of the vehicle that is learned about; None for nothing."""
+    from mavdiag.airframe.load import airframe_from, with_layout
+
     told = None if settings.airframe is None else airframe_from(settings.airframe)
     return told if settings.layout is None else with_layout(told or Airframe(), settings.layout)
 

@@ -25,7 +25,6 @@ from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change, Event, Stage
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import Severity
-from mavdiag.logs.tlog import tlog_record
 from mavdiag.units import NS_PER_S, NS_PER_US
 
 FRAME_BYTES = 8  # the shortest MAVLink frame; what is shorter is no frame
@@ -149,14 +148,17 @@ class Recorder(Appender):
     def __init__(
         self, path: Path, epoch_ns: int, warn: Callable[[str], None], rotation: Rotation | None = None
     ) -> None:
+        from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
+
         super().__init__(path, "--record", warn, rotation)
+        self._record = tlog_record
         self._epoch_ns = epoch_ns
         self._records: list[bytes] = []
 
     def write(self, frames: Iterable[bytes], host_ns: int) -> None:
         """Take frames that came at one time; `flush` appends them."""
         time_us = (self._epoch_ns + host_ns) // NS_PER_US
-        self._records += [tlog_record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
+        self._records += [self._record(time_us, frame) for frame in frames if len(frame) >= FRAME_BYTES]
 
     def flush(self) -> None:
         """Append what was taken since the last call; a reader skips what was torn."""

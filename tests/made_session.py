@@ -30,8 +30,6 @@ from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import ThresholdRule, threshold_of
 from mavdiag.units import NS_PER_S
 
-__all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
-
 RATE_HZ = 100
 A = np.array([1.0, -0.8])  # a rate loop of 45 ms at 100 Hz, gain 1
 B = np.array([0.0, 0.2])

@@ -97,26 +97,6 @@ def test_one_is_read_by_name_or_number_and_an_unknown_one_is_not_answered(benche
         assert shown(frames) == found
 
 
-@pytest.mark.parametrize("settings", [judging(), Settings(connect=UDP_IN, learn=50.0)])
-def test_it_has_no_parameters_unless_it_is_told_to(benches: Benches, settings: Settings) -> None:
-    bench = benches(settings, MadeVehicle(1), baseline=baseline_for() if settings.baseline else None)
-    bench.run(4.0)
-    assert shown(asked(bench, bench.far, STATION.encode(MessageId.PARAM_REQUEST_LIST, *US))) == []
-    assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 2.0))) == []
-    bench.run(1.0)
-    assert bench.daemon.fleet.vehicles[1].session.spec.settings.threshold_scale == 1.0
-
-
-def test_parameters_of_the_autopilot_are_never_its_business(benches: Benches) -> None:
-    bench = benches(judging(parameters=True), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    request = STATION.encode(MessageId.PARAM_SET, 1, 1, "MD_THR_SCALE", 2.0, 9)
-    assert shown(asked(bench, bench.behind[0], request)) == []
-    # The station's own request is passed on, and that is all.
-    assert [frame.sysid for frame in of(received(bench.far), MessageId.PARAM_SET)] == [255]
-    assert bench.daemon.fleet.vehicles[1].session.spec.settings.threshold_scale == 1.0
-
-
 def test_a_larger_scale_silences_a_small_fault_and_the_journal_says_who_set_what(
     benches: Benches, tmp_path: Path
 ) -> None:
@@ -174,16 +154,6 @@ def test_learning_anew_is_begun_and_given_up_by_a_parameter(benches: Benches) ->
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
 
 
-def test_what_is_learnt_anew_is_judged_by(benches: Benches) -> None:
-    fitter = FakeFitter(baseline_for())
-    bench = benches(judging(parameters=True), MadeVehicle(1), baseline=baseline_for(), fitter=fitter)
-    bench.run(4.0)
-    asked(bench, bench.far, setting("MD_LEARN_S", 5.0))
-    bench.run(14.0)
-    assert len(fitter.jobs) == 1
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
-
-
 def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benches) -> None:
     bench = benches(judging(keep_rates=True), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
     bench.run(4.0)
@@ -201,23 +171,6 @@ def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benc
     groups = of(frames, MessageId.REQUEST_DATA_STREAM)
     assert {field(one, "req_stream_id") for one in groups} == {2, 6, 11}
     assert {one.compid for one in groups} == {Component.ONBOARD_COMPUTER}
-
-
-def test_without_the_option_nothing_is_kept_back(benches: Benches) -> None:
-    bench = benches(judging(), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    received(bench.far)
-    asked(bench, bench.behind[0], STATION.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1))
-    [request] = of(received(bench.far), MessageId.REQUEST_DATA_STREAM)
-    assert (request.sysid, field(request, "req_stream_id")) == (255, 0)
-
-
-def test_a_command_to_it_from_behind_is_declined_there(benches: Benches) -> None:
-    bench = benches(judging(), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    request = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, 148)
-    [ack] = of(asked(bench, bench.behind[0], request), MessageId.COMMAND_ACK)
-    assert field(ack, "result") == MavResult.UNSUPPORTED
 
 
 def test_vehicles_beyond_the_bound_are_not_watched_and_that_is_said_once(benches: Benches) -> None:

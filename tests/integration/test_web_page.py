@@ -171,37 +171,6 @@ def test_hostile_texts_stay_text(chromium: Any, process: ServerProcess) -> None:
     assert chromium.execute_script(f"{inline}document.body.append(s); return window.hurt || 0") == 0
 
 
-def test_a_thousand_events_are_shown_in_a_bounded_list_at_once(chromium: Any, process: ServerProcess) -> None:
-    open_page(chromium, process)
-    give(process, fleet(1))
-    give(process, *(entry(k, f"PROP note {k}") for k in range(1, 2001)))
-    wait_for(lambda: rows(chromium)[:1] == [2000])
-    assert rows(chromium) == list(range(2000, 1800, -1))
-    assert chromium.execute_script("return mavdiag.entries.map((one) => one.number)") == list(range(1, 2001))
-    chromium.execute_script("document.querySelector('#only-alerts').click()")
-    give(process, entry(2001, "PROP FAULT motor 1 weak 9%", 2))
-    wait_for(lambda: rows(chromium) == [2001])
-    chromium.execute_script("document.querySelector('#only-alerts').click()")
-    wait_for(lambda: len(rows(chromium)) == 200)
-    assert complaints(chromium, process) == []
-
-
-def test_alarms_that_decide_nothing_are_folded_away(chromium: Any, process: ServerProcess) -> None:
-    open_page(chromium, process)
-    give(process, fleet())
-    wait_for(lambda: "Send the vehicle's MAVLink to" in text(chromium, "#sentence"))
-    give(process, fleet(1), about(1))
-    wait_for(lambda: chromium.execute_script("return mavdiag.about !== null"))
-    figures = {"utc": "2026-05-01T10:00:00.000Z", "vehicle": 1, "axis": "", "statistic": 2.0, "threshold": 1.0}
-    for number, monitor in enumerate(("fsd", "rotor_trim", "fsd"), 1):
-        give(process, f"J {number} {json.dumps({'kind': 'opened', 'monitor': monitor, **figures})}")
-    wait_for(lambda: "2 of monitors that do not decide" in text(chromium, "#events-count"))
-    assert rows(chromium) == [2]
-    chromium.execute_script("document.querySelector('#every-monitor').click()")
-    wait_for(lambda: rows(chromium) == [3, 2, 1])
-    assert complaints(chromium, process) == []
-
-
 def test_a_server_that_is_killed_costs_the_page_no_event(chromium: Any, process: ServerProcess) -> None:
     """The daemon's end goes on writing; the server is started again on its port, and the browser finds it by itself."""
     feed, nobody = (
@@ -286,10 +255,7 @@ def test_an_alert_of_the_detector_is_on_the_page(chromium: Any, tmp_path: Path) 
     baseline, vehicle = tmp_path / "b.json", MadeVehicle(1)
     baseline_for().save(baseline)
     options = ("--baseline", str(baseline), "--connect", "udpin:127.0.0.1:0", "--web", "0")
-    with (
-        running(*options) as (child, first),
-        open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far,
-    ):
+    with running(*options) as (child, first), open_endpoint(f"udpout:127.0.0.1:{port_of(first)}") as far:
         assert child.stderr is not None
         chromium.get(child.stderr.readline().split("web page: ")[1].strip())
         until(far, vehicle, "monitoring")

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detector.alerts import GAP_S, TEXT_BYTES, Kind, Notice, Presenter, Telling, figure, label_of
+from detector.alerts import GAP_S, TEXT_BYTES, Kind, Notice, Presenter, Telling
 from detector.streams import Reason
 from detector.values import Effect, SendText, TextSuppressed
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
-from mavdiag.link.messages import Severity
 from mavdiag.monitors import MONITORS, by_name
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Axis, Instant
@@ -112,12 +111,6 @@ def test_h3_only_news_is_critical_and_the_same_fault_that_comes_back_warns() -> 
     assert kinds(named, sensor, landed, named) == [Kind.FAULT, Kind.SENSOR, Kind.INSPECT, Kind.FAULT]
 
 
-def test_b21_monitors_go_by_their_labels_in_full() -> None:
-    for monitor in MONITORS:
-        assert label_of(monitor.name) == monitor.label
-        assert len(monitor.label) <= 10
-
-
 @pytest.mark.parametrize("stage", [Stage.FAULT, Stage.SUSPECTED, Stage.INSPECT])
 @pytest.mark.parametrize("cause", CAUSES)
 def test_an_alert_is_never_cut_whatever_its_figures(
@@ -134,11 +127,6 @@ def test_an_alert_is_never_cut_whatever_its_figures(
             assert not text(given, replace(given, seen=False), given).endswith("..")
 
 
-def test_a_link_that_is_back_is_never_cut_either() -> None:
-    for span in FIGURES:
-        assert not Notice(Kind.LINK_BACK, (figure(span, 1),)).text.endswith("..")
-
-
 def test_u4_nothing_is_ever_called_clear_or_over() -> None:
     for policy in POLICY.values():
         assert not {"clear", "over", "healthy"} & set(policy.template.lower().replace(":", "").split())
@@ -147,10 +135,7 @@ def test_u4_nothing_is_ever_called_clear_or_over() -> None:
 @pytest.mark.parametrize("reason", Reason)
 def test_a_reason_is_never_cut(reason: Reason) -> None:
     """With its figure, or after the longest progress that it can follow."""
-    words = {
-        Kind.WAITING: (f"{reason} (1000 Hz)",),
-        Kind.LEARNING: ("75", f": {reason}"),
-    }
+    words = {Kind.WAITING: (f"{reason} (1000 Hz)",), Kind.LEARNING: ("75", f": {reason}")}
     if reason in (Reason.NOT_ARMED, Reason.NOT_AIRBORNE, Reason.GAPS):
         words[Kind.MONITORING] = (f": {reason}",)
     for kind, parts in words.items():
@@ -161,29 +146,6 @@ def test_a_reason_is_never_cut(reason: Reason) -> None:
 def test_whatever_the_words_a_text_has_1_to_50_bytes(words: list[str], kind: Kind) -> None:
     count = kind.value.template.count("{}")
     assert 0 < len(Notice(kind, tuple(words[:count])).text.encode()) <= TEXT_BYTES
-
-
-def test_a_suspicion_reads_like_a_fault() -> None:
-    """It begins at 0.8 of the threshold."""
-    said = text(finding("unbalance", None, 2.1, 2.5, stage=Stage.SUSPECTED))
-    assert said == "PROP suspect rotor unknown: vibrates 0.8x"
-
-
-def test_only_declared_faults_are_critical_and_nothing_is_louder() -> None:
-    critical = {kind for kind, policy in POLICY.items() if policy.severity <= Severity.CRITICAL}
-    assert critical == {Kind.FAULT, Kind.SENSOR, Kind.CONTROL, Kind.THRUST}
-    assert {kind for kind, policy in POLICY.items() if policy.severity is Severity.WARNING} == {
-        Kind.SUSPECT,
-        Kind.AGAIN,
-        Kind.INSPECT,
-        Kind.HIDDEN,
-        Kind.OFF,
-        Kind.NOT_LEARNED,
-        Kind.NO_LAYOUT,
-        Kind.OTHER_LAYOUT,
-        Kind.OTHER_VEHICLE,
-    }
-    assert {policy.severity for policy in POLICY.values()} == {Severity.CRITICAL, Severity.WARNING, Severity.INFO}
 
 
 def test_l8_a_fault_that_lasts_is_repeated_after_5_15_60_s_and_then_every_minute() -> None:
@@ -231,20 +193,3 @@ def test_a_lasting_matter_that_the_budget_holds_back_is_counted_once_and_said_la
         effects = say(presenter, second, waiting)
         out += [(second, type(effect)) for effect in effects]
     assert out == [(6, TextSuppressed), (60, SendText)]
-
-
-def test_a_matter_that_comes_back_after_a_while_is_news() -> None:
-    presenter = Presenter()
-    say(presenter, 0.0, FAULT)
-    for tick in range(1, 40):
-        say(presenter, tick / 10)
-    assert say(presenter, 4.0, FAULT) == []
-    for tick in range(41, 95):
-        say(presenter, tick / 10)
-    effects = say(presenter, 9.5, FAULT)
-    assert [type(effect) for effect in effects] == [SendText]
-
-
-def test_the_loudest_comes_first() -> None:
-    effects = say(Presenter(), 0.0, Notice(Kind.REBOOT), FAULT)
-    assert [effect.severity for effect in effects if isinstance(effect, SendText)] == [Severity.CRITICAL, Severity.INFO]

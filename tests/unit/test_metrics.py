@@ -19,7 +19,7 @@ from detector.fleet import Turn
 from detector.metrics import Metrics
 from detector.working import ask_working, working
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
-from mavdiag.errors import LinkError, UsageError
+from mavdiag.errors import LinkError
 from mavdiag.monitors.base import FaultKind
 from mavdiag.telemetry import Series, Signal
 
@@ -101,15 +101,6 @@ def test_the_latency_counts_every_sample_that_was_judged(metrics: Metrics) -> No
     assert value(text, "look_latency_seconds_count") == bench.vehicles[0].sent
 
 
-def test_the_page_does_not_grow_with_the_time(metrics: Metrics) -> None:
-    bench = flown(metrics, vehicles=3)
-    before = len(page(metrics).splitlines())
-    bench.run(10.0)
-    after = len(page(metrics).splitlines())
-    bench.close()
-    assert after <= before + 3 * 2  # an alarm or a ratio that was absent
-
-
 def test_before_the_first_look_there_is_nothing_and_that_is_not_working(metrics: Metrics) -> None:
     assert "mavdiag_session_working" not in page(metrics)
     works, words = ask_working(f"127.0.0.1:{metrics.port}")
@@ -138,19 +129,9 @@ def test_the_verdict_of_a_page(page: str, words: str) -> None:
     assert works == (words == "working")
 
 
-def test_health_without_an_address_says_what_to_do() -> None:
-    with pytest.raises(UsageError, match="name the --metrics HOST:PORT"):
-        ask_working(None)
-
-
 def gyro(*t_ns: int) -> Series:
     times = np.array(t_ns, dtype=np.int64)
     return Series(Signal.BODY_RATE, times, times, np.zeros((len(times), 3)))
-
-
-def test_latencies_of_several_vehicles_go_into_one_histogram(metrics: Metrics) -> None:
-    metrics.observe([Turn(1, (), gyro=gyro(0, 1), judged_ns=1), Turn(2, (), gyro=gyro(2))], 1_000_000)
-    assert (metrics._look.counts.sum(), metrics._verdict.counts.sum()) == (3, 2)
 
 
 def test_refused_frames_and_the_wait_for_a_turn_are_shown(metrics: Metrics) -> None:

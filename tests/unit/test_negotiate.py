@@ -11,7 +11,7 @@ from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Reading, telling
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Want, log_remedy, messages_of, remedy, wants_of
+from mavdiag.link.wants import Want, messages_of, remedy
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 
@@ -75,13 +75,6 @@ def test_the_lack_of_a_stream_is_told_once_with_the_parameter_that_gives_it() ->
     assert said == [f"SERVO_OUTPUT_RAW does not come: {monitors}; what gives it: SRn_RC_CHAN"]
 
 
-def test_what_came_of_a_request_is_told_with_the_answer_and_the_steady_rate() -> None:
-    talk = Talk()
-    talk.wait(0.04, Seen(GYRO, 0.0))
-    talk.wait(6.0, Seen(GYRO, 100.0, 99.6), acks=(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED),))
-    assert talk.notes[-1] == "RAW_IMU: asked for 100 Hz, the autopilot answered ACCEPTED, 99.6 Hz come"
-
-
 @pytest.mark.parametrize("result", [MavResult.DENIED, None])
 def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_had(result: MavResult | None) -> None:
     talk = Talk()
@@ -92,21 +85,6 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
 
 
-def test_a_gyro_of_another_message_is_asked_for_in_the_order_of_preference() -> None:
-    for profile, own in (("ardupilot", MessageId.RAW_IMU), ("px4", MessageId.HIGHRES_IMU)):
-        [gyro] = wants_of(PROFILES[profile], (), (100.0, 45.0, 200.0), 45.0)
-        order = (MessageId.HIGHRES_IMU, MessageId.SCALED_IMU, MessageId.ATTITUDE)
-        assert (gyro.msgid, gyro.others) == (own, tuple(one for one in order if one != own))
-
-
-def test_only_gyro_and_needed_set_points_are_mandatory() -> None:
-    imu_hz = (100.0, 45.0, 200.0)
-    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0)
-    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT}
-    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0, setpoints=False)
-    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE}
-
-
 @pytest.mark.parametrize("name", ["ardupilot", "px4"])
 def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
     """Of the signals of all monitors but torque commands, which no MAVLink message carries."""
@@ -115,12 +93,6 @@ def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
     for signal in NEEDS & carried.keys():
         assert remedy(profile.autopilot, carried[signal]), signal
     assert NEEDS - carried.keys() <= {Signal.TORQUE_COMMAND, Signal.VIBRATION}
-
-
-def test_every_signal_of_a_log_has_a_remedy() -> None:
-    for signal in NEEDS - {Signal.TORQUE_COMMAND}:
-        assert log_remedy("ardupilot-log", signal), signal
-    assert remedy(Autopilot.GENERIC, MessageId.RAW_IMU) == log_remedy("crazyflie", Signal.ACTUATOR) == ""
 
 
 def read_all(autopilot: int, vehicle: dict[str, float], seconds: float = 60.0) -> tuple[dict[str, float], list[str]]:
@@ -149,10 +121,3 @@ def test_the_places_of_a_px4s_rotors_are_read_once_their_number_is_known() -> No
     assert "CA_ROTOR4_PX" not in asked
     assert "CA_ROTOR11_PX" in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
     assert "CA_ROTOR12_PX" not in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
-
-
-def test_the_filter_of_the_gyro_is_the_vehicles_own_where_it_tells_it() -> None:
-    profile = PROFILES["ardupilot"]
-    told = [profile.corner_hz({"INS_GYRO_FILTER": hz}) for hz in (40.0, 0.0)]
-    assert (profile.corner_hz({}), *told) == (20.0, 40.0, None)
-    assert PROFILES["px4"].corner_hz({"INS_GYRO_FILTER": 40.0}) is None

@@ -63,28 +63,6 @@ def test_an_abstract_socket_is_reached() -> None:
         assert one.recv(100) == b"READY=1"
 
 
-def test_without_a_manager_or_with_one_that_is_gone_nothing_happens(tmp_path: Path) -> None:
-    for place in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}):
-        notifier = Notifier(place)
-        notifier.ready()
-        notifier.close()
-
-
-def test_the_daemon_feeds_the_watchdog_once_a_second_while_a_session_works(manager: socket.socket) -> None:
-    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
-    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
-    bench = Bench(settings, baseline_for(), FakeFitter(), vehicles=[MadeVehicle(1)], notifier=notifier)
-    found = list[str]()
-    for _ in range(10):  # the queue of such a socket is short
-        bench.run(1.0)
-        found += told(manager)
-    assert found[0] == "READY=1"
-    assert 9 <= found.count("WATCHDOG=1") <= 11
-    assert any(one.startswith("STATUS=1 monitoring; ") for one in found)
-    bench.close()
-    notifier.close()
-
-
 def test_the_daemon_gives_no_sign_of_life_while_all_sessions_are_off(manager: socket.socket) -> None:
     """The baseline is of another profile."""
     notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))

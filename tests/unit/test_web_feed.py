@@ -17,7 +17,6 @@ from made_vehicle import START_NS, Bench, MadeVehicle
 from detector.config import SessionSettings, Settings
 from detector.figures import VehicleFigures
 from detector.values import SessionSpec
-from detector.web.board import KEPT
 from detector.web.child import Place, ServerProcess
 from detector.web.feed import Feed
 from detector.web.snapshot import BIN_NS, Json, Level, Snapshots, about, strips_of
@@ -91,19 +90,6 @@ def test_the_page_gets_the_lines_of_the_journal_numbered(bench: Bench, child: Fa
     assert any(one["kind"] == "text" and "FAULT" in one["text"] for one in written)
 
 
-def test_an_alert_is_handed_over_in_the_look_that_sends_it(bench: Bench, child: FakeChild) -> None:
-    bench.run(12.0)
-    bench.vehicles[0].turning = 0.5
-    for _ in range(200):
-        before = len(child.lines)
-        bench.run(0.04)
-        texts = [one for one in child.of("J")[-20:] if one["kind"] == "text" and "FAULT" in one["text"]]
-        if texts:
-            break
-    assert texts
-    assert any("FAULT" in line for line in child.lines[before:])
-
-
 def test_figures_come_only_while_somebody_looks(bench: Bench, child: FakeChild) -> None:
     bench.run(8.0)
     assert child.of("N") == []
@@ -118,14 +104,6 @@ def test_figures_come_only_while_somebody_looks(bench: Bench, child: FakeChild) 
     count = len(child.of("N"))
     bench.run(4.0)
     assert len(child.of("N")) == count
-
-
-def test_the_strips_go_on_without_a_hole(bench: Bench, child: FakeChild) -> None:
-    child.says = ["watch 1"]
-    bench.run(14.0)
-    bins = sorted({one for now in child.of("N") for strip in now["strips"] for one in strip["bins"]})
-    assert bins == list(range(bins[0], bins[-1] + 1))
-    assert (bins[-1] - bins[0]) / 20 > 8.0  # of the 14 s in the air
 
 
 def test_a_child_without_room_loses_figures_and_no_entry(bench: Bench, child: FakeChild) -> None:
@@ -158,18 +136,6 @@ def test_without_the_library_it_is_said_what_to_install(monkeypatch: pytest.Monk
     process = ServerProcess(Place("127.0.0.1", 0, None), "r", lambda line: None)
     with pytest.raises(UsageError, match=r"^--web needs aiohttp, .* pip install 'mavdiag\[web\]'$"):
         process.start()
-
-
-def test_only_so_many_entries_are_kept() -> None:
-    child = FakeChild(room=False)
-    feed = Feed(cast(ServerProcess, child), Instant(0))
-    for k in range(KEPT + 70):
-        feed.write(json.dumps({"k": k}))
-    child.room = True
-    feed.close()
-    assert child.numbers == list(range(71, KEPT + 71))
-    assert [one["k"] for one in child.of("J")] == list(range(70, KEPT + 70))
-    assert child.closed
 
 
 def test_what_pages_say_cannot_load_or_stop_it(bench: Bench, child: FakeChild) -> None:
@@ -239,16 +205,6 @@ def test_a_flight_from_waiting_to_a_fault_and_to_the_ground(watched: Watched) ->
     assert all(slot["value"] is None for slot in ground["slots"])
 
 
-def test_a_lost_link_is_off_and_says_so(watched: Watched) -> None:
-    watched.after(12.0)
-    watched.story.silence(5.0)
-    now = watched.shown()
-    assert now["level"] is Level.OFF
-    assert "nothing came for 3 s" in now["sentence"]
-    assert now["link"]["silent_s"] >= 5.0
-    assert all(slot["value"] is None and slot["reason"] for slot in now["slots"])
-
-
 def slots_of(watched: Watched) -> list[Json]:
     slots: list[Json] = about(1, "qdrone2", watched.story.session.judge)["slots"]
     return slots
@@ -267,18 +223,6 @@ def test_what_a_vehicle_is_judged_by_is_told(watched: Watched) -> None:
     airframe = replace(judge.baseline.airframe, layout=layout_named("x"))
     judge.baseline = judge.baseline.model_copy(update={"airframe": airframe})
     assert "airframe-rotor-4" in about(1, "qdrone2", judge)["drawing"]
-
-
-def test_a_stream_that_stops_is_the_reason(watched: Watched) -> None:
-    watched.after(12.0, outputs=True)
-    shown = watched.after(4.0, outputs=True, without=(Signal.ATTITUDE_SETPOINT,))
-    values = {one["name"]: slot for one, slot in zip(slots_of(watched), shown["slots"], strict=True)}
-    assert values["fsd"] == {"value": None, "reason": "no set-points"}
-    assert values["rotor_trim"]["value"] is not None
-    shown = watched.after(4.0, without=(Signal.BODY_RATE,))
-    assert (shown["state"], shown["level"]) == ("waiting", Level.NOT_JUDGED)
-    assert all(slot["value"] is None for slot in shown["slots"])
-    assert "no gyro" in shown["sentence"]
 
 
 # --- The strips: the same points however the flight is cut, and no peak is lost
@@ -326,11 +270,6 @@ def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piec
         assert min(strip["low"]) == pytest.approx(float(signal.min()), abs=1e-5)
         assert strip["bins"] == sorted(set((t_ns // BIN_NS).tolist()))
         assert len(strip["bins"]) <= rows / 4
-
-
-def test_without_rows_there_are_no_points(judged: tuple[Chain, list[Piece]]) -> None:
-    chain, _ = judged
-    assert [one["bins"] for one in strips_of(chain, [])] == [[], []]
 
 
 def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
