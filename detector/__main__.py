@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from typer.models import OptionInfo
 
-from detector.appender import Rotation
 from detector.config import SessionSettings, Settings, collect_values, example_text, load_settings, split_address
 from detector.daemon import Daemon, Host
 from detector.fitting import ProcessFitter
@@ -106,7 +105,7 @@ app.command()(detect)
 
 
 def _working(config: Path | None, given: dict[str, object]) -> None:
-    from detector.working import ask_working  # only if asked for: the import takes its time
+    from detector.check import ask_working  # only if asked for: the import takes its time
 
     values, _ = collect_values(config, given, os.environ)
     metrics = values.get("metrics")
@@ -127,12 +126,11 @@ def _serve(settings: Settings, *, reset_stamp: bool) -> None:
         behind = [stack.enter_context(open_endpoint(address, absent_ok=True)) for address in settings.forward]
         journal, recorder, metrics = None, None, None
         if settings.journal is not None:
-            rotation = Rotation.of(settings.journal_mb, settings.journal_keep)
-            journal = stack.enter_context(closing(Journal(settings.journal, _say, rotation, settings.journal_fsync)))
+            kept = (settings.journal_mb, settings.journal_keep, settings.journal_fsync)
+            journal = stack.enter_context(closing(Journal(settings.journal, _say, *kept)))
         if settings.record is not None:
-            rotation = Rotation.of(settings.record_mb, settings.record_keep)
-            epoch_ns = time.time_ns() - time.monotonic_ns()
-            recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, rotation)))
+            epoch_ns, sizes = time.time_ns() - time.monotonic_ns(), (settings.record_mb, settings.record_keep)
+            recorder = stack.enter_context(closing(Recorder(settings.record, epoch_ns, _say, *sizes)))
         if settings.metrics is not None:
             metrics = stack.enter_context(closing(_metrics(settings.metrics)))
         daemon = Daemon(

@@ -17,7 +17,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Protocol
 
-from detector.appender import Appender, Rotation
+from detector.appender import Appender
 from detector.config import Fsync
 from detector.values import Effect, EventClosed, EventOpened, Note, Record, SendText, StateChanged, TextSuppressed
 from mavdiag.as_json import event_json, plain
@@ -122,9 +122,14 @@ class Journal(Appender):
     """
 
     def __init__(
-        self, path: Path, warn: Callable[[str], None], rotation: Rotation | None = None, fsync: Fsync = Fsync.ALERT
+        self,
+        path: Path,
+        warn: Callable[[str], None],
+        limit_mb: float | None = None,
+        keep: int = 0,
+        fsync: Fsync = Fsync.ALERT,
     ) -> None:
-        super().__init__(path, "--journal", warn, rotation)
+        super().__init__(path, "--journal", warn, limit_mb, keep)
         self._fsync, self._due = fsync, False
 
     def write(self, text: str, *, urgent: bool = False) -> None:
@@ -146,11 +151,11 @@ class Recorder(Appender):
     """
 
     def __init__(
-        self, path: Path, epoch_ns: int, warn: Callable[[str], None], rotation: Rotation | None = None
+        self, path: Path, epoch_ns: int, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
     ) -> None:
         from mavdiag.logs.tlog import tlog_record  # only with a recording: it brings the readers of logs
 
-        super().__init__(path, "--record", warn, rotation)
+        super().__init__(path, "--record", warn, limit_mb, keep)
         self._record = tlog_record
         self._epoch_ns = epoch_ns
         self._records: list[bytes] = []

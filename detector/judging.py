@@ -27,21 +27,14 @@ LOOK_NS = 2 * NS_PER_S  # between two looks for a hidden flight (our choice)
 
 
 class Judge:
-    """A baseline and its chain at work.
-
-    judged: when anything was judged last (host).
-    judged_s: flight time in which a deciding monitor judged, so far.
-    flight_s: flight time so far.
-    gauges: the latest value of every monitor that has one.
-    pieces: what the latest step gave, for a display.
-    """
+    """A baseline and its chain at work."""
 
     def __init__(self, baseline: Baseline, chain: Chain, now: Instant, held: Diagnosis = NOTHING_SEEN) -> None:
         self.baseline, self.chain = baseline, chain
-        self.judged = now
-        self.judged_s = self.flight_s = 0.0
-        self.gauges: tuple[Gauge, ...] = ()
-        self.pieces: tuple[Piece, ...] = ()
+        self.judged = now  # when anything was judged last (host)
+        self.judged_s = self.flight_s = 0.0  # flight time in which a deciding monitor judged, and all, so far
+        self.pieces: tuple[Piece, ...] = ()  # what the latest step gave, for a display
+        self._latest = ChainOutput()
         self._memory = chain.start(held)
         self._sight = _Sight(chain)
 
@@ -49,6 +42,11 @@ class Judge:
     def hidden(self) -> str:
         """Why nothing is judged although it flies; empty if it is judged, or does not fly."""
         return self._sight.hidden
+
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """The latest value of every monitor that has one."""
+        return self._latest.gauges
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -70,14 +68,14 @@ class Judge:
         self._memory, output = self.chain.step(self._memory, telemetry)
         self.judged = now if output.judged_s > 0 else self.judged
         self._count(output)
-        self.gauges, self.pieces = output.gauges or self.gauges, output.pieces
+        self._latest, self.pieces = output if output.pieces else self._latest, output.pieces
         self._sight.step(telemetry, output)
         return output
 
     def end_flight(self) -> ChainOutput:
         """The flight cannot be followed any longer: what is open is closed."""
         self._memory, output = self.chain.end_flight(self._memory)
-        self.gauges, self.pieces = (), ()
+        self._latest, self.pieces = ChainOutput(), ()
         return output
 
     def finish(self) -> tuple[Record, ...]:
@@ -89,7 +87,7 @@ class Judge:
         changes = output.changes
         if diagnosis.stage is Stage.FAULT:
             changes = (*changes, Change.of(held, self.now_ns or 0))
-        self._memory = replace(self._memory, decision=self.chain.decision.start(held))
+        self._memory = self.chain.start(held)
         latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
         return (*(EventClosed(event) for event in latest.values()), *changes)
 

@@ -10,8 +10,7 @@ import itertools
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from prometheus_client import CollectorRegistry
@@ -78,21 +77,12 @@ class LatencyCounts:
         return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), self.sum_s)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
-    """All figures at a moment, which nothing changes any more. at_ns: that moment, monotonic clock."""
-
-    figures: DaemonFigures
-    at_ns: int
-    events: Mapping[tuple[str, str], int]
-    latencies: tuple[HistogramMetricFamily, ...]
-
-
 class Metrics(Collector):
     """Serves http://HOST:PORT/metrics. Raises LinkError if the port cannot be had."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._shown: _Shown | None = None
+        # All figures of a moment, that moment (monotonic clock), and what was counted by then; nothing changes them.
+        self._shown: tuple[DaemonFigures, int, dict[tuple[str, str], int], tuple[Metric, ...]] | None = None
         self._events: Counter[tuple[str, str]] = Counter()
         self._look, self._verdict = LatencyCounts(), LatencyCounts()
         self._awaiting: defaultdict[int, Awaiting] = defaultdict(Awaiting)
@@ -116,7 +106,7 @@ class Metrics(Collector):
             self._look.family("look_latency", "From the arrival of a gyro sample to the end of its look."),
             self._verdict.family("verdict_latency", "From the arrival of a gyro sample to its verdict."),
         )
-        self._shown = _Shown(figures, now_ns, dict(self._events), latencies)
+        self._shown = (figures, now_ns, dict(self._events), latencies)
 
     def count_event(self, vehicle: int, monitor: str) -> None:
         """One more alarm."""
@@ -135,11 +125,10 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """All figures, as Prometheus asks for them (from its own thread)."""
-        shown = self._shown
-        if shown is None:
+        if self._shown is None:
             return
-        figures = shown.figures
-        age_s = (time.monotonic_ns() - shown.at_ns) / NS_PER_S
+        figures, at_ns, events, latencies = self._shown
+        age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
         working = float(figures.working)
         delay = "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do."
         overflowed = figures.links[0].traffic.overflowed
@@ -157,7 +146,7 @@ class Metrics(Collector):
         for name, text, labels, counts in (
             ("entries_lost", "Entries that could not be written.", ("file",), lost),
             ("frames_refused", "Frames that were not heard.", ("cause",), refused),
-            ("events", "Alarms of the monitors.", ("vehicle", "monitor"), shown.events.items()),
+            ("events", "Alarms of the monitors.", ("vehicle", "monitor"), events.items()),
         ):
             family = CounterMetricFamily(f"mavdiag_{name}", text, labels=labels)
             for values, count in counts:
@@ -165,7 +154,7 @@ class Metrics(Collector):
             yield family
         yield from _links(figures)
         yield from _vehicles(figures.vehicles)
-        yield from shown.latencies
+        yield from latencies
 
 
 def _links(figures: DaemonFigures) -> Iterator[Metric]:

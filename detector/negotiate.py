@@ -9,10 +9,11 @@ IMU message of its profile, those of `Want.others` are asked for in turn. Only w
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from detector.alerts import Kind, Notice
+from detector.streams import Streams
 from detector.values import AskInterval, Effect, Note
 from mavdiag.link.codec import message_name
 from mavdiag.link.messages import MavCmd, MavResult
@@ -28,20 +29,6 @@ SETTLE_S = 2.5  # after a request, before rates are reported (our choice)
 ACK_S = 2.0  # an acknowledgement that has not come by then is lost; no later than the next request (our choice)
 _US_PER_S = 1_000_000
 _REFUSED = (MavResult.DENIED, MavResult.UNSUPPORTED, MavResult.FAILED)
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """A stream that is wanted, as it comes."""
-
-    want: Want
-    rate_hz: float | None  # as measured last; 0 if it does not come, None while it is being measured
-    steady_hz: float = 0.0  # over the last 5 s
-
-    @property
-    def right(self) -> bool:
-        """Whether its rate will do."""
-        return self.rate_hz is not None and self.want.least_hz <= self.rate_hz <= self.want.most_hz
 
 
 @dataclass(slots=True)
@@ -91,28 +78,28 @@ class Negotiation:
         self._asks: defaultdict[int, _Ask] = defaultdict(_Ask)
         self._awaited: list[tuple[int, Instant]] = []  # messages whose acknowledgement has not come, in order
 
-    def step(self, seen: Sequence[Seen], acks: Sequence[Ack], now: Instant) -> tuple[list[Effect], list[Notice]]:
+    def step(
+        self, wants: Sequence[Want], streams: Streams, acks: Sequence[Ack], now: Instant
+    ) -> tuple[list[Effect], list[Notice]]:
         """Take in acknowledgements and measured rates; return what to ask and what to say."""
         effects: list[Effect] = [*self._acknowledged(acks, now)]
-        for stream in seen:
-            if stream.rate_hz is None:
+        rates_hz = {want.msgid: streams.rate_hz(want.signal, now) for want in wants}
+        for want in wants:
+            rate_hz = rates_hz[want.msgid]
+            if rate_hz is None:  # it is being measured
                 continue
-            msgid = self._message(stream, now)
-            ask = self._asks[msgid]
-            ask.look(stream.right, now)
-            if not stream.right and ask.due(now):
-                effects.append(AskInterval(msgid, round(_US_PER_S / stream.want.ask_hz)))
+            # Of the messages that carry the signal the first that may still come.
+            others = () if rate_hz else want.others
+            carriers = (msgid for msgid in (want.msgid, *others) if rate_hz or not self._asks[msgid].vain(now))
+            msgid = next(carriers, want.msgid)
+            ask, right = self._asks[msgid], want.least_hz <= rate_hz <= want.most_hz
+            ask.look(right, now)
+            if not right and ask.due(now):
+                effects.append(AskInterval(msgid, round(_US_PER_S / want.ask_hz)))
                 ask.tries, ask.at = ask.tries + 1, now
                 self._awaited.append((msgid, now))
-            effects += self._told(ask, msgid, stream, now)
-        return effects, self._reported(seen, now)
-
-    def _message(self, stream: Seen, now: Instant) -> int:
-        """The message to ask for: of those that carry the signal the first that may still come."""
-        want = stream.want
-        if stream.rate_hz:
-            return want.msgid
-        return next((msgid for msgid in (want.msgid, *want.others) if not self._asks[msgid].vain(now)), want.msgid)
+            effects += self._told(ask, msgid, want, rate_hz and (streams.meter(want.signal).steady_hz or rate_hz), now)
+        return effects, self._reported(rates_hz, now)
 
     def _acknowledged(self, acks: Sequence[Ack], now: Instant) -> list[Note]:
         """Acknowledgements are taken to come in the order of the requests; MAVLink has nothing better for them."""
@@ -125,26 +112,26 @@ class Negotiation:
                 notes.append(Note(f"{message_name(msgid)}: the autopilot answered {_result(ack.result)}"))
         return notes
 
-    def _told(self, ask: _Ask, msgid: int, stream: Seen, now: Instant) -> list[Note]:
-        """What came of the requests for a message: each thing once."""
-        name, want = message_name(msgid), stream.want
-        if not stream.rate_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
+    def _told(self, ask: _Ask, msgid: int, want: Want, steady_hz: float, now: Instant) -> list[Note]:
+        """What came of the requests for a message: each thing once. steady_hz: 0 if it does not come."""
+        name = message_name(msgid)
+        if not steady_hz and "lack" not in ask.told and (ask.refused or ask.tries >= VAIN):
             ask.told.add("lack")
             return [Note(_lack(name, want, remedy(self._autopilot, msgid)))]
         if ask.resets >= OFTEN and "resets" not in ask.told:
             ask.told.add("resets")
             why = f"its rate was changed {ask.resets} times; does a ground station set it?"
             return [Note(f"{name}: {why} (MAVProxy: set streamrate -1)")]
-        if stream.rate_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
+        if steady_hz and ask.at is not None and now - ask.at >= HELD_S and "rate" not in ask.told:
             ask.told.add("rate")
             answer = "did not answer" if ask.answer is None else f"answered {_result(ask.answer)}"
-            came = f"the autopilot {answer}, {stream.steady_hz:.1f} Hz come"
+            came = f"the autopilot {answer}, {steady_hz:.1f} Hz come"
             return [Note(f"{name}: asked for {want.ask_hz:g} Hz, {came}")]
         return []
 
-    def _reported(self, seen: Sequence[Seen], now: Instant) -> list[Notice]:
+    def _reported(self, rates_hz: Mapping[int, float | None], now: Instant) -> list[Notice]:
         """Report the rates that were got, once whatever was asked for has been measured or has had its time."""
-        asked = [(stream.want.msgid, self._asks[stream.want.msgid], stream.rate_hz) for stream in seen]
+        asked = [(msgid, self._asks[msgid], rate_hz) for msgid, rate_hz in rates_hz.items()]
         fresh = [(msgid, ask, hz) for msgid, ask, hz in asked if ask.at and hz and not _like(hz, ask.reported_hz)]
         if not fresh or any(ask.at is not None and now - ask.at < SETTLE_S for _, ask, _ in asked):
             return []

@@ -10,7 +10,7 @@ from typing import ClassVar, Final
 
 from detector.alerts import Kind, NamedValues, Notice, Presenter, Telling, figure
 from detector.judging import Judge, chain_for, layout_notices, notes_on, records_of, vehicle_notices, words_of
-from detector.negotiate import Negotiation, Seen
+from detector.negotiate import Negotiation
 from detector.states import TABLE, State, Trigger, advance
 from detector.streams import Collection, Demand, Hindrance, Reason, Streams
 from detector.values import AskParameters, Effect, Inbox, Learn, LearningFailed, Note, SessionSpec, StateChanged
@@ -183,11 +183,7 @@ class Session:
             self._effects.append(Note(f"the vehicle does not feel 1 g by the scale of the profile {own.name}, {felt}"))
         if not self._settings.negotiate or self.state in (State.FITTING, State.FAULTED):
             return
-        seen = [
-            Seen(want, streams.rate_hz(want.signal, now), streams.meter(want.signal).steady_hz)
-            for want in self._demand(inbox).wants
-        ]
-        effects, notices = self._negotiation.step(seen, inbox.acks, now)
+        effects, notices = self._negotiation.step(self._demand(inbox).wants, streams, inbox.acks, now)
         self._effects += effects
         self._notices += notices
         if self.baseline is None:  # what they tell of rotors and filter is learnt with the flight

@@ -30,6 +30,7 @@ from mavdiag.link.wants import LABELS
 from mavdiag.monitors.base import Feature
 from mavdiag.rows.statistic import Statistic
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Signal
+from mavdiag.traces import SlotTrace, slot_traces
 from mavdiag.units import NS_PER_S
 
 STALE_S = 1.5  # without rows for so long, nothing is judged now (our choice)
@@ -58,26 +59,23 @@ def about(vehicle: int, profile: str, judge: Judge | None) -> Json:
 
     drawing: of its airframe, SVG; "" where the rotor layout is not known.
     """
-    named = {"vehicle": vehicle, "airframe": "", "profile": profile, "layout": "", "drawing": "", "slots": []}
+    named: Json = {"vehicle": vehicle, "airframe": "", "profile": profile, "layout": "", "drawing": "", "slots": []}
     if judge is None:
         return named
     airframe = judge.baseline.airframe
     named |= {"airframe": airframe.name, "layout": judge.baseline.layout_statement}
     if airframe.layout is not None:
         named["drawing"] = airframe_svg(airframe.layout, title=f"airframe of {airframe.name}", prefix="airframe")
-    named["slots"] = [
-        {
-            "name": slot.monitor.name,
-            "label": label_of(slot.monitor.name),
-            "axis": slot.monitor.axis or "",
-            "unit": slot.monitor.unit,
-            "threshold": slot.threshold,
-            "decides": slot.decides,
-            "margin": slot.monitor.reference if slot.monitor.name == "fsd" else None,
-        }
-        for slot in judge.chain.slots
-    ]
+    for slot in judge.chain.slots:
+        monitor = slot.monitor
+        margin = monitor.reference if monitor.name == "fsd" else None
+        told = {"label": label_of(monitor.name), "axis": monitor.axis or "", "margin": margin}
+        named["slots"].append(_picked(monitor, "name", "unit") | _picked(slot, "threshold", "decides") | told)
     return named
+
+
+def _picked(value: object, *names: str) -> Json:
+    return {name: getattr(value, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,37 +105,25 @@ class Snapshots:
             self._chain, self._seen, self._accounts, self._rows = chain, {}, (), None
         slots, strips = list[Json](), list[Json]()
         if judge is not None:
-            self._take(judge.chain, pieces, now)
-            slots, strips = self._slots(judge, session, now), strips_of(judge.chain, pieces)
+            traces = slot_traces(judge.chain, pieces)
+            self._rows = now if pieces else self._rows
+            self._seen |= {number: _seen(trace, now) for number, trace in enumerate(traces) if len(trace.found)}
+            slots, strips = self._slots(judge, session, now), strips_of(traces)
             self._accounts = judge.accounts
         known = (seen.rises for seen in self._seen.values() if seen.rises and seen.value is not None)
+        rates = [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates]
+        link = {"silent_s": round(now - session.latest, 2), "rates": rates} | _picked(figures.timesync, "round_trip_s")
         return {
-            "vehicle": figures.vehicle,
+            **_picked(figures, "vehicle", "events"),
+            **_picked(session, "state", "reason"),
             **_verdict(session, any(slot["value"] is not None for slot in slots)),
             "rises": next(known, ()),
-            "state": session.state,
-            "reason": session.reason,
             "judged_s": round(figures.judged_s, 1),
             "flight_s": round(figures.flight_s, 1),
-            "events": figures.events,
             "slots": slots,
             "strips": strips,
-            "link": {
-                "received": figures.received,
-                "lost": figures.lost,
-                "silent_s": round(now - session.latest, 2),
-                "rates": [(LABELS[Signal(name)], round(hertz, 1)) for name, hertz in figures.rates],
-                "round_trip_s": figures.timesync.round_trip_s,
-                "drift_ppm": figures.drift_ppm,
-            },
+            "link": link | _picked(figures, "received", "lost", "drift_ppm"),
         }
-
-    def _take(self, chain: Chain, pieces: Sequence[Piece], now: Instant) -> None:
-        self._rows = now if pieces else self._rows
-        for number, slot in enumerate(chain.slots):
-            found = [piece.found[number] for piece in pieces if len(piece.found[number])]
-            if found:
-                self._seen[number] = _seen(found, now, rises=slot.monitor.feature == Feature.RISE)
 
     def _slots(self, judge: Judge, session: Session, now: Instant) -> list[Json]:
         stale = self._rows is None or now - self._rows > STALE_S
@@ -157,12 +143,12 @@ class Snapshots:
         return slots
 
 
-def _seen(found: Sequence[Statistic], now: Instant, *, rises: bool) -> _Seen:
-    highest = (float(np.maximum.reduce(part.value, where=part.valid, initial=-np.inf)) for part in found)
-    values, last = [value for value in highest if math.isfinite(value)], found[-1]
-    known = tuple(round(rise, 4) for rise in last.rotors[-1].tolist()) if rises and len(last.rotors) else ()
-    known = known if all(math.isfinite(rise) for rise in known) else ()
-    return _Seen(now, round(max(values), 5) if values else None, last.period_s, known)
+def _seen(trace: SlotTrace, now: Instant) -> _Seen:
+    found = trace.found
+    value = float(np.max(found.value, where=found.valid & np.isfinite(found.value), initial=-np.inf))
+    rises = found.rotors[-1].tolist() if trace.slot.monitor.feature == Feature.RISE and len(found.rotors) else []
+    known = tuple(round(rise, 4) for rise in rises) if all(map(math.isfinite, rises)) else ()
+    return _Seen(now, round(value, 5) if math.isfinite(value) else None, found.period_s, known)
 
 
 def _why(account: Account, before: Account) -> str:
@@ -173,28 +159,26 @@ def _why(account: Account, before: Account) -> str:
     return reason if grown.get(reason, 0.0) > 0 else WAITING
 
 
-def strips_of(chain: Chain, pieces: Sequence[Piece]) -> list[Json]:
-    """One for each axis of the thesis rule; without rows, without points. pieces: of the chain's outputs, in order."""
+def strips_of(traces: Sequence[SlotTrace]) -> list[Json]:
+    """One for each axis of the thesis rule; without rows, without points."""
     return [
-        {"axis": slot.monitor.axis, **_points([piece.found[number] for piece in pieces if len(piece.found[number])])}
-        for number, slot in enumerate(chain.slots)
-        if slot.monitor.name == "fsd"
+        {"axis": trace.slot.monitor.axis, **_points(trace.found)}
+        for trace in traces
+        if trace.slot.monitor.name == "fsd"
     ]
 
 
-def _points(found: Sequence[Statistic]) -> Json:
-    if not found:
+def _points(found: Statistic) -> Json:
+    if not len(found):
         return {"bins": [], "low": [], "high": [], "fsd_s": [], "judged": []}
-    bins: IntArray = np.concatenate([part.t_ns for part in found]) // BIN_NS
+    bins: IntArray = found.t_ns // BIN_NS
     starts = np.concatenate((_FIRST, (bins[1:] != bins[:-1]).nonzero()[0] + 1))
-    signal = np.concatenate([part.signal for part in found])
-    valid = np.concatenate([part.valid for part in found])
     return {
         "bins": bins[starts].tolist(),
-        "low": _shown(np.minimum.reduceat(signal, starts)),
-        "high": _shown(np.maximum.reduceat(signal, starts)),
-        "fsd_s": _shown(np.maximum.reduceat(np.concatenate([part.value for part in found]), starts)),
-        "judged": np.logical_or.reduceat(valid, starts).tolist(),
+        "low": _shown(np.minimum.reduceat(found.signal, starts)),
+        "high": _shown(np.maximum.reduceat(found.signal, starts)),
+        "fsd_s": _shown(np.maximum.reduceat(found.value, starts)),
+        "judged": np.logical_or.reduceat(found.valid, starts).tolist(),
     }
 
 
@@ -228,31 +212,8 @@ def fleet_now(figures: DaemonFigures, sessions: Mapping[int, Session], now: Inst
         session = sessions[vehicle.vehicle]
         judge = session.judge
         verdict = _verdict(session, judge is not None and now - judge.judged <= STALE_S)
-        vehicles.append(
-            {
-                "vehicle": vehicle.vehicle,
-                "state": vehicle.state,
-                "level": verdict["level"],
-                "sentence": verdict["sentence"],
-                "received": vehicle.received,
-                "lost": vehicle.lost,
-            }
-        )
-    links = [
-        {
-            "address": link.address,
-            "connected": link.connected,
-            "sent": link.traffic.sent,
-            "dropped": link.traffic.dropped,
-            "overflowed": link.traffic.overflowed,
-        }
-        for link in figures.links
-    ]
-    return {
-        "vehicles": vehicles,
-        "links": links,
-        "late": figures.late,
-        "cpu_s": round(figures.cpu_s, 2),
-        "uptime_s": round(now - began, 1),
-        "refused": figures.refused,
-    }
+        vehicles.append(verdict | _picked(vehicle, "vehicle", "state", "received", "lost"))
+    counts = ("sent", "dropped", "overflowed")
+    links = [_picked(link, "address", "connected") | _picked(link.traffic, *counts) for link in figures.links]
+    rounded = {"cpu_s": round(figures.cpu_s, 2), "uptime_s": round(now - began, 1)}
+    return {"vehicles": vehicles, "links": links} | _picked(figures, "late", "refused") | rounded

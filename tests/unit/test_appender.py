@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from detector.appender import Appender, Rotation
+from detector.appender import MB, Appender
 from detector.config import Fsync
 from detector.journal import Journal
 from mavdiag.errors import UsageError
@@ -13,7 +13,7 @@ from mavdiag.errors import UsageError
 
 def appender(path: Path, limit: int, keep: int) -> tuple[Appender, list[str]]:
     said: list[str] = []
-    return Appender(path, "--journal", said.append, Rotation(limit, keep)), said
+    return Appender(path, "--journal", said.append, None if limit is None else limit / MB, keep), said
 
 
 def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path) -> None:

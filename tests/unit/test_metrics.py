@@ -14,10 +14,10 @@ import pytest
 from made_session import baseline_for
 from made_vehicle import Bench, MadeVehicle
 
+from detector.check import ask_working, working
 from detector.config import Settings
 from detector.fleet import Turn
 from detector.metrics import Metrics
-from detector.working import ask_working, working
 from mavdiag.decision.diagnosis import Diagnosis, RotorSpan, Stage
 from mavdiag.errors import LinkError
 from mavdiag.monitors.base import FaultKind

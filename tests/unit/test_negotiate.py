@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
-from detector.negotiate import HELD_S, Negotiation, Seen
+from detector.negotiate import HELD_S, Negotiation
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Reading, telling
@@ -24,6 +25,28 @@ OUTPUTS = Want(Signal.ACTUATOR, MessageId.SERVO_OUTPUT_RAW, 25.0, 10.0)
 
 
 @dataclass
+class Seen:
+    """A stream that is wanted, as it comes; its own meter."""
+
+    want: Want
+    hz: float
+    steady_hz: float = 0.0
+
+
+class Streams:
+    """In place of the measured ones."""
+
+    def __init__(self, *seen: Seen) -> None:
+        self._seen = {stream.want.signal: stream for stream in seen}
+
+    def rate_hz(self, signal: Signal, now: Instant) -> float:
+        return self._seen[signal].hz
+
+    def meter(self, signal: Signal) -> Seen:
+        return self._seen[signal]
+
+
+@dataclass
 class Talk:
     """A negotiation, and all that came of it with its time [s]."""
 
@@ -36,7 +59,8 @@ class Talk:
         for _ in range(round(seconds / TICK_S)):
             self.ticks += 1
             now = Instant(round(self.ticks * TICK_S * 1e9))
-            effects, _ = self.negotiation.step(seen, acks, now)
+            streams: Any = Streams(*seen)
+            effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
             self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
             self.notes += [one.text for one in effects if isinstance(one, Note)]

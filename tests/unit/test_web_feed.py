@@ -26,6 +26,7 @@ from mavdiag.chain import Chain, Piece, chain_of
 from mavdiag.errors import UsageError
 from mavdiag.link.profiles import PROFILES
 from mavdiag.telemetry import Axis, Instant, Signal
+from mavdiag.traces import SlotTrace, slot_traces
 
 SETTINGS = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
 
@@ -253,8 +254,8 @@ def merged(strips: list[Json]) -> dict[int, tuple[float, float, float, bool]]:
 @pytest.mark.parametrize("size", [1, 2, 7])
 def test_any_cut_gives_the_same_points(judged: tuple[Chain, list[Piece]], size: int) -> None:
     chain, pieces = judged
-    whole = strips_of(chain, pieces)
-    parts = [strips_of(chain, pieces[i : i + size]) for i in range(0, len(pieces), size)]
+    whole = strips_of(slot_traces(chain, pieces))
+    parts = [strips_of(slot_traces(chain, pieces[i : i + size])) for i in range(0, len(pieces), size)]
     assert [one["axis"] for one in whole] == [Axis.ROLL, Axis.PITCH]
     for number, one in enumerate(whole):
         assert merged([part[number] for part in parts]) == merged([one])
@@ -263,7 +264,7 @@ def test_any_cut_gives_the_same_points(judged: tuple[Chain, list[Piece]], size: 
 def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piece]]) -> None:
     chain, pieces = judged
     rows = sum(len(piece.rows.rates) for piece in pieces)
-    for number, strip in enumerate(strips_of(chain, pieces)):
+    for number, strip in enumerate(strips_of(slot_traces(chain, pieces))):
         signal = np.concatenate([piece.found[number].signal for piece in pieces])
         t_ns = np.concatenate([piece.found[number].t_ns for piece in pieces])
         assert max(strip["high"]) == pytest.approx(float(signal.max()), abs=1e-5)
@@ -275,5 +276,5 @@ def test_no_peak_is_lost_and_there_are_few_points(judged: tuple[Chain, list[Piec
 def test_a_model_that_runs_away_gives_figures_all_the_same(judged: tuple[Chain, list[Piece]]) -> None:
     chain, pieces = judged
     wild = [replace(one, signal=np.where(one.signal > 0, np.inf, np.nan)) for one in pieces[0].found]
-    for strip in strips_of(chain, [Piece(pieces[0].rows, tuple(wild))]):
+    for strip in strips_of([SlotTrace(slot, found) for slot, found in zip(chain.slots, wild, strict=True)]):
         assert np.isfinite([*strip["low"], *strip["high"]]).all()
