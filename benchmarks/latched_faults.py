@@ -101,7 +101,7 @@ def judged(baseline: Baseline, seed: int, event: str, say: Callable[[str], None]
     with tempfile.TemporaryDirectory() as folder:
         session, texts = told(baseline, telemetry, event, Path(folder) / "journal")
     loud = [at for at, one in texts if one.severity <= Severity.CRITICAL]
-    held = session.state.diagnosis.stage in (Stage.FAULT, Stage.INSPECT)
+    held = session.diagnosis.stage in (Stage.FAULT, Stage.INSPECT)
     again = any(at >= ARMED_S and "inspect before flight" in one.text for at, one in texts)
     say("; ".join(f"{at:.1f} {one.text}" for at, one in texts if at > ONSET_S))
     return Counter(

@@ -23,7 +23,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -35,6 +35,7 @@ from web_page import browser, give, serving
 
 from detector.config import Settings
 from detector.fleet import Fleet, Turn
+from detector.web.child import ServerProcess
 from detector.web.feed import Feed
 from mavdiag.baseline import Baseline
 from mavdiag.link.codec import Decoder, decode_statustext
@@ -180,7 +181,7 @@ def own_share(folder: Path, rate: int) -> None:
 
 
 def _share(folder: Path, frames: list[tuple[float, int, bytes]], *says: str) -> float:
-    feed, spent_ns = TimedFeed(Deaf(*says), Instant(START_NS)), 0
+    feed, spent_ns = TimedFeed(cast(ServerProcess, Deaf(*says)), Instant(START_NS)), 0
     baseline = Baseline.load(folder / "baseline.json")
     bench = Bench(Settings(connect="udpin:127.0.0.1:0", baseline=folder / "baseline.json"), baseline, web=feed)
     at = 0

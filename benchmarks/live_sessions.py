@@ -52,7 +52,7 @@ def resets(seconds: float, every_s: float) -> None:
         flight.fly(PlantConfig(seed=9), seconds)
         asked = sum("asked for RAW_IMU" in line for line in bench.host.lines)
         loud = sum(any(word in line for word in LOUD) for line in bench.host.lines)
-        state = bench.daemon.fleet.vehicles[1].session.state.state
+        state = bench.daemon.fleet.vehicles[1].session.state
         bench.close()
         changes = len(station.times) if station else 0
         judged = 100 * flight.share_judged(SETTLED_S)

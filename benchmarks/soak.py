@@ -70,8 +70,8 @@ class Record:
     def look(self, fleet: Fleet, host_ns: int, lead_ns: int) -> None:
         """Note the rows that this look judged. lead_ns: of the host's clock over the vehicle's."""
         for vehicle in fleet.vehicles.values():
-            judge = vehicle.session.state.judge
-            now_ns = None if judge is None else judge.memory.now_ns
+            judge = vehicle.session.judge
+            now_ns = None if judge is None else judge.now_ns
             if now_ns is None or judge is None:
                 continue
             if self.judged_ns is not None and 0 < now_ns - self.judged_ns < NS_PER_S:
@@ -120,7 +120,9 @@ def virtual(hours: float, cpu_s: float, rate_hz: float, seed: int) -> None:
     """Run on the virtual clock and print the figures."""
     baseline = taught(rate_hz, seed)
     settings = Settings(learn=1.0, negotiate=False)
-    fleet = Fleet(lambda profile: SessionSpec(profile, baseline, settings), profile=None, only=None, datagrams=True)
+    fleet = Fleet(
+        lambda sysid, profile: SessionSpec(profile, baseline, settings), profile=None, only=None, datagrams=True
+    )
     loops = [loop_of(None, HEALTHY_S, rate_hz, seed + 50), loop_of(FAULT, FAULTY_S, rate_hz, seed + 51)]
     encode = Encoder(1, Component.AUTOPILOT1).encode_payload
     record, base_ns, started_s = Record(), 1000 * NS_PER_S, time.process_time()

@@ -1,43 +1,28 @@
 """What is said to the operator, how loudly and how often: a table, and a presenter that keeps to it.
 
-A text is one STATUSTEXT of at most 50 bytes. A declared fault is CRITICAL; a suspicion, a fault that is seen again, an
-open inspection or a detector that cannot work is a WARNING, everything else INFO. A *lasting* matter is offered at
-every step: it is said when it begins, when what it is about changes, and at the times after its beginning that the
-table gives. It is over once it was not offered for 5 s. Anything else is offered once and said once. Nothing of a kind
-is said twice within 2 s (MAVProxy drops identical texts within that time), and all texts of a vehicle keep to a budget
-a minute, half of it for declared faults and half for the rest. What the budget holds back is counted and recorded.
+A text is one STATUSTEXT of at most 50 bytes. A *lasting* matter is offered at every step: it is said when it begins,
+when what it is about changes, and at the times after its beginning that the table gives. It is over once it was not
+offered for 5 s. Anything else is offered once and said once. Nothing of a kind is said twice within 2 s (MAVProxy drops
+identical texts within that time), and all texts of a vehicle keep to a budget a minute, half of it for declared faults
+and half for the rest. What the budget holds back is counted and recorded.
 
-What is said of a fault follows the diagnosis (`told_of`). Nothing is ever called clear: a fault that is not seen any
-longer lasts, and after the flight it is an inspection.
+What is said of a fault are the differences of the diagnosis (`Telling`). Nothing is ever called clear: a fault that is
+not seen any longer lasts, and after the flight it is an inspection.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 
-from detector.values import Effect, SendText, TextSuppressed
+from detector.values import Effect, SendFloat, SendText, TextSuppressed
+from mavdiag.chain import ChainOutput
 from mavdiag.decision.diagnosis import Diagnosis, Stage
 from mavdiag.decision.words import finding_words, motors_words
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import BY_NAME
 from mavdiag.monitors.base import FaultKind
-from mavdiag.telemetry import Instant
-
-__all__ = [
-    "GAP_S",
-    "POLICY",
-    "TEXT_BYTES",
-    "Kind",
-    "Notice",
-    "Policy",
-    "Presenter",
-    "Told",
-    "figure",
-    "label_of",
-    "present",
-    "told_of",
-]
+from mavdiag.telemetry import Axis, Instant
 
 TEXT_BYTES = 50  # STATUSTEXT.text; Mission Planner and MAVROS do not put longer ones together
 GAP_S = 2.0  # MAVProxy suppresses identical text within 2 s
@@ -45,47 +30,16 @@ MINUTE_S = 60.0
 LULL_S = 5.0  # a lasting matter that is offered again within so long goes on where it was (our choice)
 
 
-class Kind(StrEnum):
-    """What a text is about."""
-
-    FAULT = "fault"
-    SENSOR = "sensor fault"
-    CONTROL = "loss of control"
-    THRUST = "loss of thrust"
-    SUSPECT = "suspect"
-    AGAIN = "seen again"
-    UNSEEN = "no longer seen"
-    INSPECT = "inspect"
-    ACKNOWLEDGED = "acknowledged"
-    WAITING = "waiting"
-    LEARNING = "learning"
-    FITTING = "fitting"
-    LEARNED = "learned"
-    NOT_LEARNED = "not learned"
-    MONITORING = "monitoring"
-    HIDDEN = "flies, not judged"
-    LINK_LOST = "link lost"
-    LINK_BACK = "link back"
-    REBOOT = "reboot"
-    OFF = "off"
-    RATES = "rates"
-    NO_LAYOUT = "no rotor layout"
-    OTHER_LAYOUT = "other rotor layout"
-    OTHER_VEHICLE = "other vehicle"
-
-
 @dataclass(frozen=True, slots=True)
 class Policy:
     """How a kind is said.
 
-    severity: of the STATUSTEXT.
-    template: takes the notice's words.
     again_s: times after its beginning at which a lasting matter is said again; from the last on it is said again and
         again, as far apart as the last two (or as the only one from the beginning). Empty for what is said once.
     """
 
-    severity: Severity
-    template: str
+    severity: Severity  # of the STATUSTEXT
+    template: str  # takes the notice's words
     again_s: tuple[float, ...] = ()
 
     def times(self, begun_s: float) -> int:
@@ -103,55 +57,35 @@ class Policy:
 
 _ALERT_S = (5.0, 15.0, 60.0, 120.0)  # then every 60 s
 
-# Times are our choices; the severities follow what ground stations do with them (they pop up 0 to 3).
-POLICY: Mapping[Kind, Policy] = {
-    Kind.FAULT: Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S),  # what was found
-    Kind.SENSOR: Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S),  # what was found
-    Kind.CONTROL: Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S),  # the rotor that was named before
-    Kind.THRUST: Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S),  # the rotor, if it is known
-    Kind.SUSPECT: Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S),  # what was found
-    Kind.AGAIN: Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S),  # what was found
-    Kind.UNSEEN: Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,)),  # which motors
-    Kind.INSPECT: Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,)),  # which motors
-    Kind.ACKNOWLEDGED: Policy(Severity.INFO, "PROP {}: inspection acknowledged"),  # which motors
-    Kind.WAITING: Policy(Severity.INFO, "PROP waiting: {}", (60.0,)),  # reason
-    Kind.LEARNING: Policy(Severity.INFO, "PROP learning {}%{}", (60.0,)),  # progress, ": reason"
-    Kind.FITTING: Policy(Severity.INFO, "PROP fitting the baseline"),
-    Kind.LEARNED: Policy(Severity.INFO, "PROP baseline learned: {} monitors{}"),  # how many, ", N cannot"
-    Kind.NOT_LEARNED: Policy(Severity.WARNING, "PROP not learned, goes on: {}"),  # reason
-    Kind.MONITORING: Policy(Severity.INFO, "PROP monitoring{}", (300.0,)),  # ": reason" or "; what is not judged"
-    Kind.HIDDEN: Policy(Severity.WARNING, "PROP not judged: {}", (60.0,)),  # why, although it flies
-    Kind.LINK_LOST: Policy(Severity.INFO, "PROP link lost"),
-    Kind.LINK_BACK: Policy(Severity.INFO, "PROP link back after {}s"),  # how long
-    Kind.REBOOT: Policy(Severity.INFO, "PROP vehicle rebooted, starting anew"),
-    Kind.OFF: Policy(Severity.WARNING, "PROP OFF: {}", (60.0,)),  # reason
-    Kind.RATES: Policy(Severity.INFO, "PROP got {}"),  # message and rate, ...
-    Kind.NO_LAYOUT: Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off"),  # how many
-    Kind.OTHER_VEHICLE: Policy(Severity.WARNING, "PROP not the vehicle of the baseline"),
-    Kind.OTHER_LAYOUT: Policy(Severity.WARNING, "PROP flights contradict rotor layout {}"),  # its name
-}
 
+class Kind(Enum):
+    """What a text is about. Times are our choices; the severities follow what ground stations do with them (they pop up
+    0 to 3)."""
 
-@dataclass(frozen=True, slots=True)
-class Notice:
-    """Something to say.
-
-    kind: what it is about.
-    words: fill the template.
-    key: what a lasting matter is about (another key is news).
-    """
-
-    kind: Kind
-    words: tuple[str, ...] = ()
-    key: str = ""
-
-    @property
-    def text(self) -> str:
-        """The text, within `TEXT_BYTES`: free text that does not fit is cut, at a whole character."""
-        text = POLICY[self.kind].template.format(*self.words).rstrip()
-        if len(text.encode()) <= TEXT_BYTES:
-            return text
-        return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
+    FAULT = Policy(Severity.CRITICAL, "PROP FAULT {}", _ALERT_S)  # what was found
+    SENSOR = Policy(Severity.CRITICAL, "PROP SENSOR FAULT {}", _ALERT_S)  # what was found
+    CONTROL = Policy(Severity.CRITICAL, "PROP CONTROL LOST {}", _ALERT_S)  # the rotor that was named before
+    THRUST = Policy(Severity.CRITICAL, "PROP THRUST LOST {}", _ALERT_S)  # the rotor, if it is known
+    SUSPECT = Policy(Severity.WARNING, "PROP suspect {}", _ALERT_S)  # what was found
+    AGAIN = Policy(Severity.WARNING, "PROP seen again: {}", _ALERT_S)  # what was found
+    UNSEEN = Policy(Severity.INFO, "PROP no longer seen: {}", (300.0,))  # which motors
+    INSPECT = Policy(Severity.WARNING, "PROP {}: inspect before flight", (300.0,))  # which motors
+    ACKNOWLEDGED = Policy(Severity.INFO, "PROP {}: inspection acknowledged")  # which motors
+    WAITING = Policy(Severity.INFO, "PROP waiting: {}", (60.0,))  # reason
+    LEARNING = Policy(Severity.INFO, "PROP learning {}%{}", (60.0,))  # progress, ": reason"
+    FITTING = Policy(Severity.INFO, "PROP fitting the baseline")
+    LEARNED = Policy(Severity.INFO, "PROP baseline learned: {} monitors{}")  # how many, ", N cannot"
+    NOT_LEARNED = Policy(Severity.WARNING, "PROP not learned, goes on: {}")  # reason
+    MONITORING = Policy(Severity.INFO, "PROP monitoring{}", (300.0,))  # ": reason" or "; what is not judged"
+    HIDDEN = Policy(Severity.WARNING, "PROP not judged: {}", (60.0,))  # why, although it flies
+    LINK_LOST = Policy(Severity.INFO, "PROP link lost")
+    LINK_BACK = Policy(Severity.INFO, "PROP link back after {}s")  # how long
+    REBOOT = Policy(Severity.INFO, "PROP vehicle rebooted, starting anew")
+    OFF = Policy(Severity.WARNING, "PROP OFF: {}", (60.0,))  # reason
+    RATES = Policy(Severity.INFO, "PROP got {}")  # message and rate, ...
+    NO_LAYOUT = Policy(Severity.WARNING, "PROP rotor layout unknown: {} monitors off")  # how many
+    OTHER_VEHICLE = Policy(Severity.WARNING, "PROP not the vehicle of the baseline")
+    OTHER_LAYOUT = Policy(Severity.WARNING, "PROP flights contradict rotor layout {}")  # its name
 
 
 _DECLARED: Mapping[FaultKind | None, Kind] = {
@@ -161,52 +95,31 @@ _DECLARED: Mapping[FaultKind | None, Kind] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something to say."""
+
+    kind: Kind
+    words: tuple[str, ...] = ()  # fill the template
+    key: str = ""  # what a lasting matter is about: another key is news
+
+    @property
+    def text(self) -> str:
+        """The text, within `TEXT_BYTES`: free text that does not fit is cut, at a whole character."""
+        text = self.kind.value.template.format(*self.words).rstrip()
+        if len(text.encode()) <= TEXT_BYTES:
+            return text
+        return text.encode()[: TEXT_BYTES - 2].decode(errors="ignore").rstrip() + ".."
+
+    @property
+    def effect(self) -> SendText:
+        """The text as it is sent."""
+        return SendText(self.kind.value.severity, self.text)
+
+
 def label_of(monitor: str) -> str:
     """How a text calls a monitor: by its label, of at most 10 characters."""
     return BY_NAME[monitor].label if monitor in BY_NAME else monitor[:10]
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What was told of a fault.
-
-    stage, kind, motors, seen: of the diagnosis that was told last.
-    loud: the present episode of the fault brought news: a declaration, another rotor, a graver kind.
-    """
-
-    stage: Stage = Stage.NOT_JUDGED
-    kind: FaultKind | None = None
-    motors: str = ""
-    seen: bool = False
-    loud: bool = False
-
-
-def told_of(told: Told, diagnosis: Diagnosis, arming: int) -> tuple[Told, tuple[Notice, ...]]:
-    """What is to be said of a diagnosis now, and what is told then. arming: number of the present one."""
-    it, motors = diagnosis, motors_words(diagnosis)
-    news = told.stage is not Stage.FAULT or (it.kind, motors) != (told.kind, told.motors)
-    loud = it.seen and (news or (told.loud and told.seen))
-    after = Told(it.stage, it.kind, motors, it.seen, loud)
-    match it.stage:
-        case Stage.FAULT if loud:
-            kind = _DECLARED.get(it.kind, Kind.FAULT)
-            return after, (_notice(kind, it, f"{it.kind} {motors}"),)
-        case Stage.FAULT if it.seen:
-            return after, (_notice(Kind.AGAIN, it),)
-        case Stage.FAULT:
-            whose = motors if it.rotor is not None or it.kind is FaultKind.SENSOR else "the fault"
-            return after, (Notice(Kind.UNSEEN, (whose,), motors),)
-        case Stage.INSPECT:
-            return after, (Notice(Kind.INSPECT, (motors,), f"{motors} {arming}"),)
-        case Stage.SUSPECTED:
-            return after, (_notice(Kind.SUSPECT, it),)
-        case _:
-            return after, ()
-
-
-def _notice(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
-    room = TEXT_BYTES - len(POLICY[kind].template.format(""))
-    return Notice(kind, (finding_words(diagnosis, room),), key)
 
 
 def figure(value: float, decimals: int = 2) -> str:
@@ -224,85 +137,130 @@ def figure(value: float, decimals: int = 2) -> str:
     return f"{value:.{places}f}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Said:
-    """A matter.
+class Telling:
+    """The differences of the diagnosis, as they are told."""
 
-    begun: when it was said first; at: when it was said last; times: how often it was due by then.
-    offered: when it was offered last.
-    """
+    def __init__(self) -> None:
+        self._told = Diagnosis()
+        self._loud = False  # the present episode of the fault brought news: a declaration, another rotor, a graver kind
 
-    kind: Kind
+    def step(self, diagnosis: Diagnosis, arming: int) -> list[Notice]:
+        """What is to be said of a diagnosis now. arming: number of the present one."""
+        told, motors = self._told, motors_words(diagnosis)
+        news = told.stage is not Stage.FAULT or (diagnosis.kind, motors) != (told.kind, motors_words(told))
+        self._loud = diagnosis.seen and (news or (self._loud and told.seen))
+        self._told = diagnosis
+        match diagnosis.stage:
+            case Stage.FAULT if self._loud:
+                kind = _DECLARED.get(diagnosis.kind, Kind.FAULT)
+                return [_finding(kind, diagnosis, f"{diagnosis.kind} {motors}")]
+            case Stage.FAULT if diagnosis.seen:
+                return [_finding(Kind.AGAIN, diagnosis)]
+            case Stage.FAULT:
+                named = diagnosis.rotor is not None or diagnosis.kind is FaultKind.SENSOR
+                return [Notice(Kind.UNSEEN, (motors if named else "the fault",), motors)]
+            case Stage.INSPECT:
+                return [Notice(Kind.INSPECT, (motors,), f"{motors} {arming}")]
+            case Stage.SUSPECTED:
+                return [_finding(Kind.SUSPECT, diagnosis)]
+        return []
+
+
+def _finding(kind: Kind, diagnosis: Diagnosis, key: str = "") -> Notice:
+    room = TEXT_BYTES - len(kind.value.template.format(""))
+    return Notice(kind, (finding_words(diagnosis, room),), key)
+
+
+@dataclass(slots=True)
+class _Matter:
+    """What was said of a lasting matter."""
+
     key: str
-    begun: Instant
-    at: Instant
-    times: int
-    offered: Instant
+    begun: Instant  # when it was said first
+    at: Instant  # ... and last
+    times: int  # how often it was due by then
+    offered: Instant  # when it was offered last
+
+    def due(self, notice: Notice, now: Instant) -> bool:
+        """Whether there is something to say; what is offered once always has."""
+        policy = notice.kind.value
+        if not policy.again_s:
+            return True
+        return now - self.at >= GAP_S if self.key != notice.key else policy.times(now - self.begun) > self.times
 
 
-@dataclass(frozen=True, slots=True)
 class Presenter:
-    """What was said lately.
+    """Says what is offered, within its budget. suppressed: texts held back so far."""
 
-    per_minute: the budget.
-    sent: texts of the last minute: whether loud, and when.
-    said: matters that last.
-    held: matters that were held back and counted already.
-    suppressed: texts held back so far.
+    def __init__(self, per_minute: int = 30) -> None:
+        self.suppressed = 0
+        self._per_minute = per_minute
+        self._sent: list[tuple[bool, Instant]] = []  # texts of the last minute: whether loud, and when
+        self._said: dict[Kind, _Matter] = {}
+        self._held: set[tuple[Kind, str]] = set()  # matters that were held back and counted already
+
+    def present(self, notices: Sequence[Notice], now: Instant) -> list[Effect]:
+        """Say what is to be said of the notices of this step, loudest first."""
+        self._sent = [(loud, at) for loud, at in self._sent if now - at < MINUTE_S]
+        effects: list[Effect] = []
+        for notice in sorted(notices, key=lambda notice: notice.kind.value.severity):
+            before = self._said.get(notice.kind)
+            if before is None or before.due(notice, now):
+                effects += self._say(notice, before, now)
+        # A lasting matter that was not offered for a while is over: the next one begins anew.
+        offered = {notice.kind for notice in notices}
+        for kind in offered & self._said.keys():
+            self._said[kind].offered = now
+        self._said = {kind: matter for kind, matter in self._said.items() if now - matter.offered < LULL_S}
+        self._held = {matter for matter in self._held if matter[0] in offered}
+        return effects
+
+    def _say(self, notice: Notice, before: _Matter | None, now: Instant) -> list[Effect]:
+        policy = notice.kind.value
+        loud = policy.severity <= Severity.CRITICAL
+        spent = sum(was_loud == loud for was_loud, _ in self._sent) >= self._per_minute // 2
+        if spent or (before is not None and now - before.at < GAP_S):
+            if policy.again_s and (notice.kind, notice.key) in self._held:
+                return []
+            if policy.again_s:
+                self._held.add((notice.kind, notice.key))
+            self.suppressed += 1
+            return [TextSuppressed(notice.text, self.suppressed)]
+        begun = now if before is None else before.begun
+        self._said[notice.kind] = _Matter(notice.key, begun, now, policy.times(now - begun), now)
+        self._held = {matter for matter in self._held if matter[0] is not notice.kind}
+        self._sent.append((loud, now))
+        return [notice.effect]
+
+
+class NamedValues:
+    """The figures of the thesis rule as NAMED_VALUE_FLOAT, a few times a second.
+
+    PF_RES  [rad/s] residual of largest magnitude since the last one sent, as sampled once a step
+    PF_MARG [rad/s] its margin
+    PF_FSD  [s] longest fault signature duration since the last one sent, as sampled once a step
+    PF_FML  [s] its limit
+
+    period_s: how often. axis: whose figures; of another axis if that one is not judged.
     """
 
-    per_minute: int = 30
-    sent: tuple[tuple[bool, Instant], ...] = ()
-    said: tuple[_Said, ...] = ()
-    held: frozenset[tuple[Kind, str]] = frozenset()
-    suppressed: int = 0
+    NAMES = ("PF_RES", "PF_MARG", "PF_FSD", "PF_FML")  # at most 10 bytes: NAMED_VALUE_FLOAT.name
 
+    def __init__(self, period_s: float = 0.2, axis: Axis = Axis.ROLL) -> None:
+        self._period_s, self._axis = period_s, axis
+        self._sent: Instant | None = None
+        self._residual = self._fsd_s = 0.0
 
-def present(presenter: Presenter, notices: tuple[Notice, ...], now: Instant) -> tuple[Presenter, tuple[Effect, ...]]:
-    """Say what is to be said of the notices of this step, loudest first."""
-    out: list[Effect] = []
-    presenter = replace(presenter, sent=tuple(one for one in presenter.sent if now - one[1] < MINUTE_S))
-    for notice in sorted(notices, key=lambda notice: POLICY[notice.kind].severity):
-        if _to_say(presenter, notice, now):
-            presenter, effect = _say(presenter, notice, now)
-            out += () if effect is None else (effect,)
-    # A lasting matter that was not offered for a while is over: the next one begins anew.
-    offered = {notice.kind for notice in notices}
-    said = tuple(replace(one, offered=now) if one.kind in offered else one for one in presenter.said)
-    said = tuple(one for one in said if now - one.offered < LULL_S)
-    held = frozenset(one for one in presenter.held if one[0] in offered)
-    return replace(presenter, said=said, held=held), tuple(out)
-
-
-def _to_say(presenter: Presenter, notice: Notice, now: Instant) -> bool:
-    """Whether a lasting matter has something to say; what is offered once always has."""
-    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
-    if not policy.again_s or last is None:
-        return True
-    if last.key != notice.key:
-        return now - last.at >= GAP_S
-    return policy.times(now - last.begun) > last.times
-
-
-def _say(presenter: Presenter, notice: Notice, now: Instant) -> tuple[Presenter, Effect | None]:
-    policy, last = POLICY[notice.kind], _last(presenter, notice.kind)
-    loud = policy.severity <= Severity.CRITICAL
-    spent = sum(one == loud for one, _ in presenter.sent) >= presenter.per_minute // 2
-    if spent or (last is not None and now - last.at < GAP_S):
-        matter = (notice.kind, notice.key)
-        if policy.again_s and matter in presenter.held:
-            return presenter, None
-        held = presenter.held | {matter} if policy.again_s else presenter.held
-        count = presenter.suppressed + 1
-        return replace(presenter, suppressed=count, held=held), TextSuppressed(notice.text, count)
-    begun = now if last is None else last.begun
-    fresh = _Said(notice.kind, notice.key, begun, now, policy.times(now - begun), now)
-    said = (*(one for one in presenter.said if one.kind is not notice.kind), fresh)
-    held = frozenset(one for one in presenter.held if one[0] is not notice.kind)
-    return replace(presenter, said=said, held=held, sent=(*presenter.sent, (loud, now))), SendText(
-        policy.severity, notice.text
-    )
-
-
-def _last(presenter: Presenter, kind: Kind) -> _Said | None:
-    return next((one for one in presenter.said if one.kind is kind), None)
+    def step(self, output: ChainOutput, now: Instant) -> list[SendFloat]:
+        """Take in the gauges of a step; return the floats that are to be sent."""
+        thesis = [gauge for gauge in output.gauges if gauge.monitor == "fsd"]
+        gauge = next((gauge for gauge in thesis if gauge.axis is self._axis), thesis[0] if thesis else None)
+        if gauge is None or output.now_ns is None:
+            return []
+        self._residual = max(self._residual, gauge.signal, key=abs)
+        self._fsd_s = max(self._fsd_s, gauge.statistic)
+        if self._sent is not None and now - self._sent < self._period_s:
+            return []
+        figures = (self._residual, gauge.reference, self._fsd_s, gauge.threshold)
+        self._sent, self._residual, self._fsd_s = now, 0.0, 0.0
+        return [SendFloat(name, value, output.now_ns) for name, value in zip(self.NAMES, figures, strict=True)]

@@ -10,33 +10,13 @@ import fcntl
 import os
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from mavdiag.errors import UsageError
 
-__all__ = ["Appender", "Rotation", "check_appendable", "older"]
-
 MB = 1_000_000
 _REASONS = {errno.ENXIO: "nobody reads this pipe", errno.EWOULDBLOCK: "another program writes it"}
-
-
-@dataclass(frozen=True, slots=True)
-class Rotation:
-    """When a file makes room for a new one.
-
-    limit_bytes: size that it does not exceed; None for no limit.
-    keep: how many old ones stay.
-    """
-
-    limit_bytes: int | None = None
-    keep: int = 0
-
-    @classmethod
-    def of(cls, limit_mb: float, keep: int) -> "Rotation":
-        """From a setting in megabytes."""
-        return cls(round(limit_mb * MB), keep)
 
 
 def older(path: Path, number: int) -> Path:
@@ -64,14 +44,16 @@ def _refused(path: Path, option: str, reason: str) -> str:
 class Appender:
     """A file that is appended to, each entry written whole at once.
 
-    option: the command-line option that names it.
-    warn: called once when writing begins to fail, and once when it works again.
+    option: the command-line option that names it. warn: called once when writing begins to fail, and once when it works
+    again. limit_mb: size that it does not exceed; None for no limit. keep: how many old ones stay.
     Raises UsageError if the file cannot be opened.
     """
 
-    def __init__(self, path: Path, option: str, warn: Callable[[str], None], rotation: Rotation | None = None) -> None:
+    def __init__(
+        self, path: Path, option: str, warn: Callable[[str], None], limit_mb: float | None = None, keep: int = 0
+    ) -> None:
         self._path, self._name, self._warn = path, f"{option.removeprefix('--')} {path}", warn
-        self._rotation = rotation or Rotation()
+        self._limit_bytes, self._keep = None if limit_mb is None else round(limit_mb * MB), keep
         try:
             self._file = self._open()
         except OSError as error:
@@ -84,7 +66,7 @@ class Appender:
     def append(self, data: bytes, after_torn: bytes = b"", entries: int = 1) -> None:
         """Append an entry, or several, or count them as lost. after_torn: what goes before if the last one was torn."""
         data = (after_torn if self._torn else b"") + data
-        limit = self._rotation.limit_bytes
+        limit = self._limit_bytes
         try:
             if limit is not None and self._regular and self._size > 0 and self._size + len(data) > limit:
                 self._rotate()
@@ -133,10 +115,10 @@ class Appender:
     def _rotate(self) -> None:
         """Number the old files one higher and begin a new one. Raises OSError; the present file is kept then."""
         if self._path.exists():  # it is gone if the last attempt failed half-way
-            for number in range(self._rotation.keep - 1, 0, -1):
+            for number in range(self._keep - 1, 0, -1):
                 if older(self._path, number).exists():
                     older(self._path, number).replace(older(self._path, number + 1))
-            if self._rotation.keep:
+            if self._keep:
                 self._path.replace(older(self._path, 1))
             else:
                 self._path.unlink()

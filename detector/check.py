@@ -1,26 +1,32 @@
-"""`mavdiag-detector --check` (edge): what a start with these settings would do, and whether it could. Opens no link."""
+"""`mavdiag-detector --check` and `--working` (edge).
 
+The first tells what a start with these settings would do, and whether it could; it opens no link. The second asks a
+running daemon, by its metrics, whether it does its work; it says nothing about the vehicles.
+"""
+
+import http.client
 from collections.abc import Iterator
 
 from detector.appender import check_appendable
-from detector.config import Settings, split_metrics_address, split_web_address
+from detector.config import Settings, split_address
 from detector.judging import rescaled
-from detector.web.child import Place, check_installed
-from detector.web.token import read_token
+from detector.web.child import Place, check_installed, read_token
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, check_link
-from mavdiag.errors import LinkError
+from mavdiag.errors import LinkError, UsageError
 from mavdiag.link.keys import read_key
 from mavdiag.link.ports import check_address
 from mavdiag.storage import check_output
 
-__all__ = ["plan"]
+FRESH_S = 5.0  # figures are set once a second; older ones mean that the loop hangs (our choice)
+TIMEOUT_S = 3.0
+ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # who listens everywhere is asked on loopback
 
 
 def plan(settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None) -> str:
-    """What a start would do, line by line. Raises UsageError, LinkError or BaselineError where it could not.
+    """What a start would do, line by line; baselines and airframe as they were loaded.
 
-    baseline, own, airframe: as they were loaded.
+    Raises UsageError, LinkError or BaselineError where it could not.
     """
     return "\n".join(_lines(settings, baseline, own, airframe))
 
@@ -28,8 +34,11 @@ def plan(settings: Settings, baseline: Baseline | None, own: dict[int, Baseline]
 def _lines(
     settings: Settings, baseline: Baseline | None, own: dict[int, Baseline], airframe: Airframe | None
 ) -> Iterator[str]:
-    yield f"link       {_place(settings.connect)}"
-    yield f"watches    {_watched(settings)}"
+    check_address(settings.connect)
+    yield f"link       {settings.connect}"
+    rest = "" if settings.baseline or settings.learn else " that have a baseline here"
+    every = f"every vehicle on it{rest}, {settings.max_vehicles} at most"
+    yield f"watches    {every if settings.vehicle is None else f'vehicle {settings.vehicle}'}"
     if settings.signing_key is not None:
         read_key(settings.signing_key)
         check_output(settings.signing_key.with_name("stamp"))  # the time stamp is kept beside it
@@ -58,19 +67,13 @@ def _lines(
             check_appendable(path, f"--{option}")
             yield f"{option:<10} {path}, at most {keep + 1} files of {mb:g} MB"
     if settings.metrics is not None:
-        host, port = split_metrics_address(settings.metrics)
+        host, port = split_address(settings.metrics, "metrics")
         yield f"metrics    http://{host}:{port}/metrics"
     if settings.web is not None:
         check_installed()
         token = None if settings.web_token_file is None else read_token(settings.web_token_file)
         asks = "" if token is None else f"; asks for the token in {settings.web_token_file}"
-        yield f"web page   {Place(*split_web_address(settings.web), token).url}{asks}"
-
-
-def _place(address: str) -> str:
-    """The address, checked as far as that goes without opening it. Raises LinkError."""
-    check_address(address)
-    return address
+        yield f"web page   {Place(*split_address(settings.web, 'web'), token).url}{asks}"
 
 
 def _absence(address: str) -> str:
@@ -82,13 +85,6 @@ def _absence(address: str) -> str:
             raise
         return f"; not now ({error})"
     return ""
-
-
-def _watched(settings: Settings) -> str:
-    if settings.vehicle is not None:
-        return f"vehicle {settings.vehicle}"
-    rest = "" if settings.baseline or settings.learn else " that have a baseline here"
-    return f"every vehicle on it{rest}, {settings.max_vehicles} at most"
 
 
 def _summary(baseline: Baseline, settings: Settings) -> str:
@@ -106,3 +102,38 @@ def _saving(settings: Settings) -> str:
         return "; the result is not kept"
     check_output(settings.save)
     return f", kept in {settings.save}"
+
+
+def ask_working(metrics: str | None) -> tuple[bool, str]:
+    """Whether the daemon that serves its figures there works, and why, in one line.
+
+    Raises UsageError if there is no address.
+    """
+    if metrics is None:
+        raise UsageError("--working asks the daemon's metrics; name the --metrics HOST:PORT that it serves")
+    host, port = split_address(metrics, "metrics")
+    connection = http.client.HTTPConnection(ANY.get(host, host), port, timeout=TIMEOUT_S)
+    try:
+        connection.request("GET", "/metrics")
+        page = connection.getresponse().read().decode(errors="replace")
+    except (OSError, http.client.HTTPException) as error:
+        return False, f"not working: {metrics} does not answer ({error})"
+    finally:
+        connection.close()
+    return working(page)
+
+
+def working(page: str) -> tuple[bool, str]:
+    """The same, from a page of figures.
+
+    >>> working("mavdiag_session_working 1.0\\nmavdiag_figures_age_seconds 0.4\\n")
+    (True, 'working')
+    """
+    found = dict(line.split(" ", 1) for line in page.splitlines() if line.startswith("mavdiag_") and " " in line)
+    try:
+        works, age_s = float(found["mavdiag_session_working"]), float(found["mavdiag_figures_age_seconds"])
+    except (KeyError, ValueError):
+        return False, "not working: no figures of a detector that looks at its links"
+    if age_s > FRESH_S:
+        return False, f"not working: the loop hangs since {age_s:.0f} s"
+    return (True, "working") if works else (False, "not working: all sessions are off; the journal says why")

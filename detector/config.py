@@ -1,7 +1,7 @@
 """The daemon's settings: one validated value from a TOML file, the environment and the command line, which wins.
 
-Unknown names are refused, so that a misspelt one is not silently without effect. `detector/example.toml` documents
-every setting.
+Each setting is one field, with its option of the command line where it has one. Unknown names are refused.
+`detector/example.toml` documents every setting.
 """
 
 from collections.abc import Mapping
@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+import typer
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from detector.web.access import is_loopback
@@ -18,25 +19,22 @@ from mavdiag.link.profiles import profile_named
 from mavdiag.storage import read_toml
 from mavdiag.telemetry import Axis
 
-__all__ = [
-    "ENVIRONMENT",
-    "Fsync",
-    "SessionSettings",
-    "Settings",
-    "VehicleSettings",
-    "collect_values",
-    "example_text",
-    "load_settings",
-    "split_metrics_address",
-    "split_web_address",
-]
-
 ENVIRONMENT = "MAVDIAG_DETECTOR_"  # prefix of the variables that set a setting; ..._CONFIG names the file
 LOOPBACK = "127.0.0.1"
 
 Positive = Annotated[float, Field(gt=0)]
 SystemId = Annotated[int, Field(ge=1, le=255)]
 Kept = Annotated[int, Field(ge=0, le=1000)]
+
+
+def _option(metavar: str | None, text: str, *names: str) -> Any:
+    return typer.Option(*names, metavar=metavar, help=text)
+
+
+_CONNECT = "udpin:H:P, udpout:H:P, tcp:H:P, tcpin:H:P or /dev/ttyX,BAUD.  [default: udpin:127.0.0.1:14550]"
+_LAYOUT = "Its rotor layout, as in `mavdiag identify`.  [default: what it shows]"
+_FORWARD = "A further link that gets vehicle and alerts, e.g. a ground station; repeatable."
+_WEB = "Serve the live page; a bare port is on loopback, elsewhere it needs a token."
 
 
 class Fsync(StrEnum):
@@ -52,7 +50,7 @@ class SessionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    learn: Positive | None = None  # seconds of healthy flight to learn from, in place of a baseline
+    learn: Annotated[Positive | None, _option("SECONDS", "Learn a baseline first, from so much healthy flight.")] = None
     negotiate: bool = True  # ask the autopilot for streams that are missing or too slow
     ask_hz: Positive | None = None  # rate to ask for when learning; default: the profile's
     min_rate_hz: Positive = 45.0  # slowest streams to work with; F1 needs 100, 50 and below degrade (METHOD section 4)
@@ -73,33 +71,46 @@ class VehicleSettings(BaseModel):
 
 
 class Settings(SessionSettings):
-    """Everything that can be set; most of it has a command-line option."""
+    """Everything that can be set."""
 
-    connect: str = "udpin:127.0.0.1:14550"  # the vehicle's link
-    baseline: Path | None = None  # file to judge by
+    connect: Annotated[str, _option("ENDPOINT", _CONNECT)] = "udpin:127.0.0.1:14550"  # the vehicle's link
+    baseline: Annotated[Path | None, _option("FILE", "Judge by this baseline.")] = None
     vehicles: Mapping[SystemId, VehicleSettings] = Field(default_factory=dict)  # by system id
-    save: Path | None = None  # file that keeps what was learned, and is used at the next start
+    save: Annotated[Path | None, _option("FILE", "Keep what was learned; where it is there, judge by it.")] = None
     accept: bool = False  # whether a learned baseline of grade D is taken, too
-    airframe: str | None = None  # what is learned about: a built-in name or a TOML file
-    layout: str | None = None  # its rotor layout; default: by its parameters, else by its flight
-    name: Annotated[str, Field(min_length=1)] | None = None  # its label; default: "vehicle" and its id
-    forward: tuple[str, ...] = ()  # further links that get the vehicle's frames and the alerts
-    keep_rates: bool = False  # whether requests from there that would change the rates we need are kept back
+    airframe: Annotated[
+        str | None, _option("NAME|FILE.toml", "What is learned about: its rotors, mass, hover speed and gate.")
+    ] = None
+    layout: Annotated[str | None, _option("NAME", _LAYOUT, "--layout", "--frame")] = None
+    name: Annotated[
+        Annotated[str, Field(min_length=1)] | None,
+        _option("LABEL", 'Label of what is learned.  [default: "vehicle" and its id]'),
+    ] = None
+    forward: Annotated[tuple[str, ...], _option("ENDPOINT", _FORWARD)] = ()
+    keep_rates: Annotated[
+        bool, _option(None, "Keep back what from there would change the rates needed here.", "--keep-rates")
+    ] = False
     parameters: bool = False  # whether a few settings can be changed by the MAVLink parameter protocol
-    journal: Path | None = None  # file for the events
+    journal: Annotated[Path | None, _option("FILE.jsonl", "Append every event as a line.")] = None
     journal_mb: Positive = 100.0  # size at which a new one is begun
     journal_keep: Kept = 9  # old ones that stay
     journal_fsync: Fsync = Fsync.ALERT
-    record: Path | None = None  # .tlog file for all frames received
+    record: Annotated[Path | None, _option("FILE.tlog", "Append every frame that the link brings.")] = None
     record_mb: Positive = 1000.0  # size at which a new one is begun: some 3 h of 1 kHz
     record_keep: Kept = 9  # old ones that stay
-    metrics: str | None = None  # address to serve figures on
-    web: str | None = None  # address to serve the live page on
-    web_token_file: Path | None = None  # file with the token that the page asks for
-    signing_key: Path | None = None  # file with the key of MAVLink 2 signing
-    vehicle: SystemId | None = None  # the only system id to watch
+    metrics: Annotated[str | None, _option("HOST:PORT", "Serve Prometheus figures; a bare port is on loopback.")] = None
+    web: Annotated[str | None, _option("HOST:PORT", _WEB)] = None
+    web_token_file: Annotated[
+        Path | None, _option("FILE", "The token that the live page asks for: a file of mode 0600.")
+    ] = None
+    vehicle: Annotated[SystemId | None, _option("SYSID", "Watch this system id only.")] = None
+    signing_key: Annotated[
+        Path | None, _option("FILE", "Key of MAVLink 2 signing: sign, and refuse what is not signed.")
+    ] = None
     max_vehicles: SystemId = 128  # further ones are not watched
-    profile: str | None = None  # of the link; default: by what the vehicle sends
+    profile: Annotated[
+        str | None, _option("NAME", "qdrone2, spec, ardupilot or px4.  [default: what the vehicle sends]")
+    ] = None
     tick_s: Annotated[float, Field(ge=0.005, le=0.5)] = 0.04  # how often the daemon looks at its links
 
     @model_validator(mode="after")
@@ -134,12 +145,16 @@ def collect_values(
     given = {name: text for name, text in environ.items() if name.startswith(ENVIRONMENT) and text.strip()}
     named = given.pop(f"{ENVIRONMENT}CONFIG", None)
     path = Path(named) if path is None and named else path
-    values = {} if path is None else _read(path)
+    try:
+        values = {} if path is None else read_toml(path)
+    except InputError as error:
+        raise UsageError(f"{error}; check --config") from error
     where = dict.fromkeys(values, f"{path}: ")
     for name, text in given.items():
         key = name.removeprefix(ENVIRONMENT).lower()
         if key not in Settings.model_fields or key == "vehicles":
-            raise UsageError(f"{name}: there is no such setting; known are {', '.join(_settable())}")
+            known = ", ".join(known for known in Settings.model_fields if known != "vehicles")
+            raise UsageError(f"{name}: there is no such setting; known are {known}")
         # Lists are parted by blanks: a serial address has a comma in it.
         values[key] = text.split() if isinstance(Settings.model_fields[key].default, tuple) else text.strip()
         where[key] = f"{name}: "
@@ -164,9 +179,9 @@ def load_settings(
     if settings.profile is not None:
         profile_named(settings.profile)
     if settings.metrics is not None:
-        split_metrics_address(settings.metrics)
+        split_address(settings.metrics, "metrics")
     if settings.web is not None:
-        host, _ = split_web_address(settings.web)
+        host, _ = split_address(settings.web, "web")
         if settings.web_token_file is None and not is_loopback(host):
             raise UsageError(f"--web {settings.web}: others reach {host}; name a --web-token-file FILE, or 127.0.0.1")
     if settings.learn is not None and settings.save is None:
@@ -175,42 +190,22 @@ def load_settings(
     return settings
 
 
-def split_metrics_address(text: str) -> tuple[str, int]:
-    """Host and port of `HOST:PORT`; a bare port is on loopback. Raises UsageError.
+def split_address(text: str, what: str) -> tuple[str, int]:
+    """Host and port of `HOST:PORT`; a bare port is on loopback. what: it is of. Raises UsageError.
 
-    >>> split_metrics_address("9100")
+    >>> split_address("9100", "metrics")
     ('127.0.0.1', 9100)
     """
-    return _split_address(text, "metrics")
-
-
-def split_web_address(text: str) -> tuple[str, int]:
-    """The same, of the live page."""
-    return _split_address(text, "web")
-
-
-def _split_address(text: str, what: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65_535:
         raise UsageError(f"malformed {what} address {text!r}: write HOST:PORT, or a port alone for loopback")
     return host.strip("[]") or LOOPBACK, int(port)
 
 
-def _settable() -> list[str]:
-    return [key for key in Settings.model_fields if key != "vehicles"]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return read_toml(path)
-    except InputError as error:
-        raise UsageError(f"{error}; check --config") from error
-
-
 def _reason(error: ValidationError, where: Mapping[str, str]) -> str:
     first = error.errors()[0]
     steps = [str(step) for step in first["loc"] if step != "[key]"]
-    place = where.get(steps[0], "") if steps else next((one for one in where.values() if one), "")
+    place = where.get(steps[0], "") if steps else next((said for said in where.values() if said), "")
     key = ".".join(steps)
     if first["type"] == "extra_forbidden":
         known = Settings if len(steps) == 1 else VehicleSettings

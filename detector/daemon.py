@@ -5,35 +5,25 @@ datagram. Heartbeats come from the same loop and ask the session first: a daemon
 its work, falls silent.
 """
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
 from typing import TYPE_CHECKING
 
 from detector.config import Settings
 from detector.figures import DaemonFigures, LinkFigures
-from detector.fitting import Fitter, FittingJob
-from detector.fleet import Fleet, Turn
+from detector.fitting import FittingJob, ProcessFitter
+from detector.fleet import SHARE, Fleet, Turn
 from detector.guard import Guard
-from detector.host import Host
-from detector.journal import Journal, Recorder, When
+from detector.journal import Journal, Recorder, Reporter, When
 from detector.notify import Notifier
-from detector.pacing import Pacing
 from detector.relay import Relay
-from detector.reporting import Lines, Reporter
-from detector.requests import Requests
+from detector.requests import Handled, Requests
 from detector.sender import MavlinkSender
 from detector.states import State
-from detector.values import (
-    AskInterval,
-    AskParameters,
-    Effect,
-    EventOpened,
-    Learn,
-    Note,
-    SendFloat,
-    SendText,
-    SessionSpec,
-)
+from detector.values import AskInterval, Effect, EventOpened, Learn, Note, SessionSpec
 from mavdiag import __version__
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
@@ -41,11 +31,9 @@ from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import KeptSigning
-from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
-from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
@@ -53,23 +41,42 @@ if TYPE_CHECKING:
     from detector.metrics import Metrics  # brings prometheus_client with it
     from detector.web.feed import Feed
 
-__all__ = ["Daemon", "Host"]
-
 BEAT_S = 1.0
 DRAINS = 8  # looks at the vehicle's link in one tick, so that a backlog is worked off but cannot hold the loop
 UNCLEAR_MOST = 32  # lines about vehicles that are not watched, so that made-up ones do not fill the log (our choice)
 FIRST_VEHICLE = 1  # as whose companion we announce ourselves on a link whose other end sends nothing before we do
 
-_DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT)
 _ANNOUNCING = (Kind.UDP_OUT, Kind.TCP_CLIENT, Kind.SERIAL)
+
+
+class Host:
+    """The machine: its clocks, and a place for log lines. Tests bring their own."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self.say = say
+
+    def now_ns(self) -> int:
+        """The monotonic clock [ns]."""
+        return time.monotonic_ns()
+
+    def utc(self) -> datetime:
+        """The wall clock."""
+        return datetime.now(UTC)
+
+    def cpu_s(self) -> float:
+        """Processor time used so far [s]."""
+        return time.process_time()
+
+    def sleep(self, span_s: float) -> None:
+        """Wait."""
+        time.sleep(span_s)
 
 
 class Daemon:
     """Links on one side, sessions (`fleet`) on the other. `run` it, or `tick` it from a test.
 
     baseline: what every vehicle is judged by that has none of its own in `baselines`, by system id.
-    notifier: tells the service manager; None for nobody.
-    inspections: those that are open; None keeps none.
+    notifier: tells the service manager; None for nobody. inspections: those that are open; None keeps none.
     """
 
     def __init__(
@@ -80,7 +87,7 @@ class Daemon:
         behind: Sequence[Endpoint],
         *,
         baseline: Baseline | None,
-        fitter: Fitter,
+        fitter: ProcessFitter,
         baselines: Mapping[int, Baseline] | None = None,
         airframe: Airframe | None = None,
         journal: Journal | None = None,
@@ -93,36 +100,28 @@ class Daemon:
     ) -> None:
         self._settings, self._host, self._link, self._behind = settings, host, link, tuple(behind)
         self._baseline, self._baselines, self._fitter, self._metrics = baseline, dict(baselines or {}), fitter, metrics
-        self._airframe, self._notifier = airframe, notifier or Notifier({})
-        kind = parse_address(settings.connect).kind
-        datagrams = kind in _DATAGRAMS
+        self._airframe, self._notifier, self._web = airframe, notifier or Notifier({}), web
         self._relay = Relay(link, behind, recorder=recorder, upward=self._upward)
-        self._passed: list[tuple[bytes, int]] = []
         self._kept, self._signing = signing, None if signing is None else signing.signing
+        kind, self._passed = parse_address(settings.connect).kind, list[tuple[bytes, int]]()
         self._announces = kind in _ANNOUNCING
         self.fleet = Fleet(
             self._spec,
             profile=None if settings.profile is None else PROFILES[settings.profile],
             only=settings.vehicle,
-            datagrams=datagrams,
-            adapt=self._adapted,
+            datagrams=kind in (Kind.UDP_IN, Kind.UDP_OUT),
             most=settings.max_vehicles,
-            measured=metrics is not None,
-            pacing=Pacing.of(settings.tick_s),
+            budget_s=SHARE * settings.tick_s,
             signing=self._signing,
             passed=self._passed if self._relay.wants else None,
         )
         self._guard = Guard(self.fleet.link, self._signing)
-        files: tuple[tuple[str, Journal | Recorder | None], ...] = (("journal", journal), ("record", recorder))
-        self._files = tuple((name, file) for name, file in files if file is not None)
-        self._web = web
-        takers: tuple[Lines | None, ...] = (journal, web)
-        self._reporter = Reporter([one for one in takers if one], host.say, self._when, settings.save)
+        self._files = {name: file for name, file in (("journal", journal), ("record", recorder)) if file is not None}
+        self._reporter = Reporter([taker for taker in (journal, web) if taker], host.say, self._when, settings.save)
         self._inspections = inspections or Inspections(None, host.say)
-        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
         self._senders: dict[int, MavlinkSender] = {}
-        self._started = self._now()
-        self._beat_at = self._started
+        self._requests = Requests(self.fleet, settings, self._sender, self._signing)
+        self._started = self._beat_at = self._now()
         self._late, self._latest_s = 0, 0.0
         self._unclear: dict[int, str] = {}
         self._unclear_told = 0
@@ -146,15 +145,11 @@ class Daemon:
 
     def begin(self) -> None:
         """Say that the links are open."""
-        settings = self._settings
-        goal = (
-            "watching by its baseline"
-            if self._baseline
-            else f"learning from {settings.learn or 0:g} s of healthy flight"
-        )
-        if self._baselines:
-            own = f"{len(self._baselines)} vehicle{'s' if len(self._baselines) > 1 else ''} by a baseline of its own"
-            goal = f"{goal}, {own}" if self._baseline or settings.learn else f"watching {own}"
+        learn_s, own = self._settings.learn or 0, len(self._baselines)
+        goal = "watching by its baseline" if self._baseline else f"learning from {learn_s:g} s of healthy flight"
+        if own:
+            whose = f"{own} vehicle{'s' if own > 1 else ''} by a baseline of its own"
+            goal = f"{goal}, {whose}" if self._baseline or learn_s else f"watching {whose}"
         behind = "".join(f", forwarding to {endpoint.address}" for endpoint in self._behind)
         self._reporter.mark("start", {"version": __version__, "connect": self._link.address})
         self._host.say(f"ready: {self._link.address}{behind}, {goal}")
@@ -181,11 +176,10 @@ class Daemon:
             for sysid in self._web.acknowledged():
                 self._acknowledge(sysid, "the live page")
         if now - self._beat_at >= 0:
-            self._beat()
+            self._beat(now)
             self._watch(now)
             self._beat_at = max(self._beat_at + BEAT_S, now)
-        for _, file in self._files:
-            file.flush()
+        self._flush()
 
     def end(self) -> None:
         """Judge what waits, record the open events, write the last line and the summary."""
@@ -194,18 +188,15 @@ class Daemon:
         self._fitter.close()
         summary = self._summary()
         self._reporter.mark("stop", {"summary": summary})
-        for _, file in self._files:
-            file.flush()
+        self._flush()
         self._host.say(summary)
 
     def figures(self) -> DaemonFigures:
         """Where it stands."""
-        links = (LinkFigures(one.address, one.connected, one.traffic) for one in (self._link, *self._behind))
-        lost = tuple((name, file.lost) for name, file in self._files)
-        delay_s = self.fleet.delay.longest_s
-        return DaemonFigures(
-            self.fleet.figures(), tuple(links), self._late, self._host.cpu_s(), lost, self._guard.refused, delay_s
-        )
+        links = (LinkFigures(link.address, link.connected, link.traffic) for link in (self._link, *self._behind))
+        lost = tuple((name, file.lost) for name, file in self._files.items())
+        counts = (self._late, self._host.cpu_s(), lost, self._guard.refused, self.fleet.delay.longest_s)
+        return DaemonFigures(self.fleet.figures(), tuple(links), *counts)
 
     def _now(self) -> Instant:
         return Instant(self._host.now_ns())
@@ -213,25 +204,33 @@ class Daemon:
     def _when(self, sysid: int | None) -> When:
         return When(self._host.utc(), sysid, None if sysid is None else self.fleet.link.vehicles[sysid].vehicle_ns)
 
-    def _spec(self, profile: Profile) -> SessionSpec:
-        offset_ns = round(self._host.utc().timestamp() * NS_PER_S) - self._host.now_ns()
-        return SessionSpec(profile, self._baseline, self._settings, offset_ns)
+    def _unix_ns(self) -> int:
+        return round(self._host.utc().timestamp() * NS_PER_S)
 
-    def _adapted(self, sysid: int, spec: SessionSpec) -> SessionSpec | None:
-        """The vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
-        own = self._baselines.get(sysid)
-        judged_by = own or self._baseline
-        held = self._inspections.held(sysid, None if judged_by is None else judged_by.propellers)
-        spec = replace(spec, held=held)
-        if own is None and self._baseline is None and self._settings.learn is None:
+    def _flush(self) -> None:
+        for file in self._files.values():
+            file.flush()
+
+    def _note(self, text: str) -> None:
+        """About the daemon, in the journal and the log."""
+        self._reporter.mark("note", {"text": text})
+        self._host.say(text)
+
+    def _sender(self, vehicle: int) -> MavlinkSender:
+        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
+
+    def _spec(self, sysid: int, profile: Profile) -> SessionSpec | None:
+        """By the vehicle's own baseline; None, and said, if it has none and there is nothing for all."""
+        baseline = self._baselines.get(sysid) or self._baseline
+        held = self._inspections.held(sysid, None if baseline is None else baseline.propellers)
+        if baseline is None and self._settings.learn is None:
             self._host.say(f"vehicle {sysid}: not watched: it has no baseline; name one in [vehicles.{sysid}]")
             return None
-        return spec if own is None else replace(spec, baseline=own)
+        return SessionSpec(profile, baseline, self._settings, self._unix_ns() - self._host.now_ns(), held)
 
     def _chunks(self) -> tuple[list[Chunk], list[Source]]:
         """What waits at the vehicle's link, and where each chunk comes from (empty if there is one other end)."""
-        chunks: list[Chunk] = []
-        sources: list[Source] = []
+        chunks, sources = list[Chunk](), list[Source]()
         for _ in range(DRAINS):
             more = self._link.receive(0.0)
             if not more:
@@ -246,11 +245,10 @@ class Daemon:
         turns, texts = self._guard.look(now, self._link.traffic.turned_away)
         for sysid, whose in self._inspections.acknowledged():
             self._acknowledge(sysid, whose)
-        failure = None if self._kept is None else self._kept.step(round(self._host.utc().timestamp() * NS_PER_S))
+        failure = None if self._kept is None else self._kept.step(self._unix_ns())
         self._carry_out(turns)
-        for text in (*texts, *((failure,) if failure else ())):
-            self._reporter.mark("note", {"text": text})
-            self._host.say(text)
+        for text in filter(None, (*texts, failure)):
+            self._note(text)
 
     def _acknowledge(self, sysid: int, whose: str) -> None:
         """Somebody has looked at a vehicle, which may not be there now."""
@@ -260,17 +258,6 @@ class Daemon:
         else:
             self._inspections.close(sysid)
             self._reporter.mark("note", {"text": f"inspection of vehicle {sysid} acknowledged by {whose}"})
-
-    def _sender(self, vehicle: int) -> MavlinkSender:
-        return self._senders.setdefault(vehicle, MavlinkSender(vehicle, self._signing))
-
-    def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
-        """What of a link behind goes to the vehicle; what is for us is answered."""
-        handled = self._requests.from_behind(frames, self._now())
-        for frame in handled.answers:
-            behind.send(frame)
-        self._carry_out(handled.turns)
-        return handled.passed
 
     def _report_new(self, known: int) -> None:
         """Name the vehicles that are new, and say once why another is not watched."""
@@ -284,62 +271,59 @@ class Daemon:
             self._host.say(f"vehicle {sysid}: received, profile {vehicle.session.spec.profile.name}")
         shared = len(self.fleet.vehicles.keys() - self._baselines.keys())
         if new and shared > 1 and self._baseline and self._baseline.airframe.scope == "airframe":
-            name = self._baseline.airframe.name
             advice = "choose one with --vehicle, or give each its own in [vehicles.N]"
+            name = self._baseline.airframe.name
             self._host.say(f"the baseline is of one airframe ({name}), but several fly; {advice}")
 
-    def _beat(self) -> None:
+    def _beat(self, now: Instant) -> None:
         """Heartbeats of the sessions that work; on a link where we must send first, also before a vehicle."""
         for sysid, vehicle in self.fleet.vehicles.items():
             if vehicle.session.working:
-                self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state.state))
+                self._relay.send_to_all(self._sender(sysid).heartbeat(vehicle.session.state))
         if self._announces and not self.fleet.vehicles:
-            self._relay.send_to_vehicle(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
+            self._link.send(self._sender(self._settings.vehicle or FIRST_VEHICLE).heartbeat(State.WAITING))
         figures = self.figures()
-        self.fleet.delay, text = self.fleet.delay.news(self._now())
-        if text:
+        if text := self.fleet.delay.news(now):
             self._host.say(text)
         if self._metrics is not None:
             self._metrics.show(figures, self._host.now_ns())
         if self._web is not None:
-            self._web.show(self.fleet, figures, self._now())
-        if figures.working:
-            self._notifier.alive(figures.status)
-        else:
-            self._notifier.status(figures.status)
+            self._web.show(self.fleet, figures, now)
+        self._notifier.status(figures.status, alive=figures.working)
+
+    def _upward(self, frames: list[bytes], behind: Endpoint) -> Iterable[bytes]:
+        """What of a link behind goes to the vehicle; what is for us is answered."""
+        handled = self._requests.from_behind(frames, self._now())
+        self._answer(handled, behind.send)
+        return handled.passed
+
+    def _answer(self, handled: Handled, send: Callable[[bytes], object]) -> None:
+        for frame in handled.answers:
+            send(frame)
+        self._carry_out(handled.turns)
 
     def _carry_out(self, turns: Sequence[Turn]) -> None:
         for turn in turns:
-            for asked in turn.commands:
-                handled = self._requests.command(asked, turn.vehicle, trusted=self._signing is not None)
-                for frame in handled.answers:
-                    self._relay.answer(frame, self.fleet.link.source(asked.sysid, asked.compid))
-                self._carry_out(handled.turns)
+            for command in turn.commands:
+                source = self.fleet.link.source(command.sysid, command.compid)
+                handled = self._requests.command(command, turn.vehicle, trusted=self._signing is not None)
+                self._answer(handled, partial(self._link.answer, source=source))
             for effect in turn.effects:
                 self._act(turn.vehicle, effect)
                 self._reporter.record(turn.vehicle, effect)
             if turn.parameter_requests:
                 handled = self._requests.parameters(turn.vehicle, turn.parameter_requests, self._now())
-                for frame in handled.answers:
-                    self._relay.send_to_vehicle(frame)
-                self._carry_out(handled.turns)
+                self._answer(handled, self._link.send)
 
     def _act(self, sysid: int, effect: Effect) -> None:
         """The effects that do something."""
-        sender = self._sender(sysid)
+        for frame in self._sender(sysid).to_all(effect):
+            self._relay.send_to_all(frame)
+        for frame in self._sender(sysid).to_vehicle(effect):
+            self._link.send(frame)
         match effect:
-            case SendText():
-                self._relay.send_to_all(sender.text(effect))
-            case SendFloat():
-                self._relay.send_to_all(sender.value(effect))
-            case TimesyncMessage():
-                self._relay.send_to_vehicle(sender.frame(MessageId.TIMESYNC, effect.tc1_ns, effect.ts1_ns))
             case AskInterval(msgid, interval_us):
-                self._relay.send_to_vehicle(sender.request(effect))
                 self._reporter.record(sysid, Note(f"asked for {message_name(msgid)} at {1e6 / interval_us:.0f} Hz"))
-            case AskParameters():
-                for request in sender.read(effect):
-                    self._relay.send_to_vehicle(request)
             case Learn(profile, telemetry, parameters):
                 airframe = self._airframe or Airframe(name=f"vehicle {sysid}")
                 airframe = replace(airframe, name=self._settings.name or airframe.name)
@@ -347,25 +331,21 @@ class Daemon:
             case Baseline():
                 self._reporter.save(sysid, effect)
             case Change():
-                baseline = self.fleet.vehicles[sysid].session.state.baseline
+                baseline = self.fleet.vehicles[sysid].session.baseline
                 judged_by = ("", 0) if baseline is None else (baseline.digest, baseline.propellers)
-                utc = self._host.utc().isoformat(timespec="seconds")
-                self._inspections.take(sysid, effect, *judged_by, utc)
-            case EventOpened(event):
-                if self._metrics is not None:
-                    self._metrics.count_event(sysid, event.monitor)
+                self._inspections.take(sysid, effect, *judged_by, self._host.utc().isoformat(timespec="seconds"))
+            case EventOpened(event) if self._metrics is not None:
+                self._metrics.count_event(sysid, event.monitor)
 
     def _summary(self) -> str:
         ran_s = self._now() - self._started
-        parts = [f"stopped after {ran_s:.1f} s"]
-        parts += [
-            f"vehicle {one.vehicle} {one.state}, {one.received} frames, {one.lost} lost on the way, "
-            f"{one.judged_s:.1f} s judged, {one.events} events"
-            for one in self.fleet.figures()
-        ]
+        vehicles = (
+            f"vehicle {vehicle.vehicle} {vehicle.state}, {vehicle.received} frames, {vehicle.lost} lost on the way, "
+            f"{vehicle.judged_s:.1f} s judged, {vehicle.events} events"
+            for vehicle in self.fleet.figures()
+        )
         late = f", {self._late} looks came late, by {self._latest_s:.2f} s at most" if self._late else ""
-        lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files if file.lost)
-        parts += [self._guard.summary()] if self._guard.summary() else []
+        lost = "".join(f", {file.lost} entries lost to the {name}" for name, file in self._files.items() if file.lost)
         cpu = 100.0 * self._host.cpu_s() / max(1e-9, ran_s)
-        parts.append(f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU")
-        return "; ".join(parts)
+        overflowed = f"{self._link.traffic.overflowed} datagrams overflowed here{late}{lost}, {cpu:.1f} % CPU"
+        return "; ".join(filter(None, (f"stopped after {ran_s:.1f} s", *vehicles, self._guard.summary(), overflowed)))

@@ -1,53 +1,63 @@
-"""Where the daemon stands at a moment: for the metrics, the health command and the service manager."""
+"""Where the daemon and its vehicles stand at a moment: for the metrics, the page and the service manager."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from detector.fleet import VehicleFigures
+from detector.states import State
+from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
 from mavdiag.link.ports import Traffic
+from mavdiag.link.timesync import Timesync
 
-__all__ = ["DaemonFigures", "LinkFigures"]
+
+@dataclass(frozen=True, slots=True)
+class VehicleFigures:
+    """One vehicle at a moment; counts and times so far."""
+
+    vehicle: int  # system id
+    state: State
+    received: int  # frames of its autopilot
+    lost: int
+    gyro_hz: float
+    judged_s: float
+    events: int
+    flight_s: float = 0.0
+    rates: tuple[tuple[str, float], ...] = ()  # measured rate of each stream that is metered [Hz]
+    ratios: tuple[tuple[str, str, float], ...] = ()  # statistic over threshold of monitor and axis that are valid now
+    timesync: Timesync = field(default_factory=Timesync)  # as asked last
+    drift_ppm: float | None = None  # of the first clock of its messages against another; None if they have one clock
+    diagnosis: Diagnosis = NOTHING_SEEN
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFigures:
-    """One link. address: as it was opened; connected: whether somebody is there, as far as this side can know."""
+    """One link."""
 
-    address: str
-    connected: bool
+    address: str  # as it was opened
+    connected: bool  # whether somebody is there, as far as this side can know
     traffic: Traffic
 
 
 @dataclass(frozen=True, slots=True)
 class DaemonFigures:
-    """The daemon at a moment.
-
-    vehicles: those that are watched.
-    links: the vehicle's, then those behind.
-    late: looks at the links that came too late, so far.
-    cpu_s: processor time so far.
-    lost_entries: what could not be written to each file, so far, by option.
-    refused: frames of the vehicle's link that were not heard, so far, by cause.
-    delay_s: longest that a vehicle waited for its turn lately, because there was much to do.
-    """
+    """The daemon at a moment; counts so far."""
 
     vehicles: tuple[VehicleFigures, ...]
-    links: tuple[LinkFigures, ...]
-    late: int
+    links: tuple[LinkFigures, ...]  # the vehicle's, then those behind
+    late: int  # looks at the links that came too late
     cpu_s: float
-    lost_entries: tuple[tuple[str, int], ...] = ()
-    refused: tuple[tuple[str, int], ...] = ()
-    delay_s: float = 0.0
+    lost_entries: tuple[tuple[str, int], ...] = ()  # what could not be written to each file, by option
+    refused: tuple[tuple[str, int], ...] = ()  # frames of the vehicle's link that were not heard, by cause
+    delay_s: float = 0.0  # longest that a vehicle waited for its turn lately, because there was much to do
 
     @property
     def working(self) -> bool:
         """Whether the daemon does its work or still may: not when all of its sessions are off."""
-        return not self.vehicles or any(one.working for one in self.vehicles)
+        return not self.vehicles or any(vehicle.state is not State.FAULTED for vehicle in self.vehicles)
 
     @property
     def status(self) -> str:
         """One line for a person."""
-        states = Counter(one.state for one in self.vehicles)
-        judged_s = sum(one.judged_s for one in self.vehicles)
+        states = Counter(vehicle.state for vehicle in self.vehicles)
+        judged_s = sum(vehicle.judged_s for vehicle in self.vehicles)
         words = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
         return f"{words}; {judged_s:.0f} s judged" if words else "no vehicle was received yet"

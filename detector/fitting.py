@@ -11,15 +11,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline, sealed
 from mavdiag.errors import MavdiagError
 from mavdiag.telemetry import Log, Telemetry
-
-__all__ = ["Fitter", "FittingJob", "Outcome", "ProcessFitter", "fit_baseline"]
 
 LIMIT_S = 300.0  # longer than any fit takes on a small companion computer (our choice)
 NICENESS = 10  # the receive loop comes first
@@ -29,35 +27,14 @@ Outcome: TypeAlias = Baseline | LearningFailed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittingJob:
-    """One vehicle's healthy flight.
+    """One vehicle's healthy flight."""
 
-    vehicle: system id.
-    airframe: what is known of it; its name is the one that the baseline gets.
-    profile: of its link.
-    telemetry: the flight.
-    parameters: of its autopilot, by name.
-    accept: a baseline of grade D is taken, too.
-    """
-
-    vehicle: int
-    airframe: Airframe
-    profile: str
-    telemetry: Telemetry
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    accept: bool = False
-
-
-class Fitter(Protocol):
-    """Whoever makes baselines: `begin` returns at once, `poll` hands out what is done."""
-
-    def begin(self, job: FittingJob) -> None:
-        """Start on a job."""
-
-    def poll(self) -> list[tuple[int, Outcome]]:
-        """Outcomes since the last call, by vehicle."""
-
-    def close(self) -> None:
-        """Give up what is not done."""
+    vehicle: int  # system id
+    airframe: Airframe  # what is known of it; its name is the one that the baseline gets
+    profile: str  # of its link
+    telemetry: Telemetry  # the flight
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot, by name
+    accept: bool = False  # a baseline of grade D is taken, too
 
 
 def fit_baseline(job: FittingJob) -> Outcome:

@@ -1,168 +1,123 @@
-"""The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket."""
+"""The vehicles of one link and their sessions: bytes and `now` in, effects out. No clock, no socket.
+
+Under load fewer vehicles are judged in each look, and each with more data (`due_turns`): nothing is lost, and verdicts
+come later. How much later is told. Each source has one vehicle judged before any source has its second: who makes up
+vehicles delays those of his own source.
+"""
 
 import traceback
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
-from detector.latency import Awaiting
-from detector.pacing import STOP_S, Delay, Pacing, by_turns
+from detector.figures import VehicleFigures
 from detector.session import Session
-from detector.states import State
 from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
 from mavdiag.baseline import Baseline
-from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
 from mavdiag.link.timesync import Timesync, exchanged
-from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
-from mavdiag.telemetry import Instant, IntArray, Signal
+from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
+from mavdiag.telemetry import Instant, Series, Signal
 
-__all__ = ["Fleet", "Turn", "Vehicle", "VehicleFigures"]
+SHARE = 0.5  # of a tick that may be used before the other vehicles wait (our choice: the machine has more to do)
+MOST_S = 2.0  # one vehicle a look that has waited so long is judged all the same (our choice: what is kept is bounded)
+STOP_S = 5.0  # in which what waits is judged when the daemon stops (our choice: half of what the stop may take)
+LEVELS_S = (0.15, 0.3, 0.6, 1.2, 2.4)  # delays that are worth a line in the log (our choice)
+QUIET_S = 10.0  # between two such lines (our choice)
 
-ALL_IN_EVERY_STEP = Pacing()
-
-SpecOf: TypeAlias = Callable[[Profile], SessionSpec]
-Adapt: TypeAlias = Callable[[int, SessionSpec], SessionSpec | None]
-NOT_ASKED = Timesync()
-
-
-def _no_times() -> IntArray:
-    return np.empty(0, dtype=np.int64)
+SpecOf: TypeAlias = Callable[[int, Profile], SessionSpec | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """What came of one vehicle's step.
+    """What came of one vehicle's step."""
 
-    vehicle: system id.
-    effects: what its session wants done.
-    commands: of others to its companion, which we are.
-    parameter_requests: of others about its companion's parameters.
-    arrived_ns, judged_ns: when the gyro samples came that were taken in this step, and those that have their verdict
-        now (host clock); empty if it is not measured.
-    """
-
-    vehicle: int
-    effects: tuple[Effect, ...]
-    commands: tuple[Command, ...] = ()
-    parameter_requests: tuple[Frame, ...] = ()
-    arrived_ns: IntArray = field(default_factory=_no_times)
-    judged_ns: IntArray = field(default_factory=_no_times)
+    vehicle: int  # system id
+    effects: tuple[Effect, ...]  # what its session wants done
+    commands: tuple[Command, ...] = ()  # of others to its companion, which we are
+    parameter_requests: tuple[Frame, ...] = ()  # of others about its companion's parameters
+    gyro: Series | None = None  # that it took in
+    judged_ns: int | None = None  # the vehicle's time up to which was judged
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleFigures:
-    """One vehicle at a moment.
-
-    vehicle: system id.
-    state: of its session.
-    diagnosis: what is held of it.
-    received, lost: its autopilot's frames, so far.
-    gyro_hz: measured rate of the gyro.
-    judged_s, events: so far.
-    flight_s: flight time so far.
-    rates: measured rate of each stream that is metered [Hz].
-    ratios: statistic over threshold of each monitor and axis that is valid now.
-    timesync: round trip and offset of the vehicle's clock, as asked last.
-    drift_ppm: of the first clock of its messages against another one; None if they have one clock.
-    """
-
-    vehicle: int
-    state: State
-    received: int
-    lost: int
-    gyro_hz: float
-    judged_s: float
-    events: int
-    flight_s: float = 0.0
-    rates: tuple[tuple[str, float], ...] = ()
-    ratios: tuple[tuple[str, str, float], ...] = ()
-    timesync: Timesync = NOT_ASKED
-    drift_ppm: float | None = None
-    diagnosis: Diagnosis = NOTHING_SEEN
-
-    @property
-    def working(self) -> bool:
-        """Whether its session does its work or still may."""
-        return self.state is not State.FAULTED
-
-
-@dataclass(slots=True)
 class Vehicle:
-    """One vehicle.
+    """One vehicle and its session."""
 
-    session: its session.
-    outcome: what came of its last `Learn`, until the session gets it.
-    events: that were opened, so far.
-    awaiting: samples whose verdict is waited for; None if that is not measured.
-    timesync: what is known of its clock by asking; asked and answered where we may negotiate.
-    """
-
-    session: Session
-    outcome: Baseline | LearningFailed | None = None
-    events: int = 0
-    awaiting: Awaiting | None = None
-    timesync: Timesync = field(default_factory=Timesync)
-
-    def step(self, received: Received, stream: VehicleStream, now: Instant) -> tuple[Effect, ...]:
-        """Hand the session what came. stream: the vehicle's."""
-        inbox = Inbox(
-            received.telemetry,
-            received.present,
-            stream.reboots,
-            received.acks,
-            self.outcome,
-            received.parameters,
-            stream.profile.imu,
-        )
-        self.outcome = None
-        effects = self.session.step(inbox, now)
-        self.events += sum(isinstance(effect, EventOpened) for effect in effects)
-        if not self.session.spec.settings.negotiate:
-            return effects
-        self.timesync, messages = exchanged(self.timesync, received.frames, now.ns, alive=received.present)
-        return (*effects, *messages)
-
-    def times_ns(self, received: Received, now: Instant) -> tuple[IntArray, IntArray]:
-        """When samples came that were taken, and those that have their verdict now; empty if it is not measured."""
-        if self.awaiting is None:
-            return _no_times(), _no_times()
-        gyro, judge = received.telemetry.get(Signal.BODY_RATE), self.session.state.judge
-        upto_ns = None if judge is None else judge.memory.now_ns
-        self.awaiting, judged_ns = self.awaiting.step(gyro, upto_ns, now.ns)
-        return _no_times() if gyro is None else gyro.host_ns, judged_ns
+    def __init__(self, spec: SessionSpec, now: Instant) -> None:
+        self.session, self.turn = Session(spec, now), now  # turn: when it had its last one
+        self.outcome: Baseline | LearningFailed | None = None  # of its last `Learn`, until the session gets it
+        self.events = 0  # that were opened, so far
+        self.timesync = Timesync()  # asked and answered where we may negotiate
 
     def restart(self, spec: SessionSpec, now: Instant) -> tuple[Effect, ...]:
         """Begin a new session in place of the present one; return what that leaves to record."""
-        left, reboots = self.session.finish(), self.session.state.reboots
-        self.session, self.outcome = Session(replace(spec, held=self.session.state.diagnosis), now), None
-        self.session.state = replace(self.session.state, reboots=reboots)
+        left, before = self.session.finish(), self.session
+        self.session, self.outcome = Session(replace(spec, held=before.diagnosis), now), None
+        self.session.reboots = before.reboots
         return left
+
+
+def due_turns(
+    judged: Mapping[int, Instant],
+    now: Instant,
+    source_of: Callable[[int], Source],
+    has_time: Callable[[], bool] = lambda: True,
+) -> Iterator[tuple[int, float]]:
+    """System ids with the time since they were judged [s], in rounds: of each source the vehicle that waited longest,
+    then of each source the second, and so on. The source that had no turn for the longest time is the first.
+
+    has_time: whether a look has time for another vehicle; one that waited for `MOST_S` has its turn all the same.
+
+    >>> judged = {1: Instant(30), 2: Instant(10), 3: Instant(20)}
+    >>> [sysid for sysid, _ in due_turns(judged, Instant(40), lambda sysid: "one" if sysid == 1 else "other")]
+    [2, 1, 3]
+    """
+    queues: defaultdict[Source, list[int]] = defaultdict(list)
+    for sysid in sorted(judged, key=lambda sysid: judged[sysid].ns):
+        queues[source_of(sysid)].append(sysid)
+    rounds = zip_longest(*sorted(queues.values(), key=lambda queue: judged[queue[-1]].ns))
+    waited, none_yet = [(sysid, now - judged[sysid]) for each in rounds for sysid in each if sysid is not None], True
+    for sysid, span_s in waited:
+        if has_time() or (none_yet and span_s > MOST_S):
+            none_yet = False
+            yield sysid, span_s
+
+
+class Delay:
+    """By how much verdicts come later than at the tick. longest_s: the longest that a vehicle waited lately."""
+
+    def __init__(self) -> None:
+        self.longest_s = 0.0
+        self._level = 0  # how many of `LEVELS_S` it passed when it was told last
+        self._told: Instant | None = None
+
+    def news(self, now: Instant) -> str:
+        """Begin a new measurement; return the line for the log, empty if there is nothing new to tell."""
+        longest_s, self.longest_s = self.longest_s, 0.0
+        level = sum(longest_s > level_s for level_s in LEVELS_S)
+        if level == self._level or (self._told is not None and now - self._told < QUIET_S):
+            return ""
+        self._level, self._told = level, now
+        text = f"much to do: each vehicle is judged every {longest_s:.2f} s, so verdicts come that much later"
+        return text if level else "every vehicle is judged in every look again"
 
 
 class Fleet:
     """All vehicles on one link.
 
-    spec_of: what to do with a vehicle of a profile.
-    profile: of all vehicles, None to go by what each sends.
-    only: the one system id to watch, None for all.
-    datagrams: whether a chunk of bytes holds whole frames.
-    adapt: what is different for the vehicle of a system id; None for one that is left alone.
-    most: how many vehicles may enter.
-    measured: whether the time from a sample to its verdict is measured.
-    pacing: how long one step may take.
+    spec_of: what to do with the vehicle of a system id and profile; None for one that is left alone.
+    profile: of all vehicles, None to go by what each sends. only: the one system id to watch, None for all.
+    datagrams: whether a chunk of bytes holds whole frames. most: how many vehicles may enter.
+    budget_s: time after which no further vehicle is judged in a look; None for all vehicles in every look.
     signing, passed: as in `LinkDecoder`.
-    vehicles: those that are watched, by system id.
-    delay: by how much the pacing puts verdicts off.
     """
 
     def __init__(
@@ -172,10 +127,8 @@ class Fleet:
         profile: Profile | None,
         only: int | None,
         datagrams: bool,
-        adapt: Adapt = lambda sysid, spec: spec,
         most: int = VEHICLES_MAX,
-        measured: bool = False,
-        pacing: Pacing = ALL_IN_EVERY_STEP,
+        budget_s: float | None = None,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
     ) -> None:
@@ -183,11 +136,10 @@ class Fleet:
         self.link = LinkDecoder(
             profile, only, datagrams, careful=True, most=most, signing=signing, passed=passed, ours=ours
         )
-        self._spec_of, self._adapt, self._measured, self._pacing = spec_of, adapt, measured, pacing
+        self.vehicles: dict[int, Vehicle] = {}  # those that are watched, by system id
+        self.budget_s, self.delay = budget_s, Delay()
+        self._spec_of = spec_of
         self._left: set[int] = set()
-        self.vehicles: dict[int, Vehicle] = {}
-        self._judged: dict[int, Instant] = {}
-        self.delay = Delay()
 
     def step(
         self,
@@ -200,27 +152,23 @@ class Fleet:
         """Take bytes with their time of arrival. Time alone changes things: call it regularly, without bytes too.
 
         sources: where each chunk comes from; empty for a link with one other end.
-        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step.
+        spent_s: time since the look began [s]; vehicles for which there is none left have their turn in a later step,
+            but for one that has waited for `MOST_S`.
         """
         self.link.take(chunks, now.ns, sources)
-        streams = self.link.vehicles
-        for sysid in streams.keys() - self.vehicles.keys() - self._left:
-            spec = self._adapt(sysid, self._spec_of(streams[sysid].profile))
+        for sysid in self.link.vehicles.keys() - self.vehicles.keys() - self._left:
+            spec = self._spec_of(sysid, self.link.vehicles[sysid].profile)
             if spec is None:
                 self._left.add(sysid)
                 self.link.give_up(sysid)
             else:
-                awaiting = Awaiting() if self._measured else None
-                self.vehicles[sysid] = Vehicle(Session(spec, now), awaiting=awaiting)
-                self._judged[sysid] = now
+                self.vehicles[sysid] = Vehicle(spec, now)
         for sysid in self._left:
             self.link.leave(sysid)
         turns: list[Turn] = []
-        for sysid, waited_s in by_turns(self._judged, now, self.link.source):
-            if self._pacing.judges(waited_s, spent_s(), not turns):
-                turns.append(self._parted(sysid, now, partial(self._turn, sysid, now)))
-                self._judged[sysid] = now
-                self.delay = self.delay.waited(waited_s)
+        for sysid, waited_s in self._due(now, lambda: self.budget_s is None or spent_s() < self.budget_s):
+            turns.append(self._parted(sysid, now, self._turn))
+            self.delay.longest_s = max(self.delay.longest_s, waited_s)
         return turns
 
     def finish(self, now: Instant, *, spent_s: Callable[[], float] = lambda: 0.0) -> list[Turn]:
@@ -228,22 +176,34 @@ class Fleet:
 
         spent_s: time since the end began [s]; what still waits after `STOP_S` is not judged.
         """
-        waiting = (sysid for sysid, _ in by_turns(self._judged, now, self.link.source))
-        judged = [self._parted(sysid, now, partial(self._turn, sysid, now)) for sysid in waiting if spent_s() < STOP_S]
-        return [*judged, *(self._parted(sysid, now, partial(self._last_turn, sysid)) for sysid in self.vehicles)]
+        turns = [self._parted(sysid, now, self._turn) for sysid, _ in self._due(now, lambda: spent_s() < STOP_S)]
+        return [*turns, *(self._parted(sysid, now, self._last_turn) for sysid in self.vehicles)]
 
-    def _last_turn(self, sysid: int) -> Turn:
+    def _due(self, now: Instant, has_time: Callable[[], bool]) -> Iterator[tuple[int, float]]:
+        judged = {sysid: vehicle.turn for sysid, vehicle in self.vehicles.items()}
+        return due_turns(judged, now, self.link.source, has_time)
+
+    def _last_turn(self, sysid: int, now: Instant) -> Turn:
         return Turn(sysid, self.vehicles[sysid].session.finish())
 
     def _turn(self, sysid: int, now: Instant) -> Turn:
-        vehicle, one = self.vehicles[sysid], self.link.received(sysid)
-        effects = vehicle.step(one, self.link.vehicles[sysid], now)
-        return Turn(sysid, effects, one.commands, one.parameter_requests, *vehicle.times_ns(one, now))
+        vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
+        session, alive = vehicle.session, received.present
+        came = (received.telemetry, alive, stream.reboots, received.acks, vehicle.outcome, received.parameters)
+        vehicle.outcome = None
+        effects = session.step(Inbox(*came, stream.profile.imu), now)
+        vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
+        if session.spec.settings.negotiate:
+            vehicle.timesync, messages = exchanged(vehicle.timesync, received.frames, now.ns, alive=alive)
+            effects = (*effects, *messages)
+        gyro, judged_ns = received.telemetry.get(Signal.BODY_RATE), session.judge.now_ns if session.judge else None
+        return Turn(sysid, effects, received.commands, received.parameter_requests, gyro, judged_ns)
 
-    def _parted(self, sysid: int, now: Instant, work: Callable[[], Turn]) -> Turn:
+    def _parted(self, sysid: int, now: Instant, work: Callable[[int, Instant], Turn]) -> Turn:
         """What comes of one vehicle's work. An error of the program takes this vehicle off, and no other."""
+        self.vehicles[sysid].turn = now
         try:
-            return work()
+            return work(sysid, now)
         except Exception as error:  # noqa: BLE001  # whatever is wrong with one vehicle, the others are watched on
             place = traceback.extract_tb(error.__traceback__)[-1]
             effects = self.vehicles[sysid].session.broken(f"{type(error).__name__}: internal error", now)
@@ -258,20 +218,20 @@ class Fleet:
     def figures_of(self, sysid: int) -> VehicleFigures:
         """Where one vehicle stands."""
         vehicle, count = self.vehicles[sysid], self.link.count(sysid)
-        state, judge = vehicle.session.state, vehicle.session.state.judge
-        gauges = () if judge is None else judge.gauges
+        session, judge = vehicle.session, vehicle.session.judge
+        valid = [gauge for gauge in judge.gauges if gauge.valid] if judge else []
         return VehicleFigures(
             sysid,
-            state.state,
+            session.state,
             received=count.received if count else 0,
             lost=count.lost if count else 0,
-            gyro_hz=state.streams.gyro.rate_hz,
-            judged_s=0.0 if judge is None else judge.judged_s,
+            gyro_hz=session.streams.gyro.rate_hz,
+            judged_s=judge.judged_s if judge else 0.0,
             events=vehicle.events,
-            flight_s=0.0 if judge is None else judge.flight_s,
-            rates=tuple((one.value, state.streams.meter(one).rate_hz) for one in METERED),
-            ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
+            flight_s=judge.flight_s if judge else 0.0,
+            rates=tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED),
+            ratios=tuple((gauge.monitor, gauge.axis or "", gauge.statistic / gauge.threshold) for gauge in valid),
             timesync=vehicle.timesync,
             drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
-            diagnosis=state.diagnosis,
+            diagnosis=session.diagnosis,
         )

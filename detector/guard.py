@@ -17,8 +17,6 @@ from mavdiag.link.vehicles import LinkDecoder
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 
-__all__ = ["Guard"]
-
 AGAIN_S = 60.0  # how often refused signatures are told again while they go on (our choice)
 RESTARTS = 3  # new beginnings of the running numbers in a second, and
 SECONDS = 3  # seconds in a row, that two senders with one name show (our choice)
@@ -40,6 +38,27 @@ class _Known:
     leaps: int = 0
     told: set[str] = field(default_factory=set)
 
+    def news(self, what: str) -> bool:
+        """Whether it was not told before; from now on it was."""
+        new = what not in self.told
+        self.told.add(what)
+        return new
+
+
+@dataclass(slots=True)
+class _Count:
+    """A count that is told when it has grown, at most every `AGAIN_S`."""
+
+    told: int = 0
+    at: Instant | None = None
+
+    def news(self, count: int, now: Instant) -> bool:
+        """Whether it is to be told."""
+        if count <= self.told or (self.at is not None and now - self.at < AGAIN_S):
+            return False
+        self.told, self.at = count, now
+        return True
+
 
 class Guard:
     """Looks at one link; call `look` once a second. signing: of the link, None without."""
@@ -47,10 +66,7 @@ class Guard:
     def __init__(self, link: LinkDecoder, signing: Signing | None) -> None:
         self._link, self._signing = link, signing
         self._known: dict[int, _Known] = {}
-        self._told_at: Instant | None = None
-        self._told = 0
-        self._away_at: Instant | None = None
-        self._turned_away = 0
+        self._refused, self._turned_away = _Count(), _Count()
 
     def sources(self, now: Instant, within_s: float) -> list[SocketAddress]:
         """Where the vehicles are heard from that were heard lately."""
@@ -63,32 +79,26 @@ class Guard:
         for sysid in self._link.vehicles:
             effects = tuple(self._second(sysid, self._known.setdefault(sysid, _Known())))
             turns += [Turn(sysid, effects)] if effects else []
-        if turned_away > self._turned_away and (self._away_at is None or now - self._away_at >= AGAIN_S):
-            self._turned_away, self._away_at = turned_away, now
+        if self._turned_away.news(turned_away, now):
             texts.append(f"{turned_away} connections were turned away or ended: too many, idle, or nothing but garbage")
-        refused = 0 if self._signing is None else sum(self._signing.refused.values())
-        if refused > self._told and (self._told_at is None or now - self._told_at >= AGAIN_S):
-            stale = self._signing is not None and self._signing.refused.get(Refusal.STALE)
-            self._told, self._told_at = refused, now
-            texts.append(self.summary() + (f"; {STALE_ADVICE}" if stale else ""))
+        refused = {} if self._signing is None else self._signing.refused
+        if self._refused.news(sum(refused.values()), now):
+            texts.append(self.summary() + (f"; {STALE_ADVICE}" if refused.get(Refusal.STALE) else ""))
         return turns, texts
 
     @property
     def refused(self) -> tuple[tuple[str, int], ...]:
         """Frames that were not heard so far, by cause."""
-        intruders = {sysid: self._link.intruder(sysid) for sysid in self._link.vehicles}
-        elsewhere = [
-            (f"in the name of vehicle {sysid} from elsewhere", one.frames) for sysid, one in intruders.items() if one
-        ]
-        ours = {sysid: self._link.impostor(sysid) for sysid in self._link.vehicles}
-        elsewhere += [(f"in our own name {sysid}/{OURS}", one.frames) for sysid, one in ours.items() if one]
-        counts = {sysid: self._link.count(sysid) for sysid in self._link.vehicles}
-        text = "in the name of vehicle {} with the number of another frame"
-        elsewhere += [(text.format(sysid), one.clashes) for sysid, one in counts.items() if one and one.clashes]
-        leaps = {sysid: stream.leaps for sysid, stream in self._link.vehicles.items()}
-        elsewhere += [(f"of vehicle {sysid} whose stamps leap", count) for sysid, count in leaps.items() if count]
+        link, counts = self._link, list[tuple[str, int]]()
+        for sysid, stream in link.vehicles.items():
+            intruder, impostor, count = link.intruder(sysid), link.impostor(sysid), link.count(sysid)
+            counts.append((f"in the name of vehicle {sysid} from elsewhere", intruder.frames if intruder else 0))
+            counts.append((f"in our own name {sysid}/{OURS}", impostor.frames if impostor else 0))
+            clashes = count.clashes if count else 0
+            counts.append((f"in the name of vehicle {sysid} with the number of another frame", clashes))
+            counts.append((f"of vehicle {sysid} whose stamps leap", stream.leaps))
         signatures = [] if self._signing is None else [(str(cause), n) for cause, n in self._signing.refused.items()]
-        return (*elsewhere, *signatures)
+        return (*(entry for entry in counts if entry[1]), *signatures)
 
     def summary(self) -> str:
         """What was refused so far, in one line; empty if nothing was."""
@@ -96,25 +106,21 @@ class Guard:
         return f"refused: {', '.join(parts)}" if parts else ""
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
-        intruder, count = self._link.intruder(sysid), self._link.count(sysid)
-        source = self._link.source(sysid)
+        intruder, impostor, count = self._link.intruder(sysid), self._link.impostor(sysid), self._link.count(sysid)
+        source, leaps = self._link.source(sysid), self._link.vehicles[sysid].leaps
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
             yield Note(f"vehicle {sysid} is heard from {moved}")
         known.source = source
-        if intruder is not None and "source" not in known.told:
-            known.told.add("source")
+        if intruder is not None and known.news("source"):
             where = _address(intruder.source)
             yield Note(f"{where} sends in the name of vehicle {sysid}, which is heard elsewhere; it is not heard")
             yield SendText(Severity.WARNING, f"PROP second source sends as vehicle {sysid}")
-        impostor = self._link.impostor(sysid)
-        if impostor is not None and "ours" not in known.told:
-            known.told.add("ours")
+        if impostor is not None and known.news("ours"):
             yield Note(f"{_address(impostor.source)} sends as {sysid}/{OURS}, which is this detector; it is not heard")
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
         if count is not None:
             yield from self._numbers(sysid, known, count)
-        leaps = self._link.vehicles[sysid].leaps
         if leaps >= LEAPS and leaps >= 10 * known.leaps:
             known.leaps = leaps
             yield Note(f"vehicle {sysid}: stamps that leap: {leaps} dropped; another sender?")
@@ -126,8 +132,7 @@ class Guard:
         odd = count.restarts - known.restarts >= RESTARTS or count.clashes > known.clashes or contrary > known.contrary
         known.looks = known.looks + 1 if odd else 0
         known.restarts, known.clashes, known.contrary = count.restarts, count.clashes, contrary
-        if known.looks >= SECONDS and "sequence" not in known.told:
-            known.told.add("sequence")
+        if known.looks >= SECONDS and known.news("sequence"):
             how = "its running numbers keep jumping back"
             if count.clashes or contrary:
                 how = f"{count.clashes} times two frames of one number, {contrary} times disarmed amid armed heartbeats"

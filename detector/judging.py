@@ -1,63 +1,168 @@
-"""Judging in flight: the chain at work, and which monitors do not judge."""
+"""Judging in flight: the chain at work, which monitors do not judge, and whether it flies although none does."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
-from detector.alerts import label_of
+from detector.alerts import Kind, Notice, label_of
 from detector.config import SessionSettings
-from detector.sight import Sight
-from detector.streams import METERED, Streams
+from detector.streams import Streams
 from detector.values import EventClosed, EventOpened, Note, Record
+from mavdiag.airframe.fingerprint import Outcome
 from mavdiag.baseline import Baseline, without_mute
-from mavdiag.chain import Chain, ChainOutput, ChainState, Gauge, Piece, chain_of
+from mavdiag.chain import Account, Chain, ChainOutput, Gauge, Piece, Slot, chain_of
+from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
 from mavdiag.errors import BaselineError
+from mavdiag.link.samples import joined
 from mavdiag.link.wants import LABELS
-from mavdiag.monitors.base import Monitor
+from mavdiag.monitors import NEED_LAYOUT
+from mavdiag.rows.gate import HIDDEN_S, SHOWS_FLIGHT, hidden_flight
+from mavdiag.rows.quality import believed
 from mavdiag.telemetry import Instant, Telemetry
-
-__all__ = ["Judge", "chain_for", "not_judged", "records_of", "rescaled", "words_of"]
+from mavdiag.units import NS_PER_S
 
 WARM_S = 10.0  # flight in which a monitor ought to have judged something (our choice: twice the longest warm-up)
 STREAM_S = 5.0  # how long a stream may take to come before its absence is reported (our choice)
+FLOWN_NS = 20 * NS_PER_S  # of what flew last, which shows what is usual in flight (our choice)
+LATEST_NS = 6 * NS_PER_S  # of what came last: twice `HIDDEN_S`, and no touch-down takes so long (our choice)
+LOOK_NS = 2 * NS_PER_S  # between two looks for a hidden flight (our choice)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Judge:
-    """A baseline and its chain at work.
+    """A baseline and its chain at work."""
 
-    judged: when anything was judged last (host).
-    judged_s: flight time in which a deciding monitor judged, so far.
-    flight_s: flight time so far.
-    gauges: the latest value of every monitor that has one.
-    pieces: what the latest step gave, for a display.
-    sight: whether it flies although nothing is judged.
-    """
+    def __init__(self, baseline: Baseline, chain: Chain, now: Instant, held: Diagnosis = NOTHING_SEEN) -> None:
+        self.baseline, self.chain = baseline, chain
+        self.judged = now  # when anything was judged last (host)
+        self.judged_s = self.flight_s = 0.0  # flight time in which a deciding monitor judged, and all, so far
+        self.pieces: tuple[Piece, ...] = ()  # what the latest step gave, for a display
+        self._latest = ChainOutput()
+        self._memory = chain.start(held)
+        self._sight = _Sight(chain)
 
-    baseline: Baseline
-    chain: Chain
-    memory: ChainState
-    judged: Instant
-    judged_s: float = 0.0
-    flight_s: float = 0.0
-    gauges: tuple[Gauge, ...] = ()
-    pieces: tuple[Piece, ...] = ()
-    sight: Sight = field(default_factory=Sight)
+    @property
+    def hidden(self) -> str:
+        """Why nothing is judged although it flies; empty if it is judged, or does not fly."""
+        return self._sight.hidden
 
-    def step(self, telemetry: Telemetry, now: Instant) -> tuple["Judge", ChainOutput]:
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """The latest value of every monitor that has one."""
+        return self._latest.gauges
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What is held of the vehicle now."""
+        return self._memory.diagnosis
+
+    @property
+    def now_ns(self) -> int | None:
+        """Vehicle time of the latest row."""
+        return self._memory.now_ns
+
+    @property
+    def accounts(self) -> tuple[Account, ...]:
+        """What each monitor judged so far."""
+        return self._memory.accounts
+
+    def step(self, telemetry: Telemetry, now: Instant) -> ChainOutput:
         """Judge the next telemetry."""
-        memory, output = self.chain.step(self.memory, telemetry)
-        judged = now if output.judged_s > 0 else self.judged
-        judged_s, flight_s = self.judged_s + output.judged_s, self.flight_s + output.flight_s
-        gauges = output.gauges or self.gauges
-        counts = (judged, judged_s, flight_s)
-        sight = self.sight.step(self.chain, telemetry, output)
-        return Judge(self.baseline, self.chain, memory, *counts, gauges, output.pieces, sight), output
+        self._memory, output = self.chain.step(self._memory, telemetry)
+        self.judged = now if output.judged_s > 0 else self.judged
+        self._count(output)
+        self._latest, self.pieces = output if output.pieces else self._latest, output.pieces
+        self._sight.step(telemetry, output)
+        return output
 
-    def end_flight(self) -> tuple["Judge", ChainOutput]:
+    def end_flight(self) -> ChainOutput:
         """The flight cannot be followed any longer: what is open is closed."""
-        memory, output = self.chain.end_flight(self.memory)
-        return replace(self, memory=memory, gauges=(), pieces=()), output
+        self._memory, output = self.chain.end_flight(self._memory)
+        self._latest, self.pieces = ChainOutput(), ()
+        return output
+
+    def finish(self) -> tuple[Record, ...]:
+        """The watch ends: the rows that waited are judged, and events that are still open are recorded with the end
+        not seen. What was declared stays, as an open inspection."""
+        self._memory, output = self.chain.finish(self._memory)
+        self._count(output)
+        diagnosis, held = self.diagnosis, self.landed()
+        changes = output.changes
+        if diagnosis.stage is Stage.FAULT:
+            changes = (*changes, Change.of(held, self.now_ns or 0))
+        self._memory = self.chain.start(held)
+        latest = {(event.monitor, event.axis, event.start_ns): event for event in output.events}
+        return (*(EventClosed(event) for event in latest.values()), *changes)
+
+    def landed(self) -> Diagnosis:
+        """What outlasts the flight: an open inspection."""
+        open_ = self.diagnosis.stage in (Stage.FAULT, Stage.INSPECT)
+        return landed(self.diagnosis, self.now_ns or 0) if open_ else NOTHING_SEEN
+
+    def acknowledge(self) -> tuple[Change, ...]:
+        """Somebody has looked at the vehicle."""
+        self._memory, output = self.chain.acknowledge(self._memory)
+        return output.changes
+
+    def not_judged(self, streams: Streams, now: Instant) -> dict[str, str]:
+        """Reason by label of the monitors that do not judge: their streams do not come, or in flight they never judged.
+
+        A condition outside of the envelope is named without its figures: these move, and a text that moves is news.
+        """
+        if streams.began is None or now - streams.began < STREAM_S:
+            return {}
+        found = {}
+        for slot, account in zip(self.chain.slots, self.accounts, strict=True):
+            reasons = unjudged_s(account)
+            if missing := streams.missing(slot.monitor.signals):
+                found[label_of(slot.monitor.name)] = f"no {LABELS[missing]}"
+            elif self.flight_s > WARM_S and not account.judged_s and reasons:
+                found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
+        return found
+
+    def _count(self, output: ChainOutput) -> None:
+        self.judged_s += output.judged_s
+        self.flight_s += output.flight_s
+
+
+class _Sight:
+    """Whether a vehicle flies although the gate passes no rows: `hidden_flight` of a log, for the latest flight."""
+
+    def __init__(self, chain: Chain) -> None:
+        self.hidden = ""
+        self._chain = chain
+        self._pieces: list[tuple[int, Telemetry]] = []  # what tells flight from ground, with its newest time [ns]
+        self._spans: list[tuple[int, int]] = []  # first and last row of each part of them that flew [ns]
+        self._looked_ns = 0
+
+    def step(self, telemetry: Telemetry, output: ChainOutput) -> None:
+        """Take in what came, and what the chain made of it."""
+        series = tuple(part for part in telemetry.series if part.signal in SHOWS_FLIGHT and len(part))
+        if not series:
+            return
+        now_ns = max(int(part.t_ns[-1]) for part in series)
+        if output.flight_s > 0 and output.now_ns is not None:
+            self._spans.append((output.now_ns - round(output.flight_s * NS_PER_S), output.now_ns))
+        self._pieces.append((now_ns, Telemetry(series)))
+        if now_ns - self._looked_ns < LOOK_NS:
+            return
+        self._looked_ns = now_ns
+        flown_ns = self._spans[-1][1] if self._spans else now_ns
+        since_ns = flown_ns - FLOWN_NS
+        self._spans = [span for span in self._spans if span[1] >= since_ns]
+        self._pieces = [
+            (t_ns, piece) for t_ns, piece in self._pieces if since_ns <= t_ns <= flown_ns or t_ns >= now_ns - LATEST_NS
+        ]
+        self.hidden = "" if now_ns - flown_ns < HIDDEN_S * NS_PER_S else self._hidden()
+
+    def _hidden(self) -> str:
+        front = self._chain.front
+        telemetry = believed(front.align.quality, {}, joined([piece for _, piece in self._pieces]))[1]
+        found = hidden_flight(telemetry, front.gate, self._spans)
+        return found[-1].reason if found and self._pieces[-1][0] / NS_PER_S - found[-1].end_s < 1.0 else ""
+
+
+def unjudged_s(account: Account) -> dict[str, float]:
+    """Time without a judgement by its reason [s]."""
+    outside = {f"{condition} not learnt": reach.span_s for condition, reach in account.outside.items()}
+    return {**account.not_judged, **outside}
 
 
 def rescaled(baseline: Baseline, scale: float) -> Baseline:
@@ -84,8 +189,9 @@ def chain_for(baseline: Baseline, settings: SessionSettings, started_ns: int) ->
     started_ns: as in `chain_of`. Raises BaselineError if no monitor is left that decides.
     """
     chain = chain_of(rescaled(baseline, settings.threshold_scale), started_ns)
-    only = [bool(_names(slot.monitor) & set(settings.suspect)) for slot in chain.slots]
-    slots = tuple(replace(slot, decides=slot.decides and not one) for slot, one in zip(chain.slots, only, strict=True))
+    slots = tuple(
+        replace(slot, decides=slot.decides and not _names(slot) & set(settings.suspect)) for slot in chain.slots
+    )
     specs = tuple(replace(spec, decides=slot.decides) for spec, slot in zip(chain.decision.slots, slots, strict=True))
     if chain.slots and not any(slot.decides for slot in slots):
         raise BaselineError("suspect names every monitor that decides")
@@ -99,32 +205,40 @@ def records_of(output: ChainOutput, whose: str) -> tuple[Record, ...]:
     return (*events, *output.changes, *((Note(differs),) if differs else ()))
 
 
-def not_judged(judge: Judge, streams: Streams, now: Instant) -> tuple[tuple[str, str], ...]:
-    """Label and reason of the monitors that do not judge: their streams do not come, or in flight they never judged.
-
-    A condition outside of the envelope is named without its figures: these move, and a text that moves is news.
-    """
-    if streams.began is None or now - streams.began < STREAM_S:
-        return ()
-    found: dict[str, str] = {}
-    for slot, account in zip(judge.chain.slots, judge.memory.accounts, strict=True):
-        missing = [one for one in METERED if one in slot.monitor.signals and streams.meter(one).latest is None]
-        if missing:
-            found[label_of(slot.monitor.name)] = f"no {LABELS[missing[0]]}"
-        elif judge.flight_s > WARM_S and not account.judged_s:
-            outside = {f"{condition} not learnt": one.span_s for condition, one in account.outside.items()}
-            reasons = {**account.not_judged, **outside}
-            if reasons:
-                found[label_of(slot.monitor.name)] = max(reasons, key=lambda reason: reasons[reason])
-    return tuple(found.items())
+def vehicle_notices(output: ChainOutput) -> list[Notice]:
+    """What is said, once, of a vehicle that is another than the baseline's."""
+    far = output.likeness is not None and output.likeness.outcome is Outcome.FAR
+    return [Notice(Kind.OTHER_VEHICLE)] if far else []
 
 
-def words_of(unjudged: Sequence[tuple[str, str]]) -> tuple[str, str]:
-    """What is said of monitors that do not judge, in full and for a text. unjudged: as `not_judged` has them."""
-    label, reason = unjudged[0]
-    short = f"; {label}: {reason}" if len(unjudged) == 1 else f"; not {', '.join(one for one, _ in unjudged)}"
-    return "".join(f"; {one} not judged: {why}" for one, why in unjudged), short
+def layout_notices(baseline: Baseline) -> list[Notice]:
+    """What is said, once for each baseline, of a rotor layout that is unknown or that its flights contradict."""
+    if not baseline.layout_doubt:
+        return []
+    if baseline.airframe.layout is not None:
+        return [Notice(Kind.OTHER_LAYOUT, (baseline.airframe.layout.name,))]
+    lost = sum(refusal.monitor in NEED_LAYOUT for refusal in baseline.not_judgeable)
+    return [Notice(Kind.NO_LAYOUT, (str(lost),))]
 
 
-def _names(monitor: Monitor[Any]) -> frozenset[str]:
-    return frozenset((monitor.name, f"{monitor.name}.{monitor.axis}"))
+def notes_on(baseline: Baseline, chain: Chain, settings: SessionSettings) -> list[Note]:
+    """What the journal gets as judging begins: monitors that the settings silence, doubts about the rotor layout, and
+    names in `suspect` that no monitor of the chain has."""
+    lost = rescaled(baseline, settings.threshold_scale).not_judgeable[len(baseline.not_judgeable) :]
+    notes = [Note(f"{refusal.monitor} not judged: {refusal.reason}") for refusal in lost]
+    known = frozenset[str]().union(*(_names(slot) for slot in chain.slots))
+    notes += [Note(baseline.layout_doubt)] if baseline.layout_doubt else []
+    return notes + [
+        Note(f"suspect: the baseline has no monitor {name!r}") for name in settings.suspect if name not in known
+    ]
+
+
+def words_of(unjudged: dict[str, str]) -> tuple[str, str]:
+    """What is said of monitors that do not judge, in full and for a text. unjudged: as `Judge.not_judged` has them."""
+    (label, reason), *others = unjudged.items()
+    short = f"; not {', '.join(unjudged)}" if others else f"; {label}: {reason}"
+    return "".join(f"; {label} not judged: {why}" for label, why in unjudged.items()), short
+
+
+def _names(slot: Slot) -> frozenset[str]:
+    return frozenset((slot.monitor.name, f"{slot.monitor.name}.{slot.monitor.axis}"))

@@ -5,55 +5,87 @@ settings. docs/detector.md lists the figures. The server's own thread sees only 
 holds few connections, each for a short time, so that who begins requests and ends none costs nothing.
 """
 
-import contextlib
+import asyncio
 import itertools
-import selectors
-import socket
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator
 
+import numpy as np
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
-from detector.figures import DaemonFigures
+from detector.figures import DaemonFigures, VehicleFigures
 from detector.fleet import Turn
-from detector.latency import BOUNDS_S, LatencyCounts
 from detector.states import State
 from mavdiag.decision.diagnosis import Stage
 from mavdiag.errors import LinkError
+from mavdiag.telemetry import IntArray, Series
 from mavdiag.units import NS_PER_S
-
-__all__ = ["Metrics"]
-
 
 CONNECTIONS = 16  # at a time: for a further one the oldest is closed (our choice)
 REQUEST_S = 2.0  # for a whole request, and for its answer (our choice)
 REQUEST_BYTES = 8192
+AWAITED_MOST = 8192  # samples that may wait for their verdict: several seconds (our choice)
+FORGET_NS = NS_PER_S  # a sample without a verdict for so long gets none: nothing is judged (our choice)
+BOUNDS_S = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.15, 0.2, 0.5, 1.0)  # upper ends of the bins of a latency
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
-    """All figures at a moment, which nothing changes any more. at_ns: that moment, monotonic clock."""
+class Awaiting:
+    """Gyro samples that came and are not yet judged, by the vehicle's clock and by when they came (host)."""
 
-    figures: DaemonFigures
-    at_ns: int
-    events: Mapping[tuple[str, str], int]
-    look: LatencyCounts
-    verdict: LatencyCounts
+    def __init__(self) -> None:
+        self.t_ns: IntArray = np.empty(0, dtype=np.int64)
+        self.host_ns = self.t_ns
+
+    def step(self, gyro: Series | None, judged_ns: int | None, now_ns: int) -> IntArray:
+        """Take in new samples; return when those came that have their verdict now.
+
+        judged_ns: the vehicle's time up to which was judged, None for nothing. now_ns: host clock.
+        """
+        t_ns, host_ns = self.t_ns, self.host_ns
+        if gyro is not None and len(gyro):
+            t_ns, host_ns = np.append(t_ns, gyro.t_ns)[-AWAITED_MOST:], np.append(host_ns, gyro.host_ns)[-AWAITED_MOST:]
+        fresh = host_ns >= now_ns - FORGET_NS
+        judged = np.zeros(len(t_ns), dtype=np.bool_) if judged_ns is None else t_ns <= judged_ns
+        self.t_ns, self.host_ns = t_ns[fresh & ~judged], host_ns[fresh & ~judged]
+        return host_ns[judged & fresh]
+
+
+class LatencyCounts:
+    """A histogram with the bins of `BOUNDS_S` and one beyond. counts: samples in each bin. sum_s: of all latencies."""
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(len(BOUNDS_S) + 1, dtype=np.int64)
+        self.sum_s = 0.0
+
+    def add(self, arrived_ns: IntArray, now_ns: int) -> None:
+        """Count samples that came at these times and are judged now (host clock)."""
+        if len(arrived_ns):
+            latency_s = (now_ns - arrived_ns) / NS_PER_S
+            # A new array, for the server's thread may hold the old one.
+            self.counts = self.counts + np.bincount(np.searchsorted(BOUNDS_S, latency_s), minlength=len(self.counts))
+            self.sum_s += float(latency_s.sum())
+
+    def family(self, name: str, text: str) -> HistogramMetricFamily:
+        """As Prometheus has it."""
+        sums = itertools.accumulate(self.counts.tolist())
+        bins = zip((*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"), sums, strict=True)
+        return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), self.sum_s)
 
 
 class Metrics(Collector):
     """Serves http://HOST:PORT/metrics. Raises LinkError if the port cannot be had."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._shown: _Shown | None = None
+        # All figures of a moment, that moment (monotonic clock), and what was counted by then; nothing changes them.
+        self._shown: tuple[DaemonFigures, int, dict[tuple[str, str], int], tuple[Metric, ...]] | None = None
         self._events: Counter[tuple[str, str]] = Counter()
         self._look, self._verdict = LatencyCounts(), LatencyCounts()
+        self._awaiting: defaultdict[int, Awaiting] = defaultdict(Awaiting)
         registry = CollectorRegistry()
         registry.register(self)
         try:
@@ -70,7 +102,11 @@ class Metrics(Collector):
 
     def show(self, figures: DaemonFigures, now_ns: int) -> None:
         """Hand all figures over. now_ns: monotonic clock."""
-        self._shown = _Shown(figures, now_ns, dict(self._events), self._look.copy(), self._verdict.copy())
+        latencies = (
+            self._look.family("look_latency", "From the arrival of a gyro sample to the end of its look."),
+            self._verdict.family("verdict_latency", "From the arrival of a gyro sample to its verdict."),
+        )
+        self._shown = (figures, now_ns, dict(self._events), latencies)
 
     def count_event(self, vehicle: int, monitor: str) -> None:
         """One more alarm."""
@@ -79,8 +115,9 @@ class Metrics(Collector):
     def observe(self, turns: Iterable[Turn], now_ns: int) -> None:
         """Count how long the samples of a look waited. now_ns: its end, monotonic clock."""
         for turn in turns:
-            self._look.add(turn.arrived_ns, now_ns)
-            self._verdict.add(turn.judged_ns, now_ns)
+            if turn.gyro is not None:
+                self._look.add(turn.gyro.host_ns, now_ns)
+            self._verdict.add(self._awaiting[turn.vehicle].step(turn.gyro, turn.judged_ns, now_ns), now_ns)
 
     def close(self) -> None:
         """Stop serving."""
@@ -88,120 +125,36 @@ class Metrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """All figures, as Prometheus asks for them (from its own thread)."""
-        shown = self._shown
-        if shown is None:
+        if self._shown is None:
             return
-        figures = shown.figures
-        age_s = (time.monotonic_ns() - shown.at_ns) / NS_PER_S
-        yield _gauge(
-            "session_working", "1 unless all sessions are off; no word about the vehicles.", float(figures.working)
-        )
-        yield _gauge("figures_age_seconds", "Time since the loop set these figures; 1 at most while it goes on.", age_s)
-        yield _gauge("late_ticks", "Looks at the links that came too late.", figures.late)
-        yield _gauge("cpu_seconds", "Processor time used by the daemon.", figures.cpu_s)
+        figures, at_ns, events, latencies = self._shown
+        age_s = (time.monotonic_ns() - at_ns) / NS_PER_S
+        working = float(figures.working)
+        delay = "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do."
         overflowed = figures.links[0].traffic.overflowed
-        yield _gauge("datagrams_overflowed", "Datagrams of the vehicle's link that the system dropped.", overflowed)
-        lost = CounterMetricFamily("mavdiag_entries_lost", "Entries that could not be written.", labels=["file"])
-        for name, count in figures.lost_entries:
-            lost.add_metric([name], count)
-        yield lost
-        refused = CounterMetricFamily("mavdiag_frames_refused", "Frames that were not heard.", labels=["cause"])
-        for cause, count in figures.refused:
-            refused.add_metric([cause], count)
-        yield refused
-        text = "Longest that a vehicle waited for its turn in the last second; one look, unless there is much to do."
-        yield _gauge("turn_delay_seconds", text, figures.delay_s)
+        for name, text, value in (
+            ("session_working", "1 unless all sessions are off; no word about the vehicles.", working),
+            ("figures_age_seconds", "Time since the loop set these figures; 1 at most while it goes on.", age_s),
+            ("late_ticks", "Looks at the links that came too late.", figures.late),
+            ("cpu_seconds", "Processor time used by the daemon.", figures.cpu_s),
+            ("datagrams_overflowed", "Datagrams of the vehicle's link that the system dropped.", overflowed),
+            ("turn_delay_seconds", delay, figures.delay_s),
+        ):
+            yield GaugeMetricFamily(f"mavdiag_{name}", text, value)
+        lost = [((name,), count) for name, count in figures.lost_entries]
+        refused = [((cause,), count) for cause, count in figures.refused]
+        for name, text, labels, counts in (
+            ("entries_lost", "Entries that could not be written.", ("file",), lost),
+            ("frames_refused", "Frames that were not heard.", ("cause",), refused),
+            ("events", "Alarms of the monitors.", ("vehicle", "monitor"), events.items()),
+        ):
+            family = CounterMetricFamily(f"mavdiag_{name}", text, labels=labels)
+            for values, count in counts:
+                family.add_metric(values, count)
+            yield family
         yield from _links(figures)
-        yield from _vehicles(figures)
-        events = CounterMetricFamily("mavdiag_events", "Alarms of the monitors.", labels=["vehicle", "monitor"])
-        for (vehicle, monitor), count in shown.events.items():
-            events.add_metric([vehicle, monitor], count)
-        yield events
-        yield _histogram("look_latency", "From the arrival of a gyro sample to the end of its look.", shown.look)
-        yield _histogram("verdict_latency", "From the arrival of a gyro sample to its verdict.", shown.verdict)
-
-
-class _Server:
-    """A port that answers every GET with one page, on a thread of its own. Raises OSError if the port cannot be had."""
-
-    def __init__(self, host: str, port: int, page: Callable[[], bytes]) -> None:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        self._listener, self._page = socket.create_server((host, port), family=family, backlog=64), page
-        self._listener.setblocking(False)
-        self.port = int(self._listener.getsockname()[1])
-        self._begun: dict[socket.socket, tuple[float, bytes]] = {}  # the oldest first: its deadline, what came so far
-        self._selector = selectors.DefaultSelector()
-        self._wake, self._woken = socket.socketpair()
-        for one in (self._listener, self._woken):
-            self._selector.register(one, selectors.EVENT_READ)
-        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop answering."""
-        self._wake.send(b"x")
-        self._thread.join(timeout=REQUEST_S + 1.0)
-        for one in (*self._begun, self._listener, self._wake, self._woken):
-            one.close()
-        self._selector.close()
-
-    def _run(self) -> None:
-        while True:
-            ready = [key.fileobj for key, _ in self._selector.select(REQUEST_S)]
-            if self._woken in ready:
-                return
-            for one in ready:
-                if one is self._listener:
-                    self._accept()
-                elif isinstance(one, socket.socket) and one in self._begun:
-                    self._read(one)
-            for one in [one for one, (until, _) in self._begun.items() if until < time.monotonic()]:
-                self._drop(one)
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            link, _ = self._listener.accept()
-            link.setblocking(False)
-            while len(self._begun) >= CONNECTIONS:
-                self._drop(next(iter(self._begun)))
-            self._begun[link] = time.monotonic() + REQUEST_S, b""
-            self._selector.register(link, selectors.EVENT_READ)
-
-    def _read(self, link: socket.socket) -> None:
-        until, before = self._begun[link]
-        try:
-            more = link.recv(REQUEST_BYTES)
-        except OSError:
-            more = b""
-        request = before + more
-        if b"\r\n\r\n" in request:
-            self._answer(link, request)
-        if not more or b"\r\n\r\n" in request or len(request) > REQUEST_BYTES:
-            self._drop(link)
-        else:
-            self._begun[link] = until, request
-
-    def _answer(self, link: socket.socket, request: bytes) -> None:
-        status, body = ("200 OK", self._page()) if request.startswith(b"GET ") else ("405 Method Not Allowed", b"")
-        head = f"HTTP/1.1 {status}\r\nContent-Type: {CONTENT_TYPE_LATEST}\r\nContent-Length: {len(body)}\r\n"
-        with contextlib.suppress(OSError):  # the reader is gone, or slow
-            link.settimeout(REQUEST_S)
-            link.sendall(head.encode() + b"Connection: close\r\n\r\n" + body)
-
-    def _drop(self, link: socket.socket) -> None:
-        self._selector.unregister(link)
-        del self._begun[link]
-        link.close()
-
-
-def _histogram(name: str, text: str, counts: LatencyCounts) -> Metric:
-    sums = itertools.accumulate(counts.counts.tolist())
-    bins = zip((*(f"{bound:g}" for bound in BOUNDS_S), "+Inf"), sums, strict=True)
-    return HistogramMetricFamily(f"mavdiag_{name}_seconds", text, list(bins), counts.sum_s)
-
-
-def _gauge(name: str, text: str, value: float) -> Metric:
-    return GaugeMetricFamily(f"mavdiag_{name}", text, value)
+        yield from _vehicles(figures.vehicles)
+        yield from latencies
 
 
 def _links(figures: DaemonFigures) -> Iterator[Metric]:
@@ -211,50 +164,111 @@ def _links(figures: DaemonFigures) -> Iterator[Metric]:
         "dropped": "Messages that could not be sent.",
     }
     families = {name: GaugeMetricFamily(f"mavdiag_link_{name}", text, labels=["link"]) for name, text in texts.items()}
-    for number, one in enumerate(figures.links):
-        label = ["vehicle" if number == 0 else f"behind {number} {one.address}"]
-        families["connected"].add_metric(label, one.connected)
-        families["sent"].add_metric(label, one.traffic.sent)
-        families["dropped"].add_metric(label, one.traffic.dropped)
+    for number, link in enumerate(figures.links):
+        label = ["vehicle" if number == 0 else f"behind {number} {link.address}"]
+        families["connected"].add_metric(label, link.connected)
+        families["sent"].add_metric(label, link.traffic.sent)
+        families["dropped"].add_metric(label, link.traffic.dropped)
     yield from families.values()
 
 
-def _vehicles(figures: DaemonFigures) -> Iterator[Metric]:
-    def family(name: str, text: str, *labels: str) -> GaugeMetricFamily:
-        return GaugeMetricFamily(f"mavdiag_{name}", text, labels=["vehicle", *labels])
+# Of each vehicle: the name of a figure, what it says, and its labels beside the vehicle.
+_OF_A_VEHICLE: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("state", "1 for the state that the session is in.", ("state",)),
+    ("verdict", "1 for what is held of the vehicle.", ("verdict",)),
+    ("fault", "Of a fault or an open inspection: 1 while it is seen, 0 when it is not.", ("kind", "rotor")),
+    ("frames_received", "Frames received from the autopilot.", ()),
+    ("frames_lost", "Frames lost on the way, by their sequence numbers.", ()),
+    ("stream_hertz", "Measured rate of a stream.", ("stream",)),
+    ("judged_seconds", "Flight time judged.", ()),
+    ("judged_share", "Flight time judged, of all flight time of this session.", ()),
+    ("statistic_ratio", "Statistic over threshold; absent while it is not valid.", ("monitor", "axis")),
+    ("timesync_round_trip_seconds", "Round trip of the latest TIMESYNC, to within a look.", ()),
+    ("clock_drift_ppm", "Drift between the clocks of the vehicle's messages, where there are two.", ()),
+)
 
-    state = family("state", "1 for the state that the session is in.", "state")
-    received = family("frames_received", "Frames received from the autopilot.")
-    lost = family("frames_lost", "Frames lost on the way, by their sequence numbers.")
-    rate = family("stream_hertz", "Measured rate of a stream.", "stream")
-    judged = family("judged_seconds", "Flight time judged.")
-    share = family("judged_share", "Flight time judged, of all flight time of this session.")
-    ratio = family("statistic_ratio", "Statistic over threshold; absent while it is not valid.", "monitor", "axis")
-    verdict = family("verdict", "1 for what is held of the vehicle.", "verdict")
-    fault = family("fault", "Of a fault or an open inspection: 1 while it is seen, 0 when it is not.", "kind", "rotor")
-    round_trip = family("timesync_round_trip_seconds", "Round trip of the latest TIMESYNC, to within a look.")
-    drift = family("clock_drift_ppm", "Drift between the clocks of the vehicle's messages, where there are two.")
-    for one in figures.vehicles:
-        label = str(one.vehicle)
-        if one.timesync.round_trip_s is not None:
-            round_trip.add_metric([label], one.timesync.round_trip_s)
-        if one.drift_ppm is not None:
-            drift.add_metric([label], one.drift_ppm)
-        for other in State:
-            state.add_metric([label, other.value], other is one.state)
-        held = one.diagnosis
-        for stage in Stage:
-            verdict.add_metric([label, stage.value], stage is held.stage)
-        if held.kind is not None:
-            for rotor in dict.fromkeys(span.rotor for span in held.rotors) or ("",):
-                fault.add_metric([label, held.kind, str(rotor)], held.seen and rotor in (held.rotor, ""))
-        received.add_metric([label], one.received)
-        lost.add_metric([label], one.lost)
-        for stream, hertz in one.rates:
-            rate.add_metric([label, stream], hertz)
-        judged.add_metric([label], one.judged_s)
-        if one.flight_s > 0:
-            share.add_metric([label], min(1.0, one.judged_s / one.flight_s))
-        for monitor, axis, value in one.ratios:
-            ratio.add_metric([label, monitor, axis], value)
-    yield from (state, verdict, fault, received, lost, rate, judged, share, ratio, round_trip, drift)
+
+def _vehicles(vehicles: Iterable[VehicleFigures]) -> Iterator[Metric]:
+    families = {
+        name: GaugeMetricFamily(f"mavdiag_{name}", text, labels=["vehicle", *labels])
+        for name, text, labels in _OF_A_VEHICLE
+    }
+    for vehicle in vehicles:
+        for name, labels, value in _samples(vehicle):
+            families[name].add_metric([str(vehicle.vehicle), *labels], value)
+    yield from families.values()
+
+
+def _samples(vehicle: VehicleFigures) -> Iterator[tuple[str, tuple[str, ...], float]]:
+    """Name, further labels and value of each figure of a vehicle."""
+    held, timesync = vehicle.diagnosis, vehicle.timesync
+    for state in State:
+        yield "state", (state.value,), state is vehicle.state
+    for stage in Stage:
+        yield "verdict", (stage.value,), stage is held.stage
+    if held.kind is not None:
+        for rotor in dict.fromkeys(span.rotor for span in held.rotors) or ("",):
+            yield "fault", (held.kind, str(rotor)), held.seen and rotor in (held.rotor, "")
+    yield "frames_received", (), vehicle.received
+    yield "frames_lost", (), vehicle.lost
+    for stream, hertz in vehicle.rates:
+        yield "stream_hertz", (stream,), hertz
+    yield "judged_seconds", (), vehicle.judged_s
+    if vehicle.flight_s > 0:
+        yield "judged_share", (), min(1.0, vehicle.judged_s / vehicle.flight_s)
+    for monitor, axis, ratio in vehicle.ratios:
+        yield "statistic_ratio", (monitor, axis), ratio
+    if timesync.round_trip_s is not None:
+        yield "timesync_round_trip_seconds", (), timesync.round_trip_s
+    if vehicle.drift_ppm is not None:
+        yield "clock_drift_ppm", (), vehicle.drift_ppm
+
+
+class _Server:
+    """A port that answers every GET with one page, on a thread of its own. Raises OSError if the port cannot be had."""
+
+    def __init__(self, host: str, port: int, page: Callable[[], bytes]) -> None:
+        self._page = page
+        self._begun: dict[asyncio.StreamWriter, None] = {}  # connections, the oldest first
+        self._loop = asyncio.new_event_loop()
+        try:
+            listening = asyncio.start_server(self._serve, host, port, limit=REQUEST_BYTES, backlog=64)
+            self._server = self._loop.run_until_complete(listening)
+        except OSError:
+            self._loop.close()
+            raise
+        self.port = int(self._server.sockets[0].getsockname()[1])
+        self._thread = threading.Thread(target=self._loop.run_forever, name="metrics", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout=REQUEST_S + 1.0)
+        self._server.close()
+        for task in asyncio.all_tasks(self._loop):
+            task.cancel()
+        self._loop.run_until_complete(asyncio.sleep(0.0))
+        self._loop.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while len(self._begun) >= CONNECTIONS:
+            self._drop(next(iter(self._begun)))
+        self._begun[writer] = None
+        try:
+            async with asyncio.timeout(REQUEST_S):
+                request = await reader.readuntil(b"\r\n\r\n")
+                good = request.startswith(b"GET ")
+                status, body = ("200 OK", self._page()) if good else ("405 Method Not Allowed", b"")
+                head = f"HTTP/1.1 {status}\r\nContent-Type: {CONTENT_TYPE_LATEST}\r\nContent-Length: {len(body)}\r\n"
+                writer.write(head.encode() + b"Connection: close\r\n\r\n" + body)
+                await writer.drain()
+        except (OSError, TimeoutError, EOFError, asyncio.LimitOverrunError):
+            pass  # no request, or a reader that is gone or slow
+        finally:
+            self._drop(writer)
+
+    def _drop(self, writer: asyncio.StreamWriter) -> None:
+        if writer in self._begun:
+            del self._begun[writer]
+            writer.close()

@@ -8,8 +8,6 @@ import os
 import socket
 from collections.abc import Mapping
 
-__all__ = ["Notifier"]
-
 
 class Notifier:
     """Speaks to the service manager, or to nobody if there is none. Nothing here raises or waits.
@@ -33,14 +31,10 @@ class Notifier:
         """The links are open and the loop begins."""
         self._send("READY=1")
 
-    def alive(self, status: str) -> None:
-        """The loop goes on and does its work. status: one line for `systemctl status`."""
-        if self._watched:
+    def status(self, status: str, *, alive: bool) -> None:
+        """One line for `systemctl status`. alive: the loop goes on and does its work."""
+        if alive and self._watched:
             self._send("WATCHDOG=1")
-        self.status(status)
-
-    def status(self, status: str) -> None:
-        """One line for `systemctl status`."""
         if status != self._status:
             self._send(f"STATUS={' '.join(status.split())}")
         self._status = status

@@ -12,9 +12,6 @@ from typing import TypeAlias
 from detector.journal import Recorder
 from mavdiag.link.ports import Endpoint
 from mavdiag.link.ports.stream import frame_length
-from mavdiag.link.sequence import Source
-
-__all__ = ["DATAGRAM_BYTES", "FrameSplitter", "Relay", "packed"]
 
 Upward: TypeAlias = Callable[[list[bytes], Endpoint], Iterable[bytes]]
 
@@ -77,11 +74,6 @@ class Relay:
         self.wants = bool(self._behind) or recorder is not None
         self._up = [FrameSplitter(datagrams=endpoint.address.startswith("udp")) for endpoint in behind]
 
-    @property
-    def addresses(self) -> tuple[str, ...]:
-        """Of the links behind."""
-        return tuple(endpoint.address for endpoint in self._behind)
-
     def pass_on(self, frames: Sequence[tuple[bytes, int]]) -> None:
         """The frames of the vehicle's link, each with its time of arrival [ns], go to every link behind; what these
         bring goes to the vehicle's link."""
@@ -100,11 +92,3 @@ class Relay:
         """One frame of our own, to everybody."""
         for endpoint in (self._main, *self._behind):
             endpoint.send(frame)
-
-    def answer(self, frame: bytes, source: Source) -> None:
-        """One frame of our own, to where a frame of the vehicle's link came from."""
-        self._main.answer(frame, source)
-
-    def send_to_vehicle(self, frame: bytes) -> None:
-        """One frame of our own, to the vehicle's link only."""
-        self._main.send(frame)

@@ -1,13 +1,7 @@
-"""The session's life as a table: state x trigger -> state.
-
-Two rules keep it honest. Everything that changes a session's state is a row of this table, and this file does not
-know what a session does in a state. A trigger that a state's row does not list is a bug in the caller.
-"""
+"""The session's life as a table, state x trigger -> state. Nothing else changes a session's state."""
 
 from collections.abc import Mapping
 from enum import StrEnum
-
-__all__ = ["TABLE", "State", "Trigger", "advance", "diagram"]
 
 
 class State(StrEnum):
@@ -38,22 +32,16 @@ class Trigger(StrEnum):
     BROKEN = "an error of the program"
 
 
+_ON_A_LINK = {Trigger.LINK_LOST: State.LOST, Trigger.REBOOT: State.WAITING, Trigger.BROKEN: State.FAULTED}
+
 TABLE: Mapping[State, Mapping[Trigger, State]] = {
     State.WAITING: {
         Trigger.READY_TO_LEARN: State.LEARNING,
         Trigger.READY_TO_JUDGE: State.MONITORING,
         Trigger.REFUSED: State.FAULTED,
-        Trigger.LINK_LOST: State.LOST,
-        Trigger.REBOOT: State.WAITING,
-        Trigger.BROKEN: State.FAULTED,
+        **_ON_A_LINK,
     },
-    State.LEARNING: {
-        Trigger.COLLECTED: State.FITTING,
-        Trigger.STREAMS_LOST: State.WAITING,
-        Trigger.LINK_LOST: State.LOST,
-        Trigger.REBOOT: State.WAITING,
-        Trigger.BROKEN: State.FAULTED,
-    },
+    State.LEARNING: {Trigger.COLLECTED: State.FITTING, Trigger.STREAMS_LOST: State.WAITING, **_ON_A_LINK},
     # The fit ends within its time limit, one way or the other; what the link does meanwhile is seen to afterwards.
     State.FITTING: {
         Trigger.FITTED: State.WAITING,
@@ -61,29 +49,15 @@ TABLE: Mapping[State, Mapping[Trigger, State]] = {
         Trigger.GIVEN_UP: State.FAULTED,
         Trigger.BROKEN: State.FAULTED,
     },
-    State.MONITORING: {
-        Trigger.STREAMS_LOST: State.WAITING,
-        Trigger.LINK_LOST: State.LOST,
-        Trigger.REBOOT: State.WAITING,
-        Trigger.BROKEN: State.FAULTED,
-    },
-    State.LOST: {
-        Trigger.LINK_BACK: State.WAITING,
-        Trigger.BROKEN: State.FAULTED,
-    },
+    State.MONITORING: {Trigger.STREAMS_LOST: State.WAITING, **_ON_A_LINK},
+    State.LOST: {Trigger.LINK_BACK: State.WAITING, Trigger.BROKEN: State.FAULTED},
     # Another flight may do what this one could not; a vehicle that was swapped starts anew as well.
-    State.FAULTED: {
-        Trigger.REBOOT: State.WAITING,
-    },
+    State.FAULTED: {Trigger.REBOOT: State.WAITING},
 }
 
 
 def advance(state: State, trigger: Trigger) -> State:
-    """The next state. Raises ValueError for a trigger that the state does not know: a bug.
-
-    >>> advance(State.MONITORING, Trigger.LINK_LOST)
-    <State.LOST: 'lost'>
-    """
+    """The next state. Raises ValueError for a trigger that the state does not know: a bug."""
     try:
         return TABLE[state][trigger]
     except KeyError:

@@ -1,34 +1,28 @@
 """What comes from a vehicle, and what is missing: the rates of its streams, armed, airborne, and the flight so far.
 
-"Not yet" is an answer, with its reason; see `Reason`.
+"Not yet" is an answer, with its reason; see `Reason`. The gyro is mandatory, and so are set-points where nothing can be
+done without them. All other streams are optional: their lack is told and hinders nothing.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections import deque
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 
+from detector.config import SessionSettings
+from mavdiag.baseline import RATE_TOLERANCE, Baseline
 from mavdiag.link.profiles import Profile, scale_doubt
 from mavdiag.link.samples import joined
 from mavdiag.link.scale import gravity_of
+from mavdiag.link.wants import Want, wants_of
+from mavdiag.monitors import MONITORS
 from mavdiag.rows.gate import GateSpec
 from mavdiag.rows.grid import NATIVE_TOLERANCE
 from mavdiag.telemetry import FloatArray, Instant, IntArray, Series, Signal, Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = [
-    "SILENT_S",
-    "Collection",
-    "Hindrance",
-    "Meter",
-    "Reason",
-    "Streams",
-    "Weighing",
-    "collect",
-    "observe",
-    "on_ground",
-]
 
 SILENT_S = 2.0  # without a sample for so long, a stream has stopped (our choice)
 MEASURE_S = 1.0  # vehicle time over which a rate is measured (our choice: a change is known within 2 s)
@@ -64,169 +58,60 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Hindrance:
-    """A reason and the figure that goes with it."""
+    """A reason, and the same with the figure that goes with it."""
 
     reason: Reason
-    figure: str = ""
-
-    @property
-    def text(self) -> str:
-        """Reason and figure, as one phrase."""
-        return f"{self.reason} {self.figure}".rstrip()
+    text: str
 
 
-def _no_times() -> IntArray:
-    return np.empty(0, dtype=np.int64)
+def _hindrance(reason: Reason, figure: str = "") -> Hindrance:
+    return Hindrance(reason, f"{reason} {figure}".rstrip())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Meter:
-    """One stream.
+    """The rate of one stream, by the vehicle's stamps alone: a radio or a computer that stalls changes no rate."""
 
-    latest: when a sample came last (host); None if none came, or none for `SILENT_S`.
-    t_ns: vehicle times since the last measurement.
-    period_s: as measured last; None while unknown.
-    before_s: as measured the time before; None if it was not.
-    steps: number of steps and their length [s] of the last measurements.
-    recent_ns: (up to 3,) vehicle times of the last samples.
-    samples: all so far.
-    """
-
-    latest: Instant | None = None
-    t_ns: IntArray = field(default_factory=_no_times)
-    period_s: float | None = None
-    before_s: float | None = None
-    steps: tuple[tuple[int, float], ...] = ()
-    recent_ns: IntArray = field(default_factory=_no_times)
-    samples: int = 0
+    def __init__(self, samples: int = 0) -> None:
+        self.samples = samples  # all so far
+        self.latest: Instant | None = None  # when one came last (host); None if none came, or none for `SILENT_S`
+        self.periods_s: tuple[float, ...] = ()  # the last two measurements: one odd second is no change of rate
+        self._t_ns: list[IntArray] = []  # since the last measurement
+        self._waiting = 0
+        self._recent_ns: list[int] = []  # vehicle times of the last three samples
+        self._steps: deque[tuple[int, float]] = deque(maxlen=STEADY)  # number and length [s] of the last measurements'
 
     @property
     def steady_hz(self) -> float:
         """Mean rate over the last measurements, losses included; 0 while unknown."""
-        span_s = sum(one for _, one in self.steps)
-        return sum(count for count, _ in self.steps) / span_s if span_s else 0.0
+        span_s = sum(span_s for _, span_s in self._steps)
+        return sum(count for count, _ in self._steps) / span_s if span_s else 0.0
 
     @property
     def rate_hz(self) -> float:
-        """Measured rate; 0 while unknown.
-
-        By the vehicle's stamps alone, for a radio or a computer that stalls changes no rate. Two samples of a far lower
-        rate tell at once that somebody set it, where a measurement takes a second or two.
-        """
-        if not self.period_s:
+        """Measured rate; 0 while unknown. Two samples of a far lower rate tell at once that somebody set it."""
+        if not self.periods_s:
             return 0.0
-        steps = np.diff(self.recent_ns) / NS_PER_S
-        slow_s = float(steps.min()) if len(steps) == 2 else 0.0
-        return 1.0 / (slow_s if slow_s > SLOWER * self.period_s else self.period_s)
+        period_s = self.periods_s[-1]
+        slow_s = min((b - a for a, b in pairwise(self._recent_ns)), default=0) / NS_PER_S
+        slow_s = slow_s if len(self._recent_ns) == 3 else 0.0
+        return 1.0 / (slow_s if slow_s > SLOWER * period_s else period_s)
 
-    @property
-    def periods_s(self) -> tuple[float, ...]:
-        """The last two measurements, as far as there are any: one odd second is no change of rate."""
-        return tuple(period for period in (self.before_s, self.period_s) if period is not None)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weighing:
-    """What the accelerometer feels, of a vehicle that stands or hovers.
-
-    total, samples, since_ns: sum [m/s^2], number and first vehicle time of the samples so far.
-    done: whether the scale is believed.
-    doubt: why not, in a few words; empty while unknown.
-    """
-
-    total: FloatArray = field(default_factory=lambda: np.zeros(3))
-    samples: int = 0
-    since_ns: int = 0
-    done: bool = False
-    doubt: str = ""
-
-    def step(self, force: Series | None, profile: Profile) -> "Weighing":
-        """Take in the next samples; what is doubtful is weighed again."""
-        if self.done or force is None or len(force) == 0:
-            return self
-        since_ns = self.since_ns if self.samples else int(force.t_ns[0])
-        total, samples = self.total + force.values.sum(axis=0), self.samples + len(force)
-        if samples < WEIGH_SAMPLES or force.t_ns[-1] - since_ns < WEIGH_S * NS_PER_S:
-            return replace(self, total=total, samples=samples, since_ns=since_ns)
-        doubt = scale_doubt(profile, gravity_of(total[None, :] / samples))
-        return Weighing(done=not doubt, doubt=doubt)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Streams:
-    """The streams of one vehicle.
-
-    began: since when they are observed (host).
-    meters: of the signals in `METERED` that came so far.
-    armed: 0 or 1 as said last; nan if never said.
-    thrust: collective set-point, 0..1; nan if never said.
-    weighing: of the accelerometer, until its scale is believed.
-    """
-
-    began: Instant | None = None
-    meters: Mapping[Signal, Meter] = field(default_factory=dict)
-    armed: float = float("nan")
-    thrust: float = float("nan")
-    weighing: Weighing = field(default_factory=Weighing)
-
-    @property
-    def scale_doubt(self) -> str:
-        """What the accelerometer feels and the profile that would explain it, if its scale is not the profile's."""
-        return self.weighing.doubt
-
-    def meter(self, signal: Signal) -> Meter:
-        """The meter of a signal."""
-        return self.meters.get(signal, Meter())
-
-    def rate_hz(self, signal: Signal, now: Instant) -> float | None:
-        """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
-        meter = self.meter(signal)
-        if meter.latest is None:
-            return 0.0 if self.began is not None and now - self.began > SILENT_S else None
-        return None if meter.period_s is None else meter.rate_hz
-
-    @property
-    def gyro(self) -> Meter:
-        """The gyro's meter."""
-        return self.meter(Signal.BODY_RATE)
-
-
-def observe(streams: Streams, telemetry: Telemetry, now: Instant, profile: Profile) -> Streams:
-    """Take in what came. profile: of the link, with the IMU message that is read."""
-    return Streams(
-        now if streams.began is None else streams.began,
-        {signal: _metered(streams.meter(signal), telemetry.get(signal), now) for signal in METERED},
-        _latest(streams.armed, telemetry.get(Signal.ARMED)),
-        _latest(streams.thrust, telemetry.get(Signal.THRUST_SETPOINT)),
-        streams.weighing.step(telemetry.get(Signal.SPECIFIC_FORCE), profile),
-    )
-
-
-def on_ground(streams: Streams, gate: GateSpec) -> Hindrance | None:
-    """Why the vehicle does not count as flying, None if it does. What it never says passes, as in the gate."""
-    if gate.need_armed and streams.armed < 0.5:
-        return Hindrance(Reason.NOT_ARMED)
-    if gate.min_thrust is not None and streams.thrust < gate.min_thrust:
-        return Hindrance(Reason.NOT_AIRBORNE)
-    return None
-
-
-def _latest(old: float, series: Series | None) -> float:
-    return float(series.values[-1, 0]) if series is not None and len(series) else old
-
-
-def _metered(meter: Meter, series: Series | None, now: Instant) -> Meter:
-    if series is None or len(series) == 0:
-        silent = meter.latest is not None and now - meter.latest > SILENT_S
-        return Meter(samples=meter.samples) if silent else meter
-    t_ns = np.concatenate((meter.t_ns, series.t_ns))
-    recent_ns = np.concatenate((meter.recent_ns, series.t_ns))[-3:]
-    meter = replace(meter, latest=now, t_ns=t_ns, recent_ns=recent_ns, samples=meter.samples + len(series))
-    if t_ns[-1] - t_ns[0] < MEASURE_S * NS_PER_S:
-        # A clock that jumps back starts the measurement anew; so does one that stands still.
-        return replace(meter, t_ns=t_ns[-1:]) if t_ns[-1] < t_ns[0] or len(t_ns) > _MOST else meter
-    steps = (*meter.steps, (len(t_ns) - 1, float(t_ns[-1] - t_ns[0]) / NS_PER_S))[-STEADY:]
-    return replace(meter, t_ns=t_ns[-1:], period_s=_period_s(t_ns), before_s=meter.period_s, steps=steps)
+    def take(self, series: Series, now: Instant) -> None:
+        """Measure the next samples."""
+        self.latest, self.samples = now, self.samples + len(series)
+        self._recent_ns = [*self._recent_ns, *series.t_ns[-3:].tolist()][-3:]
+        self._t_ns.append(series.t_ns)
+        self._waiting += len(series)
+        first_ns, last_ns = int(self._t_ns[0][0]), int(series.t_ns[-1])
+        if last_ns - first_ns >= MEASURE_S * NS_PER_S:
+            t_ns = np.concatenate(self._t_ns)
+            self._steps.append((len(t_ns) - 1, float(last_ns - first_ns) / NS_PER_S))
+            period_s = _period_s(t_ns)
+            self.periods_s = () if period_s is None else (*self.periods_s, period_s)[-2:]
+        elif last_ns >= first_ns and self._waiting <= _MOST:
+            return
+        # Measured; or a clock that jumped back, or stands still, starts the measurement anew.
+        self._t_ns, self._waiting = [series.t_ns[-1:]], 1
 
 
 def _period_s(t_ns: IntArray) -> float | None:
@@ -242,38 +127,157 @@ def _period_s(t_ns: IntArray) -> float | None:
     return float(np.mean(regular) if len(regular) else median) / NS_PER_S
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Streams:
+    """The streams of one vehicle."""
+
+    def __init__(self) -> None:
+        self.began: Instant | None = None  # since when they are observed (host)
+        self.armed = self.thrust = float("nan")  # 0 or 1; collective set-point, 0..1: as said last; nan if never said
+        self.scale_doubt = ""  # what the accelerometer feels and the profile that would explain it, if it is not 1 g
+        self._meters = {signal: Meter() for signal in METERED}
+        self._weighed: list[FloatArray] = []  # of the accelerometer, until its scale is believed
+        self._weighed_since_ns = 0
+        self._scale_believed = False
+
+    def observe(self, telemetry: Telemetry, now: Instant, profile: Profile) -> None:
+        """Take in what came. profile: of the link, with the IMU message that is read."""
+        self.began = self.began or now
+        for signal, meter in self._meters.items():
+            series = telemetry.get(signal)
+            if series is not None and len(series):
+                meter.take(series, now)
+            elif meter.latest is not None and now - meter.latest > SILENT_S:
+                self._meters[signal] = Meter(meter.samples)
+        self.armed = _latest(self.armed, telemetry.get(Signal.ARMED))
+        self.thrust = _latest(self.thrust, telemetry.get(Signal.THRUST_SETPOINT))
+        force = telemetry.get(Signal.SPECIFIC_FORCE)
+        if not self._scale_believed and force is not None and len(force):
+            self._weigh(force, profile)
+
+    def _weigh(self, force: Series, profile: Profile) -> None:
+        """What the accelerometer feels, of a vehicle that stands or hovers; what is doubtful is weighed again."""
+        if not self._weighed:
+            self._weighed_since_ns = int(force.t_ns[0])
+        self._weighed.append(force.values[:_MOST])
+        span_ns, samples = int(force.t_ns[-1]) - self._weighed_since_ns, sum(map(len, self._weighed))
+        if (samples >= WEIGH_SAMPLES and span_ns >= WEIGH_S * NS_PER_S) or samples > _MOST:
+            felt = np.concatenate(self._weighed).mean(axis=0)
+            self.scale_doubt = scale_doubt(profile, gravity_of(felt[None, :]))
+            self._scale_believed, self._weighed = not self.scale_doubt, []
+
+    def meter(self, signal: Signal) -> Meter:
+        """The meter of a signal."""
+        return self._meters.get(signal) or Meter()
+
+    @property
+    def gyro(self) -> Meter:
+        """The gyro's meter."""
+        return self._meters[Signal.BODY_RATE]
+
+    def rate_hz(self, signal: Signal, now: Instant) -> float | None:
+        """Measured rate of a stream; 0 if it does not come, None while it is being measured."""
+        meter = self.meter(signal)
+        if meter.latest is None:
+            return 0.0 if self.began is not None and now - self.began > SILENT_S else None
+        return meter.rate_hz if meter.periods_s else None
+
+    def missing(self, signals: Container[Signal]) -> Signal | None:
+        """The first of some signals that is metered and does not come."""
+        return next((signal for signal in METERED if signal in signals and self._meters[signal].latest is None), None)
+
+    def on_ground(self, gate: GateSpec) -> Hindrance | None:
+        """Why the vehicle does not count as flying, None if it does. What it never says passes, as in the gate."""
+        if gate.need_armed and self.armed < 0.5:
+            return _hindrance(Reason.NOT_ARMED)
+        if gate.min_thrust is not None and self.thrust < gate.min_thrust:
+            return _hindrance(Reason.NOT_AIRBORNE)
+        return None
+
+
+def _latest(old: float, series: Series | None) -> float:
+    return float(series.values[-1, 0]) if series is not None and len(series) else old
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What a session needs of a vehicle's streams."""
+
+    wants: tuple[Want, ...]  # the streams to ask for
+    least_hz: float  # slowest gyro and set-points
+    dt_s: float | None  # row period of the baseline; None without one
+    setpoints: bool  # whether nothing can be done without set-points
+
+    @classmethod
+    def of(
+        cls, settings: SessionSettings, profile: Profile, baseline: Baseline | None, judged: Sequence[frozenset[Signal]]
+    ) -> "Demand":
+        """What learning needs, or judging by a baseline: the rates of its rows and the signals of its monitors.
+
+        judged: the signals of each monitor at work.
+        """
+        least_hz, ask_hz = settings.min_rate_hz, settings.ask_hz or profile.rate_hz
+        if baseline is None:
+            needs = frozenset[Signal]().union(*(monitor.needs for monitor in MONITORS))
+            return cls(wants_of(profile, needs, (ask_hz, least_hz, float("inf")), least_hz), least_hz, None, True)
+        dt_s = baseline.link.dt_s
+        slowest_hz, fastest_hz = 1.0 / dt_s / (1.0 + RATE_TOLERANCE), 1.0 / dt_s / (1.0 - RATE_TOLERANCE)
+        setpoints = bool(judged) and all(Signal.ATTITUDE_SETPOINT in signals for signals in judged)
+        imu_hz = (1.0 / dt_s, slowest_hz, fastest_hz)
+        wants = wants_of(profile, baseline.needs(), imu_hz, min(least_hz, slowest_hz), setpoints)
+        return cls(wants, least_hz, dt_s, setpoints)
+
+    def lack(self, streams: Streams, *, judging: bool) -> Hindrance | None:
+        """What the streams lack, None if they will do. judging: a rate must be wrong twice before it has changed."""
+        gyro, setpoint = streams.gyro, streams.meter(Signal.ATTITUDE_SETPOINT)
+        if gyro.latest is None:
+            return _hindrance(Reason.NO_GYRO)
+        if streams.scale_doubt:
+            return _hindrance(Reason.SCALE, streams.scale_doubt)
+        if self.setpoints and setpoint.latest is None:
+            return _hindrance(Reason.NO_SETPOINTS)
+        if not gyro.periods_s or (self.setpoints and not setpoint.periods_s):
+            return _hindrance(Reason.MEASURING)
+        periods_s = gyro.periods_s if judging else gyro.periods_s[-1:]
+        if self._slow(periods_s):
+            return _hindrance(Reason.SLOW_GYRO, f"({gyro.rate_hz:.0f} Hz)")
+        if self.dt_s is not None:
+            tolerance = (2.0 if judging else 1.0) * RATE_TOLERANCE
+            if all(abs(period_s / self.dt_s - 1.0) > tolerance for period_s in periods_s):
+                return _hindrance(Reason.OTHER_RATE, f"({gyro.rate_hz:.0f} Hz)")
+        if self.setpoints and self._slow(setpoint.periods_s):
+            return _hindrance(Reason.SLOW_SETPOINTS, f"({setpoint.rate_hz:.0f} Hz)")
+        return None
+
+    def _slow(self, periods_s: Sequence[float]) -> bool:
+        return all(period_s * self.least_hz > 1.0 for period_s in periods_s)
+
+
 class Collection:
-    """Healthy flight to learn from, so far.
+    """Healthy flight to learn from, so far. keep_s: what is older than the latest so many seconds goes."""
 
-    whole: chunks joined, each with its length [s].
-    recent: the latest chunks, not yet joined.
-    recent_s: their length [s].
-    """
-
-    whole: tuple[tuple[Telemetry, float], ...] = ()
-    recent: tuple[Telemetry, ...] = ()
-    recent_s: float = 0.0
+    def __init__(self, keep_s: float = float("inf")) -> None:
+        self._keep_s = keep_s
+        self._whole: list[tuple[Telemetry, float]] = []  # chunks joined, each with its length [s]
+        self._recent: list[Telemetry] = []  # the latest chunks, not yet joined
+        self._recent_s = 0.0
 
     @property
     def seconds(self) -> float:
         """Length by the gyro samples [s]."""
-        return sum(seconds for _, seconds in self.whole) + self.recent_s
+        return sum(seconds for _, seconds in self._whole) + self._recent_s
 
     @property
     def telemetry(self) -> Telemetry:
         """All of it as one."""
-        return joined((*(piece for piece, _ in self.whole), *self.recent))
+        return joined((*(piece for piece, _ in self._whole), *self._recent))
 
-
-def collect(collection: Collection, telemetry: Telemetry, period_s: float, keep_s: float) -> Collection:
-    """Add a chunk of flight. period_s: of the gyro. keep_s: what is older than the latest so many seconds goes."""
-    gyro = telemetry.get(Signal.BODY_RATE)
-    seconds = collection.recent_s + (0 if gyro is None else len(gyro)) * period_s
-    recent = (*collection.recent, telemetry)
-    if len(recent) < _PIECES:
-        return Collection(collection.whole, recent, seconds)
-    whole = (*collection.whole, (joined(recent), seconds))
-    while sum(one for _, one in whole[1:]) > keep_s:
-        whole = whole[1:]
-    return Collection(whole, (), 0.0)
+    def add(self, telemetry: Telemetry, period_s: float) -> None:
+        """Take a chunk of flight. period_s: of the gyro."""
+        gyro = telemetry.get(Signal.BODY_RATE)
+        self._recent_s += (0 if gyro is None else len(gyro)) * period_s
+        self._recent.append(telemetry)
+        if len(self._recent) >= _PIECES:
+            self._whole.append((joined(self._recent), self._recent_s))
+            self._recent, self._recent_s = [], 0.0
+            while sum(seconds for _, seconds in self._whole[1:]) > self._keep_s:
+                del self._whole[0]

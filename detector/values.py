@@ -1,4 +1,4 @@
-"""What goes into a session and what comes out of it: closed, frozen values. The daemon acts on each effect."""
+"""What goes into a session and what comes out of it. The daemon acts on each effect."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,41 +14,16 @@ from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 
-__all__ = [
-    "AskInterval",
-    "AskParameters",
-    "Effect",
-    "EventClosed",
-    "EventOpened",
-    "Inbox",
-    "Learn",
-    "LearningFailed",
-    "Note",
-    "Record",
-    "SendFloat",
-    "SendText",
-    "SessionSpec",
-    "StateChanged",
-    "TextSuppressed",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionSpec:
-    """What a session is to do.
+    """What a session is to do."""
 
-    profile: the vehicle's link profile.
-    baseline: what it judges by; None to learn one.
-    settings: how it works.
-    unix_offset_ns: wall clock less the host's clock [ns]; 0 if the wall clock is not known.
-    held: what is known of the vehicle from before: an open inspection.
-    """
-
-    profile: Profile
-    baseline: Baseline | None = None
+    profile: Profile  # of the vehicle's link
+    baseline: Baseline | None = None  # what it judges by; None to learn one
     settings: SessionSettings = field(default_factory=SessionSettings)
-    unix_offset_ns: int = 0
-    held: Diagnosis = NOTHING_SEEN
+    unix_offset_ns: int = 0  # wall clock less the host's clock [ns]; 0 if the wall clock is not known
+    held: Diagnosis = NOTHING_SEEN  # what is known of the vehicle from before: an open inspection
 
     def unix_ns(self, now: Instant) -> int:
         """Wall-clock time, unix epoch [ns]; 0 if it is not known."""
@@ -64,24 +39,15 @@ class LearningFailed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inbox:
-    """What came for one vehicle since the last step.
-
-    telemetry: its samples.
-    alive: whether any frame of its autopilot came.
-    reboots: of the vehicle, all so far.
-    acks: its autopilot's acknowledgements.
-    outcome: what came of the last `Learn`.
-    parameters: of its autopilot that passed by so far, by name.
-    imu: the message that its gyro is read from; None for the profile's.
-    """
+    """What came for one vehicle since the last step."""
 
     telemetry: Telemetry = field(default_factory=Telemetry)
-    alive: bool = False
-    reboots: int = 0
-    acks: tuple[Ack, ...] = ()
-    outcome: Baseline | LearningFailed | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    imu: MessageId | None = None
+    alive: bool = False  # whether any frame of its autopilot came
+    reboots: int = 0  # all so far
+    acks: tuple[Ack, ...] = ()  # of its autopilot
+    outcome: Baseline | LearningFailed | None = None  # of the last `Learn`
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot that passed by so far, by name
+    imu: MessageId | None = None  # the message that its gyro is read from; None for the profile's
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +60,11 @@ class SendText:
 
 @dataclass(frozen=True, slots=True)
 class SendFloat:
-    """One NAMED_VALUE_FLOAT. name: at most 10 bytes; vehicle_ns: the vehicle's time of the value."""
+    """One NAMED_VALUE_FLOAT."""
 
-    name: str
+    name: str  # at most 10 bytes
     value: float
-    vehicle_ns: int
+    vehicle_ns: int  # the vehicle's time of the value
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +84,11 @@ class AskParameters:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learn:
-    """Make a baseline from this healthy flight; the answer comes back in an inbox. parameters: of its autopilot."""
+    """Make a baseline from this healthy flight; the answer comes back in an inbox."""
 
     profile: str
     telemetry: Telemetry
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of its autopilot
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +129,6 @@ class Note:
     text: str
 
 
+#: What is worth a line in the journal. A `Change` is of the diagnosis, a `Baseline` was learned: keep it.
 Record: TypeAlias = SendText | StateChanged | Change | EventOpened | EventClosed | TextSuppressed | Note | Baseline
-"""What is worth a line in the journal. A `Change` is of the decision's stage, a `Baseline` was learned: keep it."""
 Effect: TypeAlias = Record | SendFloat | AskInterval | AskParameters | Learn | TimesyncMessage

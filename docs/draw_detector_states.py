@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from detector.alerts import POLICY, Policy
+from detector.alerts import Kind, Policy
 from detector.states import diagram
 
 PAGE = Path(__file__).parent / "detector-states.md"
@@ -28,9 +28,10 @@ stream that stops leads to `waiting`, never to `faulted`.
 
 def page() -> str:
     """The whole page."""
+    kinds = {kind.name.lower().replace("_", " "): kind.value for kind in Kind}
     rows = [
-        f"| {kind} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
-        for kind, policy in POLICY.items()
+        f"| {name} | {policy.severity.name} | `{policy.template.format('..', '..')}` | {_again(policy)} |"
+        for name, policy in kinds.items()
     ]
     return TEXT.format(diagram=diagram(), texts="\n".join(rows))
 

@@ -38,7 +38,7 @@ def one_input(data: bytes) -> None:
     datagrams = wire.ConsumeBool()
     only = 1 if wire.ConsumeBool() else None
     fleet = Fleet(
-        lambda profile: SessionSpec(profile, BASELINE, SETTINGS), profile=None, only=only, datagrams=datagrams
+        lambda sysid, profile: SessionSpec(profile, BASELINE, SETTINGS), profile=None, only=only, datagrams=datagrams
     )
     flown, now_ns, chunks = 0, START_NS, list[tuple[bytes, int]]()
     for _ in range(MOST):

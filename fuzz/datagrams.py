@@ -114,7 +114,10 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
     """
     settings = SessionSettings(negotiate=False)
     fleet = Fleet(
-        lambda profile: SessionSpec(profile, baseline_for(), settings), profile=None, only=VEHICLE, datagrams=True
+        lambda sysid, profile: SessionSpec(profile, baseline_for(), settings),
+        profile=None,
+        only=VEHICLE,
+        datagrams=True,
     )
     source, vehicle, now_ns = Source(seed, spoof), MadeVehicle(VEHICLE), START_NS
     alerts, events, fed, warm_mb, flown_s = list[str](), 0, 0, 0.0, 0.0
@@ -138,7 +141,7 @@ def fuzzed(count: int, seed: int, spoof: bool = False, progress: float = 0.0, a_
         if progress and time.monotonic() - told_at > progress:
             told_at = time.monotonic()
             print(f"{fed} fed, {resident_mb():.1f} MB, {len(alerts)} alerts", flush=True)
-    session = fleet.vehicles[VEHICLE].session.state if VEHICLE in fleet.vehicles else None
+    session = fleet.vehicles[VEHICLE].session if VEHICLE in fleet.vehicles else None
     state = State.WAITING if session is None else session.state
     judged_s = session.judge.judged_s if session is not None and session.judge is not None else 0.0
     growth_mb = resident_mb() - warm_mb

@@ -4,10 +4,12 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavdiag.decision.alarm import Event
-from mavdiag.judging import LogVerdict, MonitorSummary
+
+if TYPE_CHECKING:
+    from mavdiag.judging import LogVerdict, MonitorSummary
 
 
 def plain(value: Any) -> Any:
@@ -51,7 +53,7 @@ def event_json(t_s: float, end_s: float | None, event: Event) -> dict[str, Any]:
     }
 
 
-def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
+def verdict_json(verdict: "LogVerdict") -> dict[str, Any]:
     """A verdict. Of a monitor on two axes it has the one that came nearest to its threshold."""
     return {
         "log": verdict.log,
@@ -73,7 +75,7 @@ def verdict_json(verdict: LogVerdict) -> dict[str, Any]:
     }
 
 
-def _monitor_json(monitor: MonitorSummary) -> dict[str, Any]:
+def _monitor_json(monitor: "MonitorSummary") -> dict[str, Any]:
     return {
         "max": number(monitor.maximum),
         "threshold": number(monitor.threshold),

@@ -9,8 +9,6 @@ from sitl_plant.autopilot.wire import Action, Reply
 from sitl_plant.emulator import obey
 from sitl_plant.plant import Plant, PlantConfig, PlantSamples
 
-__all__ = ["PLANT", "Vehicle"]
-
 PLANT = (1, 1)
 BLOCK_STEPS = 20
 

@@ -14,8 +14,6 @@ from mavdiag.link.codec import Decoder, decode_statustext
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint
 
-__all__ = ["COMMAND", "PATIENCE_S", "ended", "port_of", "ran", "running", "until"]
-
 COMMAND = [sys.executable, "-m", "detector"]
 PATIENCE_S = 30.0
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from detector.config import SessionSettings
-from detector.session import Session, SessionState
+from detector.session import Session
 from detector.states import State
 from detector.values import Effect, Inbox, LearningFailed, SendText, SessionSpec, StateChanged
 from mavdiag.airframe.airframe import Airframe
@@ -29,8 +29,6 @@ from mavdiag.telemetry import Axis, FloatArray, Instant, Series, Signal, Telemet
 from mavdiag.thresholds.heldout import Scores
 from mavdiag.thresholds.rule import ThresholdRule, threshold_of
 from mavdiag.units import NS_PER_S
-
-__all__ = ["RATE_HZ", "Story", "baseline_for", "outcome_of"]
 
 RATE_HZ = 100
 A = np.array([1.0, -0.8])  # a rate loop of 45 ms at 100 Hz, gain 1
@@ -149,8 +147,8 @@ class Story:
         self.session = Session(self.spec, self.now)
 
     @property
-    def state(self) -> SessionState:
-        return self.session.state
+    def state(self) -> Session:
+        return self.session
 
     @property
     def now(self) -> Instant:
@@ -209,7 +207,7 @@ class Story:
 
     def at(self, state: State) -> bool:
         """Whether it stands there now."""
-        return self.state.state is state
+        return self.session.state is state
 
     @property
     def texts(self) -> list[str]:

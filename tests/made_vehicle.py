@@ -10,7 +10,7 @@ from memory_port import MemoryEndpoint, memory_pair
 
 from detector.config import Settings
 from detector.daemon import Daemon, Host
-from detector.fitting import FittingJob, Outcome
+from detector.fitting import FittingJob, Outcome, ProcessFitter
 from detector.journal import Journal, Recorder
 from detector.metrics import Metrics
 from detector.notify import Notifier
@@ -53,10 +53,11 @@ class VirtualHost(Host):
         self.ns += round(span_s * NS_PER_S)
 
 
-class FakeFitter:
+class FakeFitter(ProcessFitter):
     """Answers every job with what it was given, two looks later."""
 
     def __init__(self, outcome: Outcome | None = None) -> None:
+        super().__init__()
         self.outcome = outcome
         self.jobs: list[FittingJob] = []
         self._waiting: list[tuple[int, int]] = []

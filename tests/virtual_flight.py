@@ -19,8 +19,6 @@ from sitl_plant.autopilot.telemetry import LinkSpec, flight_telemetry, telemetry
 from sitl_plant.emulator import Link, fly
 from sitl_plant.plant import Plant, PlantConfig
 
-__all__ = ["CREATED", "GroundStation", "VirtualFlight", "healthy_flights", "learnt"]
-
 LEAST_S = 1e-5  # so that no rounding stops the clock
 CREATED = "2026-01-01T00:00:00Z"
 

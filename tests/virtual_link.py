@@ -36,7 +36,7 @@ class Heard:
 def heard(frames: Iterable[tuple[int, bytes]], baseline: Baseline, shim: Shim | None = None) -> Heard:
     """Send every frame at its time [ns] and let the fleet look at the link every 40 ms."""
     fleet = Fleet(
-        lambda profile: SessionSpec(profile, baseline, SessionSettings(negotiate=False)),
+        lambda sysid, profile: SessionSpec(profile, baseline, SessionSettings(negotiate=False)),
         profile=None,
         only=None,
         datagrams=True,

@@ -16,8 +16,6 @@ import pytest
 from detector.web.child import Place, ServerProcess
 from mavdiag.telemetry import Instant
 
-__all__ = ["CHROMIUM", "SCREENSHOTS", "Answered", "Reader", "asked", "browser", "give", "serving", "wait_for"]
-
 PATIENCE_S = 30.0
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
 SCREENSHOTS = Path(__file__).resolve().parents[1] / "build" / "screenshots"

@@ -12,11 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-__all__ = ["HEADERS", "Access", "Answer", "is_loopback"]
-
 PORT_DIGITS = 5
 ACKNOWLEDGE = "/acknowledge"  # the one path that is posted to: it changes something
 _LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+_ANYWHERE = ("0.0.0.0", "::")
 
 #: Of every answer. Nothing is loaded from elsewhere, no script or style stands in the page itself, texts cannot become
 #: markup (trusted types; `drawing` makes the airframe's SVG), and no other site may frame or read it.
@@ -46,27 +45,19 @@ class Answer(IntEnum):
 def is_loopback(host: str) -> bool:
     """Whether only this machine reaches a port there.
 
-    >>> [is_loopback(one) for one in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "drone.local")]
+    >>> [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "drone.local")]
     [True, True, True, False, False]
     """
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    return host.lower() == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
 
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """The rules of one server.
+    """The rules of one server."""
 
-    host, port: that it listens on. token: None where none is asked for.
-    """
-
-    host: str
+    host: str  # that it listens on
     port: int
-    token: str | None = field(default=None, repr=False)
+    token: str | None = field(default=None, repr=False)  # None where none is asked for
 
     @property
     def cookie(self) -> str:
@@ -99,15 +90,9 @@ class Access:
     def _knows(self, host: str) -> bool:
         """Whether a Host header names this server. A rebound name is a name: addresses as such cannot be rebound."""
         name, port = _split(host)
-        if port != self.port:
-            return False
-        if name in (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ())):
-            return True
-        try:
-            ipaddress.ip_address(name)
-            return self.host in ("0.0.0.0", "::")
-        except ValueError:
-            return name == "localhost" and self.host in ("0.0.0.0", "::")
+        known = (self.host.lower(), *(_LOCAL_NAMES if is_loopback(self.host) else ()))
+        anywhere = self.host in _ANYWHERE and (name == "localhost" or _is_address(name))
+        return port == self.port and (name in known or anywhere)
 
 
 def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
@@ -122,6 +107,14 @@ def _of_this_page(path: str, host: str, headers: Mapping[str, str]) -> bool:
     return site in ("none", "same-origin") or linked
 
 
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
 def _split(host: str) -> tuple[str, int]:
     """Name and port of a Host header; port 80 where it has none, -1 where it is malformed."""
     name, colon, port = host.lower().rpartition(":")
@@ -130,6 +123,6 @@ def _split(host: str) -> tuple[str, int]:
     return name.strip("[]"), int(port) if port.isdecimal() and port.isascii() and len(port) <= PORT_DIGITS else -1
 
 
-def _same(one: str, other: str) -> bool:
+def _same(given: str, known: str) -> bool:
     """Whether they are equal, in constant time. A header's bytes that are no UTF-8 are lone surrogates in its text."""
-    return hmac.compare_digest(one.encode(errors="surrogatepass"), other.encode(errors="surrogatepass"))
+    return hmac.compare_digest(given.encode(errors="surrogatepass"), known.encode(errors="surrogatepass"))

@@ -8,11 +8,10 @@ A line of the daemon has one letter for its kind, and what follows it:
     N VEHICLE NOW      the vehicle at this moment, while somebody looks at it
 """
 
+import json
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import islice
-
-__all__ = ["FIRST", "KEPT", "Board", "Reader", "parse_last"]
 
 KEPT = 10_000  # entries
 FIRST = 500  # entries that a page gets which asks for none
@@ -39,68 +38,59 @@ class Board:
     @property
     def watched(self) -> tuple[int, ...]:
         """The vehicles that somebody looks at."""
-        return tuple(sorted({one.vehicle for one in self.readers if one.vehicle is not None}))
+        return tuple(sorted({reader.vehicle for reader in self.readers if reader.vehicle is not None}))
 
     def take(self, line: str) -> None:
         """A line of the daemon; one that is none changes nothing."""
         kind, _, rest = line.partition(" ")
+        head, _, content = rest.partition(" ")
         if kind == "F":
             self.fleet = rest
-            for reader in self.readers:
-                reader.waiting.append(("fleet", rest))
+            self._give(None, "fleet", rest)
+        elif not head.isdecimal():
             return
-        head, _, content = rest.partition(" ")
-        if not head.isdecimal():
-            return
-        number = int(head)
-        if kind == "J" and number > self.newest:
-            if number != self.newest + 1:  # the daemon kept no more: numbers that are kept have no hole
+        elif kind == "J" and int(head) > self.newest:
+            if int(head) != self.newest + 1:  # the daemon kept no more: numbers that are kept have no hole
                 self.entries.clear()
-            self.entries.append((number, content))
+            self.entries.append((int(head), content))
         elif kind == "A":
-            self.about[number] = content
-            self.now.pop(number, None)  # strips of another chain
-            self._give(number, "about", content)
+            self.about[int(head)] = content
+            self.now.pop(int(head), None)  # strips of another chain
+            self._give(int(head), "about", content)
         elif kind == "N":
-            self.now.setdefault(number, deque(maxlen=STRIP_PARTS)).append(content)
-            self._give(number, "now", content)
+            self.now.setdefault(int(head), deque(maxlen=STRIP_PARTS)).append(content)
+            self._give(int(head), "now", content)
 
-    def _give(self, vehicle: int, kind: str, content: str) -> None:
+    def _give(self, vehicle: int | None, kind: str, content: str) -> None:
         for reader in self.readers:
-            if reader.vehicle == vehicle:
+            if vehicle in (None, reader.vehicle):
                 reader.waiting.append((kind, content))
 
     def enter(self, vehicle: int | None, last: int | None) -> "Reader":
         """A page begins to read. last: number of the last entry that it has; None for a page that is new."""
-        sent = max(0, self.newest - FIRST) if last is None else last
-        reader = Reader(self, vehicle, sent)
-        hello = f'{{"run":"{self.run}","newest":{self.newest},"fresh":{"true" if last is None else "false"}}}'
-        reader.waiting.append(("hello", hello))
+        reader = Reader(self, vehicle, max(0, self.newest - FIRST) if last is None else last)
+        hello = {"run": self.run, "newest": self.newest, "fresh": last is None}
+        reader.waiting.append(("hello", json.dumps(hello)))
         if self.fleet:
             reader.waiting.append(("fleet", self.fleet))
         if vehicle is not None and vehicle in self.about:
             reader.waiting.append(("about", self.about[vehicle]))
-        for part in self.now.get(vehicle, ()) if vehicle is not None else ():
-            reader.waiting.append(("now", part))
+        reader.waiting.extend(("now", part) for part in self.now.get(vehicle or -1, ()))
         self.readers.add(reader)
         return reader
 
 
 @dataclass(slots=True, eq=False)
 class Reader:
-    """One page's stream.
-
-    vehicle: that it looks at; None for none yet. sent: number of the last entry that it was given.
-    waiting: what it gets next beside entries; a page that is too slow loses the oldest.
-    """
+    """One page's stream. A page that is too slow loses the oldest of what waits; entries are never left out."""
 
     board: Board
-    vehicle: int | None
-    sent: int
-    waiting: deque[tuple[str, str]] = field(default_factory=lambda: deque(maxlen=2 * STRIP_PARTS))
+    vehicle: int | None  # that it looks at; None for none yet
+    sent: int  # number of the last entry that it was given
+    waiting: deque[tuple[str, str]] = field(default_factory=lambda: deque(maxlen=2 * STRIP_PARTS))  # beside entries
 
     def next(self) -> bytes:
-        """Server-sent events for what came since the last call; empty if nothing did. Entries are never left out."""
+        """Server-sent events for what came since the last call; empty if nothing did."""
         parts = [f"event: {kind}\ndata: {content}\n\n" for kind, content in self.waiting]
         self.waiting.clear()
         entries = self.board.entries
@@ -110,6 +100,11 @@ class Reader:
                 parts.append(f"event: entry\nid: {self.board.run}-{number}\ndata: {content}\n\n")
                 self.sent = number
         return "".join(parts).encode()
+
+
+def is_vehicle(text: str) -> bool:
+    """Whether a text is a number that may be a system id."""
+    return text.isascii() and text.isdecimal() and len(text) < 4
 
 
 def parse_last(text: str | None, run: str) -> int | None:

@@ -12,51 +12,43 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from mavdiag.errors import LinkError, missing_extra
+from mavdiag.errors import LinkError, UsageError, missing_extra
+from mavdiag.link.keys import read_secret
 from mavdiag.telemetry import Instant
-
-__all__ = ["Child", "Place", "ServerProcess", "check_installed"]
 
 START_S = 20.0  # until it listens, at the start (our choice: an import on a slow companion takes some seconds)
 AGAIN_S, AGAIN_MOST_S = 1.0, 60.0  # pause before it is started again, the first and the longest (our choice)
 STEADY_S = 60.0  # after so long the pause begins anew
 END_S = 1.0
 READ_BYTES = 65_536
+TOKEN_LEAST = 16  # characters
 COMMAND = ("-P", "-m", "detector.web.server")  # -P: not what lies in the present folder
-
-
-class Child(Protocol):
-    """Whoever serves the page: what the feed needs of it."""
-
-    @property
-    def where(self) -> str:
-        """Where the page is, for a person."""
-
-    def look(self, now: Instant) -> tuple[bool, list[str]]:
-        """Whether it began anew since the last call and knows nothing, and what it said."""
-
-    def put(self, data: bytes) -> bool:
-        """Give it lines; False, and nothing is given, while it has no room."""
-
-    def close(self) -> None:
-        """End it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the page is served. token: that it asks for; None for none."""
+    """Where the page is served."""
 
     host: str
-    port: int
-    token: str | None
+    port: int  # 0 for a free one
+    token: str | None  # that it asks for; None for none
 
     @property
     def url(self) -> str:
         """Where to open it."""
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
+
+
+def read_token(path: Path) -> str:
+    """The token in a file. Raises UsageError unless the file keeps the rules of a key file, and the line will do."""
+    form = f"{TOKEN_LEAST} or more ASCII characters without blanks"
+    text = read_secret(path, "web token", form).decode("ascii", errors="replace")
+    if len(text) < TOKEN_LEAST or not all("!" <= character <= "~" for character in text):
+        raise UsageError(f"{path}: a web token is one line: {form}")
+    return text
 
 
 def check_installed() -> None:
@@ -66,33 +58,28 @@ def check_installed() -> None:
 
 
 class ServerProcess:
-    """The process. `start` it; it is started again by `look`.
-
-    place: port 0 takes a free one, and keeps it. run: of the daemon. say: takes a log line.
-    """
+    """The process. `start` it; it is started again by `look`. run: of the daemon. say: takes a log line."""
 
     def __init__(self, place: Place, run: str, say: Callable[[str], None]) -> None:
         self.place, self._run, self._say = place, run, say
         self._process: subprocess.Popen[bytes] | None = None
+        self._stdin = self._stdout = -1  # its descriptors, which never block
         self._unsent, self._unread = b"", b""
         self._begun: Instant | None = None
         self._pause_s, self._again = AGAIN_S, Instant(0)
-        self._fresh, self._told = True, False
+        self._fresh = self._told = False  # it began anew and knows nothing; that it ended was said
 
     def start(self) -> None:
         """Start it and wait until it listens. Raises UsageError or LinkError, in one line, if it cannot."""
         check_installed()
         self._spawn()
-        process = self._process
-        if process is None or process.stdout is None or not select.select([process.stdout], [], [], START_S)[0]:
-            self.close()
-            raise LinkError(f"web page on {self.place.url}: its process does not answer; try again")
-        [answer, *_] = self._read() or ["refused its process ended"]
-        word, _, rest = answer.partition(" ")
+        answers = self._read() if select.select([self._stdout], [], [], START_S)[0] else ["silent"]
+        word, _, rest = (answers or ["refused its process ended"])[0].partition(" ")
         if word != "listening":
             self.close()
-            raise LinkError(f"web page on {self.place.url}: {rest}; name another --web HOST:PORT")
-        self.place = Place(self.place.host, int(rest), self.place.token)
+            why = f"{rest}; name another --web HOST:PORT" if rest else "its process does not answer; try again"
+            raise LinkError(f"web page on {self.place.url}: {why}")
+        self.place = replace(self.place, port=int(rest))
 
     @property
     def pid(self) -> int | None:
@@ -101,50 +88,44 @@ class ServerProcess:
 
     @property
     def where(self) -> str:
-        """As `Child`; the token itself is not shown."""
+        """Where the page is, for a person; the token itself is not shown."""
         return self.place.url if self.place.token is None else f"{self.place.url}?token=TOKEN"
 
     def look(self, now: Instant) -> tuple[bool, list[str]]:
-        """As `Child`. Starts it again where it ended."""
-        if self._process is None:
-            if now - self._again < 0:
-                return False, []
-            try:
+        """Whether it began anew since the last call and knows nothing, and what it said. One that ended begins anew."""
+        if self._process is None and now - self._again >= 0:
+            with contextlib.suppress(LinkError):  # no memory, no process: later
                 self._spawn()
-            except LinkError:  # no memory, no process: later
-                self._ended(now)
-                return False, []
+        if self._process is None:
+            return False, []
         self._begun = self._begun or now
         lines = self._read()
-        if self._process is not None and self._process.stdin is not None:
-            self._flushed(self._process.stdin.fileno())
-        if self._process is not None and self._process.poll() is not None:
-            lines = []
-            self._ended(now)
-        elif self._told and any(one.startswith("listening") for one in lines):
+        self._flush()
+        if self._process.poll() is not None:
+            self._ended(self._process.returncode, now)
+            return False, []
+        if self._told and any(line.startswith("listening") for line in lines):
             self._say(f"web page: {self.place.url} is served again")
             self._told = False
-        fresh, self._fresh = self._fresh and self._process is not None, self._fresh and self._process is None
+        fresh, self._fresh = self._fresh, False
         return fresh, lines
 
     def put(self, data: bytes) -> bool:
-        """As `Child`."""
-        process = self._process
-        if process is None or process.stdin is None or not self._flushed(process.stdin.fileno()):
+        """Give it lines; False, and nothing is given, while it has no room."""
+        if self._process is None or not self._flush():
             return False
         self._unsent = data
-        self._flushed(process.stdin.fileno())
+        self._flush()
         return True
 
     def close(self) -> None:
-        """As `Child`: it ends when its stdin does."""
+        """End it: it ends when its stdin does."""
         process, self._process = self._process, None
         if process is None:
             return
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(OSError):
-                    pipe.close()
+        for pipe in filter(None, (process.stdin, process.stdout)):
+            with contextlib.suppress(OSError):
+                pipe.close()
         try:
             process.wait(END_S)
         except subprocess.TimeoutExpired:
@@ -152,37 +133,35 @@ class ServerProcess:
             process.wait()
 
     def _spawn(self) -> None:
-        environ = {**os.environ, "PYTHONPATH": os.pathsep.join(one for one in sys.path if one)}
+        environ = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         pipe = subprocess.PIPE
         try:
             process = subprocess.Popen([sys.executable, *COMMAND], stdin=pipe, stdout=pipe, bufsize=0, env=environ)
         except OSError as error:
             raise LinkError(f"web page: its process cannot be started ({error.strerror or error})") from error
         self._process, self._begun, self._unread, self._fresh = process, None, b"", True
-        for one in (process.stdin, process.stdout):
-            if one is not None:
-                os.set_blocking(one.fileno(), False)
+        self._stdin, self._stdout = (stream.fileno() for stream in (process.stdin, process.stdout) if stream)
+        for descriptor in (self._stdin, self._stdout):
+            os.set_blocking(descriptor, False)
         told = {"host": self.place.host, "port": self.place.port, "token": self.place.token, "run": self._run}
         self._unsent = f"{json.dumps(told)}\n".encode()
-        if process.stdin is not None:
-            self._flushed(process.stdin.fileno())
+        self._flush()
 
-    def _ended(self, now: Instant) -> None:
+    def _ended(self, code: int, now: Instant) -> None:
         """It ended by itself: said once until it works again."""
-        code = self._process.returncode if self._process is not None else 0
         lasted_s = now - self._begun if self._begun is not None else 0.0
         self.close()
         self._pause_s = AGAIN_S if lasted_s > STEADY_S else min(AGAIN_MOST_S, 2.0 * self._pause_s)
-        self._again, self._fresh = now + self._pause_s, True
+        self._again = now + self._pause_s
         if not self._told:
             self._say(f"web page: its process ended (exit code {code}); it is started again, the watch goes on")
         self._told = True
 
-    def _flushed(self, descriptor: int) -> bool:
-        """Whether all that was given is written."""
+    def _flush(self) -> bool:
+        """Write what was given, as far as there is room; whether that is all."""
         try:
             while self._unsent:
-                self._unsent = self._unsent[os.write(descriptor, self._unsent) :]
+                self._unsent = self._unsent[os.write(self._stdin, self._unsent) :]
         except BlockingIOError:
             return False
         except OSError:  # it is gone: `look` sees that
@@ -192,10 +171,7 @@ class ServerProcess:
 
     def _read(self) -> list[str]:
         """Whole lines that it said since the last call."""
-        process = self._process
-        if process is None or process.stdout is None:
-            return []
         with contextlib.suppress(BlockingIOError):
-            self._unread += os.read(process.stdout.fileno(), READ_BYTES)
+            self._unread += os.read(self._stdout, READ_BYTES)
         *lines, self._unread = self._unread.split(b"\n")
-        return [one.decode(errors="replace") for one in lines]
+        return [line.decode(errors="replace") for line in lines]

@@ -10,14 +10,12 @@ from itertools import islice
 
 from detector.figures import DaemonFigures
 from detector.fleet import Fleet, Turn
-from detector.web.board import KEPT
-from detector.web.child import Child
-from detector.web.overview import fleet_now
-from detector.web.snapshot import Memory, about, as_line, level_of, snapshot
+from detector.web.board import KEPT, is_vehicle
+from detector.web.child import ServerProcess
+from detector.web.snapshot import Snapshots, about, fleet_now
+from mavdiag.as_json import json_line
 from mavdiag.chain import Chain, Piece
 from mavdiag.telemetry import Instant
-
-__all__ = ["Feed"]
 
 SNAPSHOT_S = 0.2  # between two snapshots of a vehicle that is looked at (our choice)
 BATCH = 100  # entries that are handed over at once
@@ -31,15 +29,15 @@ class Feed:
     child: who serves the page. began: now.
     """
 
-    def __init__(self, child: Child, began: Instant) -> None:
+    def __init__(self, child: ServerProcess, began: Instant) -> None:
         self._child, self._began = child, began
         self._entries: deque[str] = deque(maxlen=KEPT)
         self._count, self._given = 0, 0
         self._watched: tuple[int, ...] = ()
         self._pieces: dict[int, list[Piece]] = {}
-        self._memory: dict[int, Memory] = {}
+        self._snapshots: dict[int, Snapshots] = {}
         self._about: dict[int, Chain | None] = {}
-        self._shown = self._began
+        self._shown = began
         self._fleet = ""
         self._acknowledged: list[int] = []
 
@@ -63,11 +61,10 @@ class Feed:
         for line in lines:
             self._heard(line)
         for turn in turns if self._watched else ():
-            judge = fleet.vehicles[turn.vehicle].session.state.judge
+            judge = fleet.vehicles[turn.vehicle].session.judge
             if turn.vehicle in self._watched and judge is not None and judge.pieces:
                 self._pieces[turn.vehicle] = [*self._pieces.get(turn.vehicle, ()), *judge.pieces][-PIECES_MOST:]
-        if self._count > self._given:
-            self._give()
+        self._give()
         if self._watched and now - self._shown >= SNAPSHOT_S:
             self._shown = now
             for sysid in self._watched:
@@ -75,8 +72,8 @@ class Feed:
 
     def show(self, fleet: Fleet, figures: DaemonFigures, now: Instant) -> None:
         """The vehicles and links, once a second."""
-        levels = {sysid: level_of(vehicle.session.state, now) for sysid, vehicle in fleet.vehicles.items()}
-        self._fleet = as_line(fleet_now(figures, levels, now - self._began))
+        sessions = {sysid: vehicle.session for sysid, vehicle in fleet.vehicles.items()}
+        self._fleet = json_line(fleet_now(figures, sessions, now, self._began))
         self._put("F", self._fleet)
 
     def acknowledged(self) -> list[int]:
@@ -91,12 +88,12 @@ class Feed:
 
     def _heard(self, line: str) -> None:
         word, _, rest = line.partition(" ")
-        if word == "ack" and rest.isdecimal() and len(rest) < 4 and len(self._acknowledged) < WATCHED_MOST:
+        if word == "ack" and is_vehicle(rest) and len(self._acknowledged) < WATCHED_MOST:
             self._acknowledged.append(int(rest))
         if word == "watch":
-            self._watched = tuple(int(one) for one in rest.split() if one.isdecimal() and len(one) < 4)[:WATCHED_MOST]
-            self._pieces = {sysid: pieces for sysid, pieces in self._pieces.items() if sysid in self._watched}
-            self._memory = {sysid: memory for sysid, memory in self._memory.items() if sysid in self._watched}
+            self._watched = tuple(int(number) for number in rest.split() if is_vehicle(number))[:WATCHED_MOST]
+            self._pieces = {sysid: self._pieces[sysid] for sysid in self._watched if sysid in self._pieces}
+            self._snapshots = {sysid: self._snapshots.get(sysid) or Snapshots() for sysid in self._watched}
 
     def _put(self, head: str, content: str) -> bool:
         return bool(content) and self._child.put(f"{head} {content}\n".encode())
@@ -105,9 +102,9 @@ class Feed:
         """Hand over entries, as far as there is room; those that are no longer kept are left out, as their numbers
         tell."""
         while self._given < self._count:
-            first = max(self._given + 1, self._count - len(self._entries) + 1)
-            skip = first - (self._count - len(self._entries) + 1)
-            batch = list(islice(self._entries, skip, skip + BATCH))
+            oldest = self._count - len(self._entries) + 1
+            first = max(self._given + 1, oldest)
+            batch = list(islice(self._entries, first - oldest, first - oldest + BATCH))
             lines = "".join(f"J {number} {text}\n" for number, text in enumerate(batch, start=first))
             if not self._child.put(lines.encode()):
                 return
@@ -118,14 +115,10 @@ class Feed:
         if vehicle is None:
             return
         session = vehicle.session
-        judge = session.state.judge
-        chain = None if judge is None else judge.chain
+        chain = None if session.judge is None else session.judge.chain
         if sysid not in self._about or self._about[sysid] is not chain:
-            described = as_line(about(sysid, session.spec.profile.name, judge))
-            if not self._put(f"A {sysid}", described):
+            if not self._put(f"A {sysid}", json_line(about(sysid, session.spec.profile.name, session.judge))):
                 return
             self._about[sysid] = chain
         pieces = self._pieces.pop(sysid, [])
-        memory = self._memory.get(sysid, Memory())
-        self._memory[sysid], now_shown = snapshot(memory, fleet.figures_of(sysid), session.state, pieces, now)
-        self._put(f"N {sysid}", as_line(now_shown))
+        self._put(f"N {sysid}", json_line(self._snapshots[sysid].next(fleet.figures_of(sysid), session, pieces, now)))

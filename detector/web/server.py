@@ -3,9 +3,8 @@
     python -m detector.web.server      not for people: the daemon starts it
 
 Its first line on stdin is a JSON object with host, port, token and run. It answers `listening PORT`, or `refused
-REASON` and ends; later it says `watch VEHICLE ...` whenever that changes,
-and `ack VEHICLE`. It ends when stdin does, so it never outlives
-the daemon.
+REASON` and ends; later it says `watch VEHICLE ...` whenever that changes, and `ack VEHICLE`. It ends when stdin does,
+so it never outlives the daemon.
 """
 
 import asyncio
@@ -20,9 +19,7 @@ from pathlib import Path
 from aiohttp import web
 
 from detector.web.access import ACKNOWLEDGE, HEADERS, Access, Answer
-from detector.web.board import Board, Reader, parse_last
-
-__all__ = ["Server", "main"]
+from detector.web.board import Board, Reader, is_vehicle, parse_last
 
 PAGES = 32  # streams at a time
 LINE_BYTES = 4_000_000  # of a line on stdin, at most
@@ -36,6 +33,11 @@ FILES = {
     "/strips.js": ("strips.js", "text/javascript"),
     "/style.css": ("style.css", "text/css"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+REFUSALS = {
+    Answer.NO_TOKEN: "a token is needed: open /?token=TOKEN, the line in the detector's token file",
+    Answer.REFUSED: "this request does not come from the page of this detector",
+    Answer.NOT_A_GET: f"only GET, and POST to {ACKNOWLEDGE}",
 }
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -74,24 +76,21 @@ class Server:
 
     @web.middleware
     async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        match self._answer(request):
-            case Answer.PASS:
-                try:
-                    response = await handler(request)
-                except web.HTTPException as error:
-                    response = _said(error.status, error.reason)
-            case Answer.SIGN_IN:
-                response = web.Response(status=303, headers={"Location": "/"})
-                cookie, value = self.access.cookie, self.access.cookie_value
-                response.set_cookie(cookie, value, httponly=True, samesite="Strict", path="/")
-            case Answer.NO_TOKEN:
-                response = _said(401, "a token is needed: open /?token=TOKEN, the line in the detector's token file")
-                response.headers["WWW-Authenticate"] = "Bearer"
-            case Answer.REFUSED:
-                response = _said(403, "this request does not come from the page of this detector")
-            case Answer.NOT_A_GET:
-                response = _said(405, f"only GET, and POST to {ACKNOWLEDGE}")
-                response.headers["Allow"] = "POST" if request.path == ACKNOWLEDGE else "GET"
+        answer = self._answer(request)
+        if answer is Answer.PASS:
+            try:
+                response = await handler(request)
+            except web.HTTPException as error:
+                response = _said(error.status, error.reason)
+        elif answer is Answer.SIGN_IN:
+            response = web.Response(status=answer, headers={"Location": "/"})
+            cookie, value = self.access.cookie, self.access.cookie_value
+            response.set_cookie(cookie, value, httponly=True, samesite="Strict", path="/")
+        else:
+            response = _said(answer, REFUSALS[answer])
+            more = {Answer.NO_TOKEN: ("WWW-Authenticate", "Bearer")}
+            more[Answer.NOT_A_GET] = ("Allow", "POST" if request.path == ACKNOWLEDGE else "GET")
+            response.headers.update([more[answer]] if answer in more else [])
         if not response.prepared:
             response.headers.update(HEADERS)
         return response
@@ -103,7 +102,7 @@ class Server:
     async def _acknowledge(self, request: web.Request) -> web.Response:
         """Somebody has looked at a vehicle. The journal tells what came of it."""
         vehicle = request.query.get("vehicle", "")
-        if not (vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4):
+        if not is_vehicle(vehicle):
             raise web.HTTPBadRequest(reason="name a vehicle: ?vehicle=1")
         _to_daemon(f"ack {vehicle}")
         return _said(202, "handed to the detector")
@@ -115,8 +114,7 @@ class Server:
         last = request.headers.get("Last-Event-ID") or request.query.get("after")
         response = web.StreamResponse(headers={**HEADERS, "Content-Type": "text/event-stream; charset=utf-8"})
         await response.prepare(request)
-        number = int(vehicle) if vehicle.isascii() and vehicle.isdecimal() and len(vehicle) < 4 else None
-        reader = self._board.enter(number, parse_last(last, self._board.run))
+        reader = self._board.enter(int(vehicle) if is_vehicle(vehicle) else None, parse_last(last, self._board.run))
         self._wake[reader] = event = asyncio.Event()
         self._tell()
         try:
@@ -139,7 +137,7 @@ class Server:
         watched = self._board.watched
         if watched != self._told:
             self._told = watched
-            _to_daemon(" ".join(("watch", *(str(one) for one in watched))))
+            _to_daemon(" ".join(("watch", *map(str, watched))))
 
 
 async def _within(event: asyncio.Event, limit_s: float) -> bool:
@@ -160,25 +158,23 @@ def _to_daemon(line: str) -> None:
 
 
 async def _serve() -> None:
-    loop = asyncio.get_running_loop()
     lines = asyncio.StreamReader(LINE_BYTES)
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     told = json.loads(await lines.readline())
     server = Server(Access(told["host"], 0, told["token"]), Board(told["run"]))
     runner = web.AppRunner(server.application(), access_log=None, handler_cancellation=True, shutdown_timeout=0.2)
     await runner.setup()
     try:
         await web.TCPSite(runner, told["host"], told["port"]).start()
+        port = int(runner.addresses[0][1])
+        server.access = Access(told["host"], port, told["token"])
+        _to_daemon(f"listening {port}")
+        await server.feed(lines)
+        await asyncio.sleep(LAST_S)
     except OSError as error:
         _to_daemon(f"refused {error.strerror or error}")
+    finally:
         await runner.cleanup()
-        return
-    port = int(runner.addresses[0][1])
-    server.access = Access(told["host"], port, told["token"])
-    _to_daemon(f"listening {port}")
-    await server.feed(lines)
-    await asyncio.sleep(LAST_S)
-    await runner.cleanup()
 
 
 def main() -> None:

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from commanded import PLANT, Vehicle
 
-from mavdiag.errors import UsageError
 from mavdiag.link.messages import MavCmd, MavResult, MessageId
 from sitl_plant.autopilot.dialect import Mode
 from sitl_plant.autopilot.stream import HOME_ALT_M, to_global
 from sitl_plant.physics.faults import Injection
-from sitl_plant.physics.trajectory import Leg
-from sitl_plant.plant import Plant, PlantConfig
 
 NAN = float("nan")
 
@@ -71,14 +68,6 @@ def test_a_landing_is_followed_by_another_take_off() -> None:
         assert vehicle.autopilot.dialect.custom_mode == vehicle.code(Mode.HOLD)
 
 
-def test_by_force_it_stops_its_motors_in_flight_and_falls() -> None:
-    vehicle = in_flight()
-    assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 0, 21196) == MavResult.ACCEPTED
-    vehicle.fly(2.0)
-    assert not vehicle.armed
-    assert vehicle.place[2] == pytest.approx(0.0, abs=0.05)
-
-
 def test_armed_and_forgotten_it_disarms() -> None:
     vehicle = Vehicle()
     assert vehicle.order(MavCmd.COMPONENT_ARM_DISARM, 1) == MavResult.ACCEPTED
@@ -116,13 +105,6 @@ def test_set_points_are_followed_in_guided_flight_only() -> None:
     assert vehicle.now.velocity[-1] == pytest.approx((0.5, 0.0, 0.0), abs=0.2)
     vehicle.fly(5.0)  # forgotten, it stops
     assert vehicle.now.velocity[-1] == pytest.approx((0.0, 0.0, 0.0), abs=0.1)
-
-
-def test_out_of_reach_is_denied() -> None:
-    vehicle = in_flight()
-    for place in ((0.0, 600.0, 2.0), (1.0, 1.0, -1.0), (1.0, 1.0, 600.0)):
-        goto = (*PLANT, 6, MavCmd.DO_REPOSITION, 0, 0, -1.0, 0.0, 0.0, NAN, *degrees(*place[:2]), place[2])
-        assert vehicle.send(MessageId.COMMAND_INT, *goto)[0].fields[1] == MavResult.DENIED
 
 
 @pytest.mark.parametrize("profile", ["px4", "ardupilot"])
@@ -166,18 +148,3 @@ def test_a_failure_names_a_motor_or_a_fault_of_the_thesis() -> None:
     assert vehicle.order(*inject, 0, 0) == MavResult.ACCEPTED
     vehicle.fly(0.1)
     assert [str(change.what) for change in vehicle.plant.take_changes()] == ["clear"]
-
-
-def test_the_battery_that_is_told_is_the_charge_that_was_drawn() -> None:
-    plant = Plant(PlantConfig(seed=1))
-    first = plant.advance(1)
-    samples = plant.advance(20_000)
-    assert 0.0 < first.charge_ah[0] < samples.charge_ah[-1] < 0.2
-    assert np.all(np.diff(samples.charge_ah) > 0.0)
-
-
-def test_a_path_of_its_own_cannot_be_led_and_a_commanded_one_needs_the_ground() -> None:
-    with pytest.raises(UsageError, match="square is followed without commands"):
-        Plant(PlantConfig()).lead(Leg())
-    with pytest.raises(UsageError, match="starts on the ground"):
-        PlantConfig(trajectory="commanded")

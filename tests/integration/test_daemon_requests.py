@@ -10,7 +10,7 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, received
 from memory_port import MemoryEndpoint
 
 from detector.config import Settings, VehicleSettings
-from detector.own_parameters import PARAMETERS
+from detector.requests import PARAMETERS
 from detector.states import State
 from detector.values import LearningFailed
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
@@ -97,26 +97,6 @@ def test_one_is_read_by_name_or_number_and_an_unknown_one_is_not_answered(benche
         assert shown(frames) == found
 
 
-@pytest.mark.parametrize("settings", [judging(), Settings(connect=UDP_IN, learn=50.0)])
-def test_it_has_no_parameters_unless_it_is_told_to(benches: Benches, settings: Settings) -> None:
-    bench = benches(settings, MadeVehicle(1), baseline=baseline_for() if settings.baseline else None)
-    bench.run(4.0)
-    assert shown(asked(bench, bench.far, STATION.encode(MessageId.PARAM_REQUEST_LIST, *US))) == []
-    assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 2.0))) == []
-    bench.run(1.0)
-    assert bench.daemon.fleet.vehicles[1].session.spec.settings.threshold_scale == 1.0
-
-
-def test_parameters_of_the_autopilot_are_never_its_business(benches: Benches) -> None:
-    bench = benches(judging(parameters=True), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    request = STATION.encode(MessageId.PARAM_SET, 1, 1, "MD_THR_SCALE", 2.0, 9)
-    assert shown(asked(bench, bench.behind[0], request)) == []
-    # The station's own request is passed on, and that is all.
-    assert [frame.sysid for frame in of(received(bench.far), MessageId.PARAM_SET)] == [255]
-    assert bench.daemon.fleet.vehicles[1].session.spec.settings.threshold_scale == 1.0
-
-
 def test_a_larger_scale_silences_a_small_fault_and_the_journal_says_who_set_what(
     benches: Benches, tmp_path: Path
 ) -> None:
@@ -126,7 +106,7 @@ def test_a_larger_scale_silences_a_small_fault_and_the_journal_says_who_set_what
     bench.run(4.0)
     assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 4.0))) == [("MD_THR_SCALE", 4.0)]
     bench.run(8.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     for turning, span_s, alerts in ((0.5, 0.8, False), (0.0, 3.0, False), (0.5, 3.0, True)):
         received(bench.far)
         vehicle.turning = turning
@@ -166,22 +146,12 @@ def test_learning_anew_is_begun_and_given_up_by_a_parameter(benches: Benches) ->
     assert shown(asked(bench, bench.far, setting("MD_LEARN_S", 60.0))) == [("MD_LEARN_S", 60.0)]
     bench.run(4.0)
     session = bench.daemon.fleet.vehicles[1].session
-    assert session.state.state is State.LEARNING
+    assert session.state is State.LEARNING
     # While there is nothing to judge by, the thresholds cannot be set.
     assert shown(asked(bench, bench.far, setting("MD_THR_SCALE", 2.0))) == [("MD_THR_SCALE", 1.0)]
     assert shown(asked(bench, bench.far, setting("MD_LEARN_S", 0.0))) == [("MD_LEARN_S", 0.0)]
     bench.run(4.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
-
-
-def test_what_is_learnt_anew_is_judged_by(benches: Benches) -> None:
-    fitter = FakeFitter(baseline_for())
-    bench = benches(judging(parameters=True), MadeVehicle(1), baseline=baseline_for(), fitter=fitter)
-    bench.run(4.0)
-    asked(bench, bench.far, setting("MD_LEARN_S", 5.0))
-    bench.run(14.0)
-    assert len(fitter.jobs) == 1
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
 
 
 def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benches) -> None:
@@ -201,23 +171,6 @@ def test_rates_that_are_needed_are_kept_and_everything_else_passes(benches: Benc
     groups = of(frames, MessageId.REQUEST_DATA_STREAM)
     assert {field(one, "req_stream_id") for one in groups} == {2, 6, 11}
     assert {one.compid for one in groups} == {Component.ONBOARD_COMPUTER}
-
-
-def test_without_the_option_nothing_is_kept_back(benches: Benches) -> None:
-    bench = benches(judging(), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    received(bench.far)
-    asked(bench, bench.behind[0], STATION.encode(MessageId.REQUEST_DATA_STREAM, 1, 1, 0, 4, 1))
-    [request] = of(received(bench.far), MessageId.REQUEST_DATA_STREAM)
-    assert (request.sysid, field(request, "req_stream_id")) == (255, 0)
-
-
-def test_a_command_to_it_from_behind_is_declined_there(benches: Benches) -> None:
-    bench = benches(judging(), MadeVehicle(1), baseline=baseline_for(), links_behind=1)
-    bench.run(4.0)
-    request = STATION.encode(MessageId.COMMAND_LONG, *US, MavCmd.REQUEST_MESSAGE, 0, 148)
-    [ack] = of(asked(bench, bench.behind[0], request), MessageId.COMMAND_ACK)
-    assert field(ack, "result") == MavResult.UNSUPPORTED
 
 
 def test_vehicles_beyond_the_bound_are_not_watched_and_that_is_said_once(benches: Benches) -> None:
@@ -241,7 +194,7 @@ def test_each_vehicle_of_a_fleet_is_judged_by_its_own_baseline(benches: Benches)
     table = {sysid: VehicleSettings(baseline=Path("b.json")) for sysid in own}
     bench = benches(Settings(connect=UDP_IN, vehicles=table), *(MadeVehicle(k) for k in (1, 2, 3)), baselines=own)
     bench.run(4.0)
-    found = {sysid: vehicle.session.state.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
+    found = {sysid: vehicle.session.baseline for sysid, vehicle in bench.daemon.fleet.vehicles.items()}
     assert found == own
     words = [line for line in bench.host.lines if "vehicle 1" in line]
     assert words == ["vehicle 1: not watched: it has no baseline; name one in [vehicles.1]"]

@@ -1,6 +1,5 @@
 """The whole daemon on a virtual clock and an in-memory link: what it sends, to whom, and when it is silent."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +10,6 @@ from made_vehicle import Bench, FakeFitter, MadeVehicle, VirtualHost, received
 
 from detector.config import Settings
 from detector.states import State
-from detector.values import LearningFailed
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.link.codec import Encoder, Frame, decode_statustext, field_index
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId, Severity
@@ -87,19 +85,8 @@ def test_every_sample_that_came_is_counted_once(benches: Benches) -> None:
     [figures] = bench.daemon.fleet.figures()
     assert figures.received == 2 * vehicle.sent + vehicle.sent // 100
     assert figures.lost == 0
-    assert bench.daemon.fleet.vehicles[1].session.state.streams.gyro.samples == vehicle.sent
+    assert bench.daemon.fleet.vehicles[1].session.streams.gyro.samples == vehicle.sent
     assert figures.gyro_hz == pytest.approx(100.0)
-
-
-def test_it_learns_saves_and_watches(benches: Benches, tmp_path: Path) -> None:
-    path = tmp_path / "b.json"
-    fitter = FakeFitter(baseline_for())
-    bench = benches(Settings(connect=UDP_IN, learn=5.0, save=path), MadeVehicle(1), fitter=fitter)
-    bench.run(12.0)
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
-    assert path.exists()
-    assert "PROP monitoring" in texts(received(bench.far))
-    assert [job.airframe.name for job in fitter.jobs] == ["vehicle 1"]
 
 
 def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path: Path) -> None:
@@ -117,13 +104,6 @@ def test_two_vehicles_on_one_link_have_a_session_each(benches: Benches, tmp_path
         assert seqs == [(seqs[0] + k) % 256 for k in range(len(seqs))]
 
 
-def test_only_the_chosen_vehicle_is_watched(benches: Benches) -> None:
-    bench = benches(Settings(connect=UDP_IN, learn=5.0, vehicle=2), MadeVehicle(1), MadeVehicle(2))
-    bench.run(4.0)
-    assert list(bench.daemon.fleet.vehicles) == [2]
-    assert {frame.sysid for frame in received(bench.far)} == {2}
-
-
 def test_a_ground_station_and_another_companion_are_no_vehicles(benches: Benches) -> None:
     bench = benches(Settings(connect=UDP_IN, learn=5.0))
     for encoder, kind in ((Encoder(255, 190), MavType.GCS), (Encoder(1, 191), MavType.ONBOARD_CONTROLLER)):
@@ -133,19 +113,8 @@ def test_a_ground_station_and_another_companion_are_no_vehicles(benches: Benches
     assert received(bench.far) == []
 
 
-def test_the_heartbeat_stops_when_the_session_cannot_do_its_work(benches: Benches) -> None:
-    fitter = FakeFitter(LearningFailed("roll: the flight does not excite the model"))
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
-    bench.run(25.0)  # three fits in vain
-    assert bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
-    received(bench.far)
-    bench.run(10.0)
-    assert of(received(bench.far), MessageId.HEARTBEAT) == []
-
-
 @pytest.mark.parametrize(
-    ("autopilot", "profile"),
-    [(Autopilot.ARDUPILOTMEGA, "ardupilot"), (Autopilot.GENERIC, "qdrone2")],
+    ("autopilot", "profile"), [(Autopilot.ARDUPILOTMEGA, "ardupilot"), (Autopilot.GENERIC, "qdrone2")]
 )
 def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot: Autopilot, profile: str) -> None:
     bench = benches(
@@ -153,7 +122,7 @@ def test_the_profile_follows_what_the_vehicle_sends(benches: Benches, autopilot:
     )
     bench.run(3.0)
     assert bench.daemon.fleet.vehicles[1].session.spec.profile.name == profile
-    faulted = bench.daemon.fleet.vehicles[1].session.state.state is State.FAULTED
+    faulted = bench.daemon.fleet.vehicles[1].session.state is State.FAULTED
     assert faulted == (profile != "qdrone2")
     assert any(text.startswith("PROP OFF: link.profile") for text in texts(received(bench.far))) == faulted
 
@@ -205,20 +174,6 @@ def test_links_behind_get_the_vehicle_and_the_texts_and_can_answer(benches: Benc
     assert len(of(received(bench.far), MessageId.PARAM_REQUEST_LIST)) == 1
 
 
-def test_the_journal_tells_the_run_from_start_to_stop(benches: Benches, tmp_path: Path) -> None:
-    path = tmp_path / "j.jsonl"
-    fitter = FakeFitter(baseline_for())
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter, journal=path)
-    bench.run(12.0)
-    bench.daemon.end()
-    lines = [json.loads(one) for one in path.read_text().splitlines()]
-    assert (lines[0]["kind"], lines[-1]["kind"]) == ("start", "stop")
-    assert [one["to"] for one in lines if one["kind"] == "state"] == ["learning", "fitting", "waiting", "monitoring"]
-    said = [one["text"] for one in lines if one["kind"] == "text"]
-    assert said == texts(received(bench.far))
-    assert fitter.closed
-
-
 def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None:
     vehicle = MadeVehicle(1)
     bench = benches(Settings(connect=UDP_IN, baseline=Path("b.json")), vehicle, baseline=baseline_for())
@@ -236,16 +191,6 @@ def test_a_fault_is_on_the_wire_as_text_and_as_figures(benches: Benches) -> None
     assert set(figures) == {"PF_RES", "PF_MARG", "PF_FSD", "PF_FML"}
     assert figures["PF_RES"] == pytest.approx(0.5, abs=0.05)
     assert figures["PF_FML"] == pytest.approx(0.3)
-
-
-def test_b29_what_a_learned_baseline_rests_on_is_printed(benches: Benches) -> None:
-    """It was the FML alone."""
-    baseline = baseline_for()
-    fitter = FakeFitter(baseline)
-    bench = benches(Settings(connect=UDP_IN, learn=5.0), MadeVehicle(1), fitter=fitter)
-    bench.run(12.0)
-    for line in str(baseline).splitlines():
-        assert f"vehicle 1: {line}" in bench.host.lines
 
 
 @pytest.mark.parametrize(("label", "name"), [(None, "made"), ("survey quad", "survey quad")])

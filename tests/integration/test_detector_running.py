@@ -13,7 +13,6 @@ from detector_process import PATIENCE_S, ended, port_of, ran, running, until
 from made_session import baseline_for
 from made_vehicle import MadeVehicle
 
-from detector.config import load_settings
 from mavdiag.link.ports import open_endpoint
 
 UDP = ("--connect", "udpin:127.0.0.1:0")
@@ -69,24 +68,6 @@ def test_check_refuses_what_a_start_would_refuse(options: tuple[str, ...], words
     assert run.returncode == 2
     assert words in run.stderr
     assert len(run.stderr.splitlines()) == 1
-
-
-def test_the_printed_configuration_is_one_that_it_takes(tmp_path: Path) -> None:
-    run = ran("--print-config")
-    assert run.returncode == 0
-    (tmp_path / "c.toml").write_text(run.stdout)
-    assert load_settings(tmp_path / "c.toml", {}).learn == 120.0
-
-
-def test_the_environment_is_read(tmp_path: Path) -> None:
-    environ = {
-        "MAVDIAG_DETECTOR_LEARN": "77",
-        "MAVDIAG_DETECTOR_SAVE": "b.json",
-        "MAVDIAG_DETECTOR_CONNECT": "tcpin:127.0.0.1:0",
-    }
-    with running(environ=environ) as (_, first):
-        assert first.startswith("ready: tcpin:127.0.0.1:")
-        assert "learning from 77 s" in first
 
 
 @pytest.mark.realtime
@@ -210,27 +191,3 @@ def test_a_dead_link_behind_does_not_hold_up_the_vehicles(baseline: Path) -> Non
     assert code == 0
     assert " 0 lost on the way" in rest
     assert "0 datagrams overflowed here" in rest
-
-
-@pytest.mark.realtime
-def test_a_second_start_on_the_same_files_goes_on_where_the_first_was_killed(baseline: Path, tmp_path: Path) -> None:
-    journal = tmp_path / "j.jsonl"
-    for _ in range(2):
-        with running("--baseline", str(baseline), *UDP, "--journal", str(journal)) as (child, _):
-            child.kill()
-            child.communicate(timeout=PATIENCE_S)
-    assert child.returncode == -signal.SIGKILL
-    assert [json.loads(line)["kind"] for line in journal.read_text().splitlines()] == ["start", "start"]
-
-
-@pytest.mark.parametrize(
-    ("mode", "code", "words"), [(0o600, 0, "signing"), (0o644, 2, "others may read the signing key")]
-)
-def test_check_reads_the_signing_key(tmp_path: Path, mode: int, code: int, words: str) -> None:
-    key = tmp_path / "key"
-    key.write_text("a passphrase\n")
-    key.chmod(mode)
-    run = ran("--check", *LEARNING, "--signing-key", str(key))
-    assert run.returncode == code
-    assert words in run.stdout + run.stderr
-    assert sorted(tmp_path.iterdir()) == [key]

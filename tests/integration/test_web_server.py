@@ -4,15 +4,13 @@ import os
 import signal
 import socket
 import time
-from pathlib import Path
 
 import pytest
-from detector_process import PATIENCE_S, ended, ran, running
+from detector_process import PATIENCE_S, ended, running
 from web_page import Reader, asked, give, serving, wait_for
 
 from detector.web.access import HEADERS
 from detector.web.child import Place, ServerProcess
-from mavdiag.errors import LinkError
 from mavdiag.telemetry import Instant
 
 pytestmark = pytest.mark.realtime
@@ -104,14 +102,6 @@ def test_a_reconnect_loses_nothing_and_gets_nothing_twice() -> None:
             reader.close()
 
 
-def test_the_daemon_is_told_who_is_looked_at() -> None:
-    with serving() as process:
-        reader = Reader(process.place.port, "?vehicle=7")
-        wait_for(lambda: "watch 7" in process.look(now())[1])
-        reader.close()
-        wait_for(lambda: "watch" in process.look(now())[1])
-
-
 def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
     lines: list[str] = []
     process = ServerProcess(Place("127.0.0.1", 0, None), "r1", lines.append)
@@ -128,35 +118,6 @@ def test_the_server_is_started_again_and_the_daemon_only_says_so() -> None:
         assert process.pid != pid
     finally:
         process.close()
-
-
-def test_a_busy_port_is_one_line() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen(1)
-        port = taken.getsockname()[1]
-        process = ServerProcess(Place("127.0.0.1", port, None), "r1", lambda line: None)
-        with pytest.raises(LinkError, match="name another --web HOST:PORT") as error:
-            process.start()
-        assert len(str(error.value).splitlines()) == 1
-        run = ran(*LEARNING, "--web", str(port))
-    assert run.returncode == 2
-    assert len(run.stderr.splitlines()) == 1
-    assert "address already in use" in run.stderr.lower()
-
-
-def test_another_address_without_a_token_is_refused_at_the_start(tmp_path: Path) -> None:
-    run = ran(*LEARNING, "--web", "0.0.0.0:0")
-    assert run.returncode == 2
-    assert run.stderr.splitlines() == [
-        "mavdiag-detector: --web 0.0.0.0:0: others reach 0.0.0.0; name a --web-token-file FILE, or 127.0.0.1"
-    ]
-    token = tmp_path / "token"
-    token.write_text(f"{TOKEN}\n")
-    token.chmod(0o600)
-    run = ran(*LEARNING, "--web", "0.0.0.0:8080", "--web-token-file", str(token), "--check")
-    assert run.returncode == 0
-    assert f"web page   http://0.0.0.0:8080/; asks for the token in {token}" in run.stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

@@ -13,9 +13,7 @@ from made_vehicle import MadeVehicle
 
 from detector.config import SessionSettings, Settings
 from detector.fleet import Fleet
-from detector.own_parameters import PARAMETERS
-from detector.rate_guard import GUARDED
-from detector.requests import Requests
+from detector.requests import GUARDED, PARAMETERS, Requests
 from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
 from mavdiag.link.addressed import PARAMETER_REQUESTS
@@ -46,7 +44,7 @@ def wild(sysid: int, compid: int, rng: np.random.Generator, messages: list[int] 
     return b"\xfd" + body + mcrf4xx(bytes([message.crc_extra]), mcrf4xx(body)).to_bytes(2, "little")
 
 
-def fleet(datagrams: bool, spec_of: Callable[[Profile], SessionSpec]) -> Fleet:
+def fleet(datagrams: bool, spec_of: Callable[[int, Profile], SessionSpec]) -> Fleet:
     return Fleet(spec_of, profile=None, only=None, datagrams=datagrams)
 
 
@@ -55,7 +53,7 @@ def fleet(datagrams: bool, spec_of: Callable[[Profile], SessionSpec]) -> Fleet:
 def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learning: bool) -> None:
     rng = np.random.default_rng(seed)
     baseline = None if learning else baseline_for()
-    one = fleet(datagrams, lambda profile: SessionSpec(profile, baseline, SessionSettings(learn=2.0)))
+    one = fleet(datagrams, lambda sysid, profile: SessionSpec(profile, baseline, SessionSettings(learn=2.0)))
     vehicle, other = MadeVehicle(1), (int(rng.integers(0, 256)), int(rng.choice([1, 191])))
     now = Instant(10**12)
     for _ in range(150):
@@ -77,7 +75,7 @@ def test_wild_frames_and_garbage_are_survived(seed: int, datagrams: bool, learni
 @given(seed=st.integers(0, 2**32 - 1))
 def test_wild_requests_from_behind_are_survived_and_everything_passes_but_rates(seed: int) -> None:
     rng, now = np.random.default_rng(seed), Instant(10**12)
-    one = fleet(True, lambda profile: SessionSpec(profile, baseline_for(), Settings(learn=2.0)))
+    one = fleet(True, lambda sysid, profile: SessionSpec(profile, baseline_for(), Settings(learn=2.0)))
     vehicle = MadeVehicle(1)
     for _ in range(40):
         now = Instant(now.ns + TICK_NS)

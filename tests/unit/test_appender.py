@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from detector.appender import Appender, Rotation, check_appendable, older
+from detector.appender import MB, Appender
 from detector.config import Fsync
 from detector.journal import Journal
 from mavdiag.errors import UsageError
@@ -13,7 +13,7 @@ from mavdiag.errors import UsageError
 
 def appender(path: Path, limit: int, keep: int) -> tuple[Appender, list[str]]:
     said: list[str] = []
-    return Appender(path, "--journal", said.append, Rotation(limit, keep)), said
+    return Appender(path, "--journal", said.append, None if limit is None else limit / MB, keep), said
 
 
 def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path) -> None:
@@ -24,23 +24,6 @@ def test_a_file_that_is_full_is_numbered_and_so_are_those_before(tmp_path: Path)
     found = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert found == {"j.jsonl": "line5\n", "j.1.jsonl": "line4\n", "j.2.jsonl": "line3\n"}
     assert said == []
-
-
-def test_an_entry_longer_than_the_limit_stays_whole(tmp_path: Path) -> None:
-    file, _ = appender(tmp_path / "f.tlog", limit=4, keep=0)
-    file.append(b"123456")
-    file.append(b"7")
-    file.close()
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"f.tlog": b"7"}
-
-
-def test_what_was_there_at_the_start_counts(tmp_path: Path) -> None:
-    (tmp_path / "j").write_bytes(b"12345678")
-    file, _ = appender(tmp_path / "j", limit=10, keep=1)
-    file.append(b"abc")
-    file.close()
-    assert older(tmp_path / "j", 1).read_bytes() == b"12345678"
-    assert (tmp_path / "j").read_bytes() == b"abc"
 
 
 def test_a_rotation_that_fails_half_way_is_told_once_and_tried_again(
@@ -68,8 +51,7 @@ def test_a_rotation_that_fails_half_way_is_told_once_and_tried_again(
 
 
 @pytest.mark.parametrize(
-    ("policy", "synced"),
-    [(Fsync.ALERT, [0, 1, 1]), (Fsync.ALWAYS, [1, 2, 2]), (Fsync.NEVER, [0, 0, 0])],
+    ("policy", "synced"), [(Fsync.ALERT, [0, 1, 1]), (Fsync.ALWAYS, [1, 2, 2]), (Fsync.NEVER, [0, 0, 0])]
 )
 def test_the_journal_is_written_through_as_the_policy_has_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: Fsync, synced: list[int]
@@ -89,35 +71,6 @@ def test_the_journal_is_written_through_as_the_policy_has_it(
     found.append(len(calls))
     assert found == synced
     journal.close()
-
-
-def test_a_sync_that_fails_is_counted_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    journal = Journal(tmp_path / "j", warn=said.append)
-
-    def broken(handle: int) -> None:
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(os, "fsync", broken)
-    journal.write("an alarm", urgent=True)
-    journal.flush()
-    assert journal.lost == 1
-    journal.close()
-    assert "Input/output error" in said[0]
-
-
-def test_a_place_that_cannot_be_appended_to_is_refused_before(tmp_path: Path) -> None:
-    check_appendable(tmp_path / "j", "--journal")
-    for path, words in ((tmp_path, "is a folder"), (tmp_path / "absent" / "j", "there is no folder")):
-        with pytest.raises(UsageError, match=rf"{words}.*choose another --journal file"):
-            check_appendable(path, "--journal")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(UsageError, match="nobody reads this pipe"):
-        appender(tmp_path / "pipe", limit=10, keep=0)
 
 
 def test_a_pipe_whose_reader_stops_loses_entries_and_never_waits(tmp_path: Path) -> None:

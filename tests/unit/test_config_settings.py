@@ -7,7 +7,7 @@ import pytest
 from made_baselines import FRAME, NOW, healthy
 
 from detector.config import Settings, example_text, load_settings
-from detector.reporting import kept_baselines
+from detector.journal import kept_baselines
 from mavdiag.errors import BaselineError, UsageError
 from mavdiag.learning import LearnOptions, learn
 
@@ -16,14 +16,6 @@ def written(folder: Path, text: str) -> Path:
     path = folder / "detector.toml"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
-    path = written(tmp_path, 'learn = 30.0\nsave = "b.json"\nvehicle = 3\nforward = ["udpout:127.0.0.1:14551"]\n')
-    settings = load_settings(path, {"vehicle": 7, "connect": None})
-    assert (settings.learn, settings.vehicle) == (30.0, 7)
-    assert settings.forward == ("udpout:127.0.0.1:14551",)
-    assert settings.connect == "udpin:127.0.0.1:14550"
 
 
 @pytest.mark.parametrize(
@@ -52,17 +44,6 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, text: str, words: st
         load_settings(written(tmp_path, text), {})
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"absent\.toml: no such file"):
-        load_settings(tmp_path / "absent.toml", {})
-
-
-def test_settings_do_not_change() -> None:
-    settings = Settings(learn=10.0)
-    with pytest.raises(ValueError, match="frozen"):
-        settings.learn = 20.0
 
 
 def test_the_environment_wins_over_the_file_and_the_command_line_over_both(tmp_path: Path) -> None:
@@ -131,11 +112,6 @@ def test_what_is_wrong_with_a_vehicle_is_named(tmp_path: Path, text: str, words:
     with pytest.raises(UsageError) as caught:
         load_settings(written(tmp_path, text), {})
     assert words in str(caught.value)
-
-
-def test_vehicles_with_baselines_of_their_own_need_no_common_one(tmp_path: Path) -> None:
-    settings = load_settings(written(tmp_path, "[vehicles.3]\nbaseline = 'b3.json'"), {})
-    assert {sysid: one.baseline for sysid, one in settings.vehicles.items()} == {3: Path("b3.json")}
 
 
 def test_what_was_learned_is_found_again_by_its_vehicle(tmp_path: Path) -> None:

@@ -118,12 +118,3 @@ def test_debian_on_arm64_needs_no_compiler(check_wheels: ModuleType) -> None:
     assert found.problem == ""
     assert any(wheel.startswith("scipy-") and "aarch64" in wheel for wheel in found.wheels)
     assert all(wheel.endswith(".whl") for wheel in found.wheels)
-
-
-@pytest.mark.realtime
-def test_a_package_without_a_wheel_would_be_noticed(check_wheels: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check_wheels, "dependencies", lambda: ["pymavlink==2.4.8"])  # a source package only
-    found = check_wheels.resolve("arm64", "3.11")
-    if found.offline:
-        pytest.skip("the package index cannot be reached")
-    assert "pymavlink==2.4.8" in found.problem

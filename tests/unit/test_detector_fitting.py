@@ -7,11 +7,9 @@ import pytest
 from made_session import baseline_for
 
 from detector.fitting import FittingJob, ProcessFitter, fit_baseline
-from detector.values import LearningFailed
 from mavdiag import learning
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
-from mavdiag.errors import IdentificationError
 from mavdiag.learning import LearnOptions
 from mavdiag.telemetry import Log, Telemetry
 
@@ -30,16 +28,6 @@ def test_b26_live_learning_has_the_options_of_identify(monkeypatch: pytest.Monke
     monkeypatch.setattr(learning, "learn", learn)
     assert isinstance(fit_baseline(JOB), Baseline)
     assert asked == [LearnOptions(airframe=AIRFRAME)]
-
-
-def test_why_there_is_no_baseline_comes_back_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def learn(logs: list[Log], options: LearnOptions, *, created: str) -> object:
-        raise IdentificationError("roll: u is constant")
-
-    monkeypatch.setattr(learning, "learn", learn)
-    outcome = fit_baseline(JOB)
-    assert isinstance(outcome, LearningFailed)
-    assert outcome.reason == "roll: u is constant"
 
 
 def test_only_its_own_process_is_ended() -> None:

@@ -7,8 +7,8 @@ from made_baselines import trim
 from made_session import baseline_for
 
 from detector.config import SessionSettings
-from detector.judging import Judge, chain_for, not_judged, rescaled
-from detector.streams import Streams, observe
+from detector.judging import Judge, chain_for, rescaled
+from detector.streams import Streams
 from mavdiag.chain import chain_of
 from mavdiag.errors import BaselineError
 from mavdiag.link.profiles import PROFILES
@@ -41,17 +41,18 @@ def test_a_monitor_that_cannot_reach_its_scaled_threshold_does_not_judge() -> No
 
 def test_a_flight_outside_of_the_envelope_says_which_condition_was_not_learnt() -> None:
     """And not that it waits for unbroken flight, nor a figure that changes with every look."""
-    for rate, said in ((2.0, (("rotor trim", "yaw rate not learnt"),)), (0.0, ())):
-        telemetry, chain = flying(3000, 5, turn=np.full(3000, rate)), chain_of(trim())
-        judge, _ = Judge(trim(), chain, chain.start(), Instant(0)).step(telemetry, Instant(0))
-        streams = observe(Streams(), telemetry, Instant(0), PROFILES["qdrone2"])
-        assert not_judged(judge, streams, Instant(30 * 10**9)) == said
+    for rate, said in ((2.0, {"rotor trim": "yaw rate not learnt"}), (0.0, {})):
+        telemetry = flying(3000, 5, turn=np.full(3000, rate))
+        judge, streams = Judge(trim(), chain_of(trim()), Instant(0)), Streams()
+        judge.step(telemetry, Instant(0))
+        streams.observe(telemetry, Instant(0), PROFILES["qdrone2"])
+        assert judge.not_judged(streams, Instant(30 * 10**9)) == said
 
 
-def came(streams: Streams, t_s: FloatArray, now_s: float) -> Streams:
+def came(streams: Streams, t_s: FloatArray, now_s: float) -> None:
     t_ns = np.round(1e9 * t_s).astype(np.int64)
     gyro = Series(Signal.BODY_RATE, t_ns, t_ns, np.zeros((len(t_ns), 3)))
-    return observe(streams, Telemetry((gyro,)), Instant(round(now_s * 1e9)), PROFILES["ardupilot"])
+    streams.observe(Telemetry((gyro,)), Instant(round(now_s * 1e9)), PROFILES["ardupilot"])
 
 
 def test_h5_a_link_that_stalls_changes_no_rate() -> None:
@@ -60,9 +61,9 @@ def test_h5_a_link_that_stalls_changes_no_rate() -> None:
     for k in range(100):  # 100 Hz by the vehicle's clock; every second look comes late, with all that waited
         stamps = 0.01 * np.arange(20.0 * k, 20.0 * (k + 1))
         first, rest = stamps[:3], stamps[3:]
-        streams = came(streams, first, 0.2 * k + 0.18)
+        came(streams, first, 0.2 * k + 0.18)
         seen.append(streams.rate_hz(Signal.BODY_RATE, Instant(round((0.2 * k + 0.181) * 1e9))))
-        streams = came(streams, rest, 0.2 * k + 0.19)
+        came(streams, rest, 0.2 * k + 0.19)
     assert [one for one in seen if one is not None] == pytest.approx([100.0] * sum(one is not None for one in seen))
-    slow = came(streams, 20.0 + 0.25 * np.arange(1.0, 4.0), 21.0)
-    assert slow.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once
+    came(streams, 20.0 + 0.25 * np.arange(1.0, 4.0), 21.0)
+    assert streams.rate_hz(Signal.BODY_RATE, Instant(21 * 10**9)) == pytest.approx(4.0)  # and a lower one shows at once

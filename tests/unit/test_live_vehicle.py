@@ -6,13 +6,11 @@ from dataclasses import replace
 from flying_telemetry import flying
 
 from detector.alerts import Kind
-from detector.judging import records_of
-from detector.judging_notices import vehicle_notices
+from detector.judging import records_of, vehicle_notices
 from detector.values import Note
-from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome, compare
+from mavdiag.airframe.fingerprint import Figure, Fingerprint, Outcome
 from mavdiag.chain import Chain, ChainOutput, chain_of
 from mavdiag.learning import LearnOptions, learn
-from mavdiag.rows.front import Rows
 from mavdiag.telemetry import Log, Series, Telemetry
 
 
@@ -40,15 +38,6 @@ def between(telemetry: Telemetry, low_ns: int, high_ns: int) -> Telemetry:
     return Telemetry(tuple(parts))
 
 
-def test_the_answer_comes_once_and_is_that_of_the_rows() -> None:
-    chain = taught()
-    answers = [one.likeness for one in steps(chain, 80) if one.likeness is not None]
-    assert len(answers) == 1
-    rows = [part for part in chain.front.whole(flying(4000, 9)) if isinstance(part, Rows)]
-    assert chain.fingerprint is not None
-    assert answers[0].outcome is compare(chain.fingerprint, rows, chain.layout).outcome
-
-
 def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> None:
     chain = taught()
     assert chain.fingerprint is not None
@@ -63,8 +52,3 @@ def test_another_vehicle_is_told_in_a_text_and_with_figures_in_the_journal() -> 
     notes = [one.text for output in told for one in records_of(output, "E8") if isinstance(one, Note)]
     assert len(notes) == 1
     assert notes[0].startswith("does not look like E8: ")
-
-
-def test_a_vehicle_without_a_fingerprint_is_not_compared() -> None:
-    chain = replace(taught(), fingerprint=None)
-    assert all(one.likeness is None for one in steps(chain, 10))

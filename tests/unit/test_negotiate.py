@@ -2,16 +2,17 @@
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
-from detector.negotiate import HELD_S, Negotiation, Seen, negotiate
+from detector.negotiate import HELD_S, Negotiation
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
 from mavdiag.link.parameters import Reading, telling
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Want, log_remedy, messages_of, remedy, wants_of
+from mavdiag.link.wants import Want, messages_of, remedy
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 
@@ -24,11 +25,32 @@ OUTPUTS = Want(Signal.ACTUATOR, MessageId.SERVO_OUTPUT_RAW, 25.0, 10.0)
 
 
 @dataclass
+class Seen:
+    """A stream that is wanted, as it comes; its own meter."""
+
+    want: Want
+    hz: float
+    steady_hz: float = 0.0
+
+
+class Streams:
+    """In place of the measured ones."""
+
+    def __init__(self, *seen: Seen) -> None:
+        self._seen = {stream.want.signal: stream for stream in seen}
+
+    def rate_hz(self, signal: Signal, now: Instant) -> float:
+        return self._seen[signal].hz
+
+    def meter(self, signal: Signal) -> Seen:
+        return self._seen[signal]
+
+
+@dataclass
 class Talk:
     """A negotiation, and all that came of it with its time [s]."""
 
-    autopilot: int = Autopilot.ARDUPILOTMEGA
-    state: Negotiation = field(default_factory=Negotiation)
+    negotiation: Negotiation = field(default_factory=lambda: Negotiation(Autopilot.ARDUPILOTMEGA))
     ticks: int = 0
     asked: list[tuple[float, int]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -37,7 +59,8 @@ class Talk:
         for _ in range(round(seconds / TICK_S)):
             self.ticks += 1
             now = Instant(round(self.ticks * TICK_S * 1e9))
-            self.state, effects, _ = negotiate(self.state, seen, acks, now, self.autopilot)
+            streams: Any = Streams(*seen)
+            effects, _ = self.negotiation.step([stream.want for stream in seen], streams, acks, now)
             acks = ()
             self.asked += [(self.ticks * TICK_S, one.msgid) for one in effects if isinstance(one, AskInterval)]
             self.notes += [one.text for one in effects if isinstance(one, Note)]
@@ -76,13 +99,6 @@ def test_the_lack_of_a_stream_is_told_once_with_the_parameter_that_gives_it() ->
     assert said == [f"SERVO_OUTPUT_RAW does not come: {monitors}; what gives it: SRn_RC_CHAN"]
 
 
-def test_what_came_of_a_request_is_told_with_the_answer_and_the_steady_rate() -> None:
-    talk = Talk()
-    talk.wait(0.04, Seen(GYRO, 0.0))
-    talk.wait(6.0, Seen(GYRO, 100.0, 99.6), acks=(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.ACCEPTED),))
-    assert talk.notes[-1] == "RAW_IMU: asked for 100 Hz, the autopilot answered ACCEPTED, 99.6 Hz come"
-
-
 @pytest.mark.parametrize("result", [MavResult.DENIED, None])
 def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_had(result: MavResult | None) -> None:
     talk = Talk()
@@ -93,21 +109,6 @@ def test_another_imu_message_is_asked_for_where_the_profiles_own_is_not_to_be_ha
     assert order == [MessageId.RAW_IMU, MessageId.HIGHRES_IMU, LAST_RESORT]
 
 
-def test_a_gyro_of_another_message_is_asked_for_in_the_order_of_preference() -> None:
-    for profile, own in (("ardupilot", MessageId.RAW_IMU), ("px4", MessageId.HIGHRES_IMU)):
-        [gyro] = wants_of(PROFILES[profile], (), (100.0, 45.0, 200.0), 45.0)
-        order = (MessageId.HIGHRES_IMU, MessageId.SCALED_IMU, MessageId.ATTITUDE)
-        assert (gyro.msgid, gyro.others) == (own, tuple(one for one in order if one != own))
-
-
-def test_only_gyro_and_needed_set_points_are_mandatory() -> None:
-    imu_hz = (100.0, 45.0, 200.0)
-    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0)
-    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE, Signal.ATTITUDE_SETPOINT}
-    wants = wants_of(PROFILES["ardupilot"], NEEDS, imu_hz, 45.0, setpoints=False)
-    assert {one.signal for one in wants if one.mandatory} == {Signal.BODY_RATE}
-
-
 @pytest.mark.parametrize("name", ["ardupilot", "px4"])
 def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
     """Of the signals of all monitors but torque commands, which no MAVLink message carries."""
@@ -116,12 +117,6 @@ def test_every_message_that_a_monitor_may_need_has_a_remedy(name: str) -> None:
     for signal in NEEDS & carried.keys():
         assert remedy(profile.autopilot, carried[signal]), signal
     assert NEEDS - carried.keys() <= {Signal.TORQUE_COMMAND, Signal.VIBRATION}
-
-
-def test_every_signal_of_a_log_has_a_remedy() -> None:
-    for signal in NEEDS - {Signal.TORQUE_COMMAND}:
-        assert log_remedy("ardupilot-log", signal), signal
-    assert remedy(Autopilot.GENERIC, MessageId.RAW_IMU) == log_remedy("crazyflie", Signal.ACTUATOR) == ""
 
 
 def read_all(autopilot: int, vehicle: dict[str, float], seconds: float = 60.0) -> tuple[dict[str, float], list[str]]:
@@ -150,10 +145,3 @@ def test_the_places_of_a_px4s_rotors_are_read_once_their_number_is_known() -> No
     assert "CA_ROTOR4_PX" not in asked
     assert "CA_ROTOR11_PX" in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
     assert "CA_ROTOR12_PX" not in telling(Autopilot.PX4, {"CA_ROTOR_COUNT": 1e6})
-
-
-def test_the_filter_of_the_gyro_is_the_vehicles_own_where_it_tells_it() -> None:
-    profile = PROFILES["ardupilot"]
-    told = [profile.corner_hz({"INS_GYRO_FILTER": hz}) for hz in (40.0, 0.0)]
-    assert (profile.corner_hz({}), *told) == (20.0, 40.0, None)
-    assert PROFILES["px4"].corner_hz({"INS_GYRO_FILTER": 40.0}) is None

@@ -38,8 +38,8 @@ def environ(manager: socket.socket, **more: str) -> dict[str, str]:
 def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socket) -> None:
     notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
     notifier.ready()
-    notifier.alive("one\nline")
-    notifier.alive("one\nline")
+    notifier.status("one\nline", alive=True)
+    notifier.status("one\nline", alive=True)
     notifier.stopping()
     notifier.close()
     assert told(manager) == ["READY=1", "WATCHDOG=1", "STATUS=one line", "WATCHDOG=1", "STOPPING=1"]
@@ -48,7 +48,7 @@ def test_each_fact_is_a_datagram_and_a_status_is_said_once(manager: socket.socke
 @pytest.mark.parametrize("more", [{}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid() + 1)}])
 def test_a_watchdog_that_is_off_or_of_another_process_is_not_fed(manager: socket.socket, more: dict[str, str]) -> None:
     notifier = Notifier(environ(manager, **more))
-    notifier.alive("works")
+    notifier.status("works", alive=True)
     notifier.close()
     assert told(manager) == ["STATUS=works"]
 
@@ -61,28 +61,6 @@ def test_an_abstract_socket_is_reached() -> None:
         notifier.ready()
         notifier.close()
         assert one.recv(100) == b"READY=1"
-
-
-def test_without_a_manager_or_with_one_that_is_gone_nothing_happens(tmp_path: Path) -> None:
-    for place in ({}, {"NOTIFY_SOCKET": str(tmp_path / "gone")}):
-        notifier = Notifier(place)
-        notifier.ready()
-        notifier.close()
-
-
-def test_the_daemon_feeds_the_watchdog_once_a_second_while_a_session_works(manager: socket.socket) -> None:
-    notifier = Notifier(environ(manager, WATCHDOG_USEC="30000000"))
-    settings = Settings(connect="udpin:127.0.0.1:0", baseline=Path("b.json"))
-    bench = Bench(settings, baseline_for(), FakeFitter(), vehicles=[MadeVehicle(1)], notifier=notifier)
-    found = list[str]()
-    for _ in range(10):  # the queue of such a socket is short
-        bench.run(1.0)
-        found += told(manager)
-    assert found[0] == "READY=1"
-    assert 9 <= found.count("WATCHDOG=1") <= 11
-    assert any(one.startswith("STATUS=1 monitoring; ") for one in found)
-    bench.close()
-    notifier.close()
 
 
 def test_the_daemon_gives_no_sign_of_life_while_all_sessions_are_off(manager: socket.socket) -> None:

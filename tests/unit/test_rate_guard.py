@@ -1,13 +1,26 @@
 """Requests for rates from behind: those for what is needed are kept back and answered, all others pass."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from detector.rate_guard import GROUPS, GroupRequest, RateGuard, Verdict
+from detector.config import Settings
+from detector.requests import GROUPS, Handled, Requests
+from detector.sender import MavlinkSender
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
+from mavdiag.link.profiles import PROFILES
+from mavdiag.telemetry import Instant
 
-NEEDED = {1: frozenset({MessageId.RAW_IMU, MessageId.ATTITUDE_TARGET, MessageId.VIBRATION})}
 STATION = Encoder(255, Component.MISSIONPLANNER)
+
+
+def handled(message: bytes, *vehicles: int) -> Handled:
+    streams = {sysid: SimpleNamespace(profile=PROFILES["ardupilot"]) for sysid in vehicles}
+    fleet: Any = SimpleNamespace(vehicles=dict.fromkeys(vehicles), link=SimpleNamespace(vehicles=streams))
+    requests = Requests(fleet, Settings(learn=1.0, keep_rates=True), MavlinkSender)
+    return requests.from_behind([message], Instant(0))
 
 
 def framed(data: bytes) -> Frame:
@@ -15,19 +28,22 @@ def framed(data: bytes) -> Frame:
     return frame
 
 
-def interval(target: tuple[int, int], msgid: int, command: int = MavCmd.SET_MESSAGE_INTERVAL) -> Frame:
-    return framed(STATION.encode(MessageId.COMMAND_LONG, *target, command, 0, msgid, 250_000))
+def interval(target: tuple[int, int], msgid: int, command: int = MavCmd.SET_MESSAGE_INTERVAL) -> bytes:
+    return STATION.encode(MessageId.COMMAND_LONG, *target, command, 0, msgid, 250_000)
 
 
-def group(number: int, target: tuple[int, int] = (1, 1)) -> Frame:
-    return framed(STATION.encode(MessageId.REQUEST_DATA_STREAM, *target, number, 4, 1))
+def group(number: int, target: tuple[int, int] = (1, 1)) -> bytes:
+    return STATION.encode(MessageId.REQUEST_DATA_STREAM, *target, number, 4, 1)
 
 
-def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name() -> None:
-    verdict = RateGuard().verdict(interval((1, 1), MessageId.RAW_IMU), NEEDED)
-    assert verdict is not None
-    assert verdict.answer is not None
-    ack = framed(verdict.answer)
+BY_INT = STATION.encode(MessageId.COMMAND_INT, 1, 1, 0, MavCmd.SET_MESSAGE_INTERVAL, 0, 0, MessageId.RAW_IMU, 250_000)
+
+
+@pytest.mark.parametrize("message", [interval((1, 1), MessageId.RAW_IMU), BY_INT])
+def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_name(message: bytes) -> None:
+    found = handled(message, 1)
+    assert found.passed == ()
+    ack = framed(found.answers[0])
     names = ("command", "result", "target_system", "target_component")
     assert (ack.sysid, ack.compid, ack.msgid) == (1, 1, MessageId.COMMAND_ACK)
     assert [ack.fields[field_index(MessageId.COMMAND_ACK, name)] for name in names] == [
@@ -38,42 +54,38 @@ def test_an_interval_of_a_message_that_is_needed_is_denied_in_the_autopilots_nam
     ]
 
 
-def test_command_int_counts_as_well() -> None:
-    data = STATION.encode(MessageId.COMMAND_INT, 1, 1, 0, MavCmd.SET_MESSAGE_INTERVAL, 0, 0, MessageId.RAW_IMU, 250_000)
-    assert RateGuard().verdict(framed(data), NEEDED) is not None
-
-
 @pytest.mark.parametrize(
-    "frame",
+    ("message", "vehicles"),
     [
-        interval((1, 1), MessageId.SYS_STATUS),
-        interval((2, 1), MessageId.RAW_IMU),  # another vehicle
-        interval((1, 100), MessageId.RAW_IMU),  # a camera
-        interval((1, 1), MessageId.RAW_IMU, MavCmd.REQUEST_MESSAGE),
-        group(6),
-        group(1, (2, 1)),
-        group(1, (1, 100)),
-        framed(STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, 1)),
+        (interval((1, 1), MessageId.SYS_STATUS), (1,)),
+        (interval((2, 1), MessageId.RAW_IMU), (1,)),  # another vehicle
+        (interval((1, 100), MessageId.RAW_IMU), (1,)),  # a camera
+        (interval((1, 1), MessageId.RAW_IMU, MavCmd.REQUEST_MESSAGE), (1,)),
+        (group(6), (1,)),
+        (group(1, (2, 1)), (1,)),
+        (group(1, (1, 100)), (1,)),
+        (group(1, (0, 0)), (1, 2)),
+        (STATION.encode(MessageId.PARAM_REQUEST_LIST, 1, 1), (1,)),
+        (group(0, (0, 0)), ()),
+        (interval((0, 0), MessageId.RAW_IMU), ()),
     ],
 )
-def test_everything_else_passes(frame: Frame) -> None:
-    assert RateGuard().verdict(frame, NEEDED) is None
+def test_everything_else_passes(message: bytes, vehicles: tuple[int, ...]) -> None:
+    assert handled(message, *vehicles) == Handled((message,))
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 0), (0, 0)])
-def test_a_group_that_holds_what_is_needed_is_kept_back(target: tuple[int, int]) -> None:
-    assert RateGuard().verdict(group(1, target), NEEDED) == Verdict()
-    assert RateGuard().verdict(group(12, target), NEEDED) == Verdict()
+def test_a_group_that_holds_what_is_needed_is_kept_back_and_noted(target: tuple[int, int]) -> None:
+    for number in (1, 12):
+        found = handled(group(number, target), 1)
+        assert (found.passed, found.answers, len(found.turns)) == ((), (), 1)
 
 
 def test_a_request_for_all_groups_becomes_requests_for_the_others() -> None:
-    verdict = RateGuard().verdict(group(0), NEEDED)
-    assert verdict is not None
-    assert verdict.answer is None
-    assert verdict.instead == tuple(GroupRequest(1, number, 4, 1) for number in (2, 3, 6, 11))
-    assert {one.group for one in verdict.instead} | {1, 10, 12} == set(GROUPS)
-
-
-def test_without_a_vehicle_everything_passes() -> None:
-    assert RateGuard().verdict(group(0, (0, 0)), {}) is None
-    assert RateGuard().verdict(interval((0, 0), MessageId.RAW_IMU), {}) is None
+    found = handled(group(0), 1)
+    assert found.answers == ()
+    names = ("target_system", "req_stream_id", "req_message_rate", "start_stop")
+    places = [field_index(MessageId.REQUEST_DATA_STREAM, name) for name in names]
+    frames = [framed(message) for message in found.passed]
+    assert [tuple(frame.fields[place] for place in places) for frame in frames] == [(1, n, 4, 1) for n in (2, 6, 11)]
+    assert {2, 6, 11} | {1, 3, 10, 12} == set(GROUPS)

@@ -25,10 +25,8 @@ from detector.values import (
     SendFloat,
     SendText,
     SessionSpec,
-    StateChanged,
 )
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.layout import layout_named
 from mavdiag.baseline import Baseline
 from mavdiag.baseline_parts import Refusal
 from mavdiag.decision.diagnosis import Change, Stage
@@ -65,12 +63,7 @@ def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() ->
     story.fly(10.0)
     story.fly(8.0, push=0.5)
     story.fly(10.0)
-    assert story.states == [
-        State.LEARNING,
-        State.FITTING,
-        State.WAITING,
-        State.MONITORING,
-    ]
+    assert story.states == [State.LEARNING, State.FITTING, State.WAITING, State.MONITORING]
     said = [text for text in story.texts if "monitoring" not in text]
     assert said[-3:] == [
         "PROP FAULT roll attitude unlike the model",
@@ -81,19 +74,7 @@ def test_it_learns_then_watches_then_alerts_and_never_says_that_it_is_clear() ->
     assert any(isinstance(effect, Baseline) for _, effect in story.log)
 
 
-def test_the_progress_of_learning_is_said_in_quarters() -> None:
-    story = Story()
-    story.fly(25.0)
-    assert [text for text in story.texts if "learning" in text] == [f"PROP learning {p}%" for p in (0, 25, 50, 75)]
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ({"armed": False}, "not armed"),
-        ({"thrust": 0.05}, "not airborne"),
-    ],
-)
+@pytest.mark.parametrize(("words", "reason"), [({"armed": False}, "not armed"), ({"thrust": 0.05}, "not airborne")])
 def test_learning_pauses_on_the_ground_and_says_why(words: dict[str, float], reason: str) -> None:
     story = Story()
     story.fly(10.0)
@@ -124,18 +105,6 @@ def test_it_waits_for_what_it_needs_and_names_it(options: dict[str, object], rea
     assert f"PROP waiting: {reason}" in story.texts
 
 
-def test_a_reboot_during_learning_starts_it_anew() -> None:
-    story = Story()
-    story.fly(12.0)
-    assert story.state.collection.seconds > 5
-    story.reboots = 1
-    effects = story.fly(0.1)
-    assert "PROP vehicle rebooted, starting anew" in texts(effects)
-    assert story.state.collection.seconds == 0
-    story.fly(26.0)
-    assert story.at(State.FITTING)
-
-
 def faulty(seconds: int = 120, **changes: object) -> Story:
     """A session that has declared a fault."""
     story = watching(seconds, **changes)
@@ -145,29 +114,6 @@ def faulty(seconds: int = 120, **changes: object) -> Story:
 
 
 INSPECT = SendText(Severity.WARNING, "PROP rotor unknown: inspect before flight")
-
-
-def test_a_reboot_with_a_fault_ends_its_events_and_the_inspection_stays_open() -> None:
-    story = faulty()
-    story.reboots = 1
-    effects = story.fly(0.1, push=0.5)
-    assert [e.event.end_ns for e in effects if isinstance(e, EventClosed)] == [None]
-    assert INSPECT in effects
-    assert story.at(State.WAITING)
-    story.fly(5.0)
-    assert story.at(State.MONITORING)
-    assert story.state.diagnosis.stage is Stage.INSPECT
-
-
-def test_a_lost_link_is_said_and_so_is_its_return() -> None:
-    story = watching()
-    effects = story.silence(4.0)
-    assert story.at(State.LOST)
-    assert "PROP link lost" in texts(effects)
-    assert story.session.working
-    effects = story.fly(4.0)
-    assert any(text.startswith("PROP link back after 4") for text in texts(effects))
-    assert story.at(State.MONITORING)
 
 
 def test_u4_a_lost_link_withdraws_no_fault() -> None:
@@ -214,24 +160,6 @@ def test_whatever_ends_the_flight_the_fault_is_told_until_it_is_acknowledged(end
     assert str(story.state.diagnosis.stage) == "quiet"
 
 
-def test_a_fault_in_flight_cannot_be_acknowledged() -> None:
-    story = faulty()
-    (note,) = story.session.acknowledge("a test")
-    assert note == Note("acknowledged by a test, without effect: the vehicle flies with the fault")
-    assert story.state.diagnosis.stage is Stage.FAULT
-
-
-def test_learning_goes_on_where_it_was_after_a_lost_link() -> None:
-    story = Story()
-    story.fly(12.0)
-    before = story.state.collection.seconds
-    story.silence(10.0)
-    assert story.at(State.LOST)
-    story.fly(3.0)
-    assert story.at(State.LEARNING)
-    assert story.state.collection.seconds >= before
-
-
 def test_a_baseline_of_another_profile_is_refused_by_name_and_the_heartbeat_stops() -> None:
     story = Story(SessionSpec(PROFILES["px4"], baseline_for("qdrone2")))
     effects = story.fly(0.1)
@@ -275,30 +203,6 @@ def test_b6_a_throttled_link_is_judged_again_within_three_seconds_of_the_right_r
     assert State.FAULTED not in story.states
 
 
-def test_b6_one_odd_second_of_rate_ends_nothing() -> None:
-    story = watching()
-    story.fly(1.0, every=2)
-    story.fly(5.0)
-    assert story.states == [State.MONITORING]
-
-
-@pytest.mark.parametrize("period_s", [10, 15])
-def test_l3_a_ground_station_that_resets_the_rates_again_and_again_never_ends_it(period_s: int) -> None:
-    """MAVProxy sets its stream rates every 15 s: five tries in all, then off."""
-    story, every, judged = watching(), 1, 0.0
-    for tick in range(1100):
-        if tick % (10 * period_s) == 0:
-            every = 10
-        before = story.state.judge.judged_s if story.state.judge else 0.0
-        effects = story.fly(0.1, every=every)
-        if any(isinstance(effect, AskInterval) and effect.msgid == MessageId.RAW_IMU for effect in effects):
-            every = 1  # the autopilot does as it is asked
-        judged += (story.state.judge.judged_s if story.state.judge else 0.0) - before
-        assert story.session.working
-    assert State.FAULTED not in story.states
-    assert judged > 0.5 * 110
-
-
 def without_layout(**airframe: object) -> Story:
     """A session whose baseline has these things to say of the airframe, and lost the monitors that need a layout."""
     lost = tuple(Refusal(monitor=name, reason="the rotor layout is not known") for name in NEED_LAYOUT)
@@ -318,15 +222,6 @@ def test_an_unknown_layout_is_said_once_as_judging_begins() -> None:
         "and no rotor is named; name it with --layout or --airframe"
     ]
     assert not [text for text in texts(watching().fly(10.0)) if "layout" in text]
-
-
-def test_a_layout_that_its_flights_contradict_is_said() -> None:
-    layout = layout_named("plus")
-    signs = {"name": layout.name, "signs": layout.signs}
-    story = without_layout(layout=signs, layout_basis="told", layout_warning="the flights look like x; check it")
-    effects = story.fly(20.0)
-    assert SendText(Severity.WARNING, "PROP flights contradict rotor layout plus") in effects
-    assert Note("rotor layout plus (told); WARNING: the flights look like x; check it") in effects
 
 
 def test_the_parameters_that_passed_by_go_with_the_flight_to_learn_from() -> None:
@@ -364,14 +259,6 @@ def test_a_denied_stream_is_not_asked_for_again() -> None:
     assert any("ATTITUDE_TARGET: the autopilot answered DENIED" in str(effect) for _, effect in story.log)
 
 
-def test_l3_an_acknowledgement_that_was_lost_does_not_shift_the_others() -> None:
-    story = Story()
-    story.fly(2.3, without=(Signal.ATTITUDE_SETPOINT,))  # asks for set-points and outputs; neither answer comes
-    story.fly(4.0)
-    story.acknowledge(Ack(MavCmd.SET_MESSAGE_INTERVAL, MavResult.DENIED))
-    assert not any("DENIED" in str(effect) for _, effect in story.log)
-
-
 def ardupilot(*names: str) -> SessionSpec:
     return SessionSpec(PROFILES["ardupilot"], baseline_for("ardupilot", names=names))
 
@@ -391,13 +278,6 @@ def test_b16_the_streams_of_the_baselines_monitors_are_asked_for_at_their_rates(
     assert 2 <= asked[MessageId.VIBRATION] <= 10
 
 
-def test_b16_nothing_is_asked_for_that_no_monitor_needs() -> None:
-    story = Story(ardupilot("unbalance"))
-    story.fly(8.0, without=(Signal.ATTITUDE_SETPOINT,))
-    assert story.at(State.MONITORING)
-    assert not [effect for _, effect in story.log if isinstance(effect, AskInterval)]
-
-
 def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None:
     story = Story(ardupilot("fsd", "rotor_trim"))
     story.fly(12.0)
@@ -409,14 +289,6 @@ def test_l2_what_the_optional_streams_lack_is_told_and_hinders_nothing() -> None
     assert notes.count(f"{trim} not judged: no actuator outputs") == 1
     story.fly(12.0, outputs=True)
     assert story.state.reason == "monitoring"
-
-
-def test_l2_set_points_that_stop_leave_the_other_monitors_judging() -> None:
-    story = Story(ardupilot("fsd", "unbalance"))
-    story.fly(6.0)
-    story.fly(10.0, without=(Signal.ATTITUDE_SETPOINT,))
-    assert story.at(State.MONITORING)
-    assert "FSD not judged: no set-points" in story.state.reason
 
 
 def test_l9_learning_that_fails_keeps_its_data_and_goes_on_with_more() -> None:
@@ -463,13 +335,6 @@ def test_b3_a_fault_of_the_last_flight_does_not_alarm_at_the_next_take_off() -> 
     assert story.at(State.MONITORING)
 
 
-def test_b3_a_fault_before_the_link_was_lost_does_not_alarm_when_it_is_back() -> None:
-    story = watching()
-    story.fly(5.0, push=0.5)
-    story.silence(40.0)
-    assert loud(story.fly(30.0)) == []
-
-
 def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:
     baseline = baseline_for()
     gate = replace(baseline.link.gate, trim_start_s=3.0)
@@ -480,56 +345,6 @@ def test_l4_a_take_off_is_silent_and_what_lasts_is_told_after_it() -> None:
     assert loud(effects) == []
     assert story.state.diagnosis.stage is Stage.NOT_JUDGED
     assert loud(story.fly(2.0, push=0.5)) != []
-
-
-def test_l8_a_fault_that_goes_raises_nothing_more() -> None:
-    story = faulty()
-    story.fly(3.0, push=0.5)
-    effects = [*story.fly(0.6), *story.fly(0.8, push=0.5)]  # a last run while the fault goes
-    effects += story.fly(10.0)
-    assert loud(effects) == []
-    assert texts(effects).count("PROP no longer seen: the fault") == 1
-    effects = story.fly(8.0, push=0.5)  # it is back: no news
-    assert loud(effects) == []
-    warned = [e for e in effects if isinstance(e, SendText) and e.severity is Severity.WARNING]
-    assert warned == [SendText(Severity.WARNING, "PROP seen again: roll attitude unlike the model")] * 2
-
-
-def test_a_landed_vehicle_is_said_to_be_idle_not_healthy() -> None:
-    story = watching()
-    story.fly(6.0, armed=False)
-    assert story.at(State.MONITORING)
-    assert "PROP monitoring: not armed" in story.texts
-
-
-def test_l8_the_alert_is_repeated_seldom() -> None:
-    """It was every 5 s without end, 94 in 14 minutes."""
-    story = watching(seconds=200)
-    story.fly(4.0, push=0.5)
-    story.fly(0.5)
-    story.fly(180.0, push=0.5)
-    alerts = [(at, e) for at, e in story.log if isinstance(e, SendText) and e.severity is Severity.CRITICAL]
-    since = alerts[0][0]
-    assert [round(at - since) for at, _ in alerts] == [0, 5, 15, 60, 120, 180]
-
-
-def test_a_session_without_a_monitor_that_decides_is_off_and_says_why() -> None:
-    story = Story(SessionSpec(QDRONE2, baseline_for(), SessionSettings(suspect=("fsd.roll",))))
-    story.fly(1.0)
-    assert story.at(State.FAULTED)
-    assert "PROP OFF: suspect names every monitor that decides" in story.texts
-
-
-def test_every_event_is_opened_and_closed_once() -> None:
-    story = watching()
-    story.fly(2.0, push=0.5)
-    story.fly(3.0)
-    opened = [effect.event for _, effect in story.log if isinstance(effect, EventOpened)]
-    closed = [effect.event for _, effect in story.log if isinstance(effect, EventClosed)]
-    assert [e.start_ns for e in opened] == [e.start_ns for e in closed]
-    assert len(closed) == 1
-    assert closed[0].statistic == pytest.approx(2.0, abs=0.1)
-    assert closed[0].threshold == FML_S
 
 
 def test_an_event_that_is_open_at_the_end_is_told_with_its_end_unseen() -> None:
@@ -566,24 +381,6 @@ def test_events_do_not_depend_on_how_often_the_session_steps() -> None:
         found.append([e.event for _, e in story.log if isinstance(e, EventClosed)])
     assert found[0] == found[1] == found[2]
     assert len(found[0]) == 1
-
-
-def test_an_hour_of_healthy_flight_is_quiet() -> None:
-    story = Story(SessionSpec(QDRONE2, baseline_for()), seconds=3700, chunk_s=1.0)
-    story.fly(3600.0)
-    assert story.states == [State.MONITORING]
-    assert not [effect for _, effect in story.log if isinstance(effect, EventOpened)]
-    assert story.state.judge is not None
-    assert story.state.judge.judged_s > 3590
-    assert len(story.texts) < 15  # one every five minutes
-
-
-def test_a_learned_baseline_that_does_not_fit_after_all_is_refused() -> None:
-    story = Story()
-    story.fly(26.0)
-    story.answer(baseline_for("ardupilot"))  # not what the link speaks
-    story.fly(1.0)
-    assert [change.new for _, change in story.log if isinstance(change, StateChanged)][-1] is State.FAULTED
 
 
 def weighing(felt_g: float, t_s: float) -> Inbox:
@@ -640,12 +437,6 @@ def test_c1_a_vehicle_that_flies_and_is_not_judged_is_told(reason: str) -> None:
     story.fly(6.0)
     assert story.state.reason.startswith("monitoring")
     assert not any("not judged: it" in text for text in texts(story.fly(10.0)))
-
-
-def test_c1_it_is_told_however_long_it_lasts() -> None:
-    story = watching(seconds=240)
-    story.fly(20.0)
-    assert len([text for text in texts(story.fly(150.0, thrust=0.0)) if "not judged: its thrust" in text]) == 3
 
 
 @pytest.mark.parametrize("armed", [True, False])

@@ -29,12 +29,6 @@ def schedule() -> Schedule:
     return Schedule({FAST: 1000.0, SLOW: 1.0, QUIET: 0.0}, ceiling_hz=1000.0)
 
 
-def test_each_message_keeps_its_own_rate() -> None:
-    assert count(schedule(), FAST, 0, 5000) == 5000
-    assert count(schedule(), SLOW, 0, 5000) == 5
-    assert count(schedule(), QUIET, 0, 5000) == 0
-
-
 @given(rate_hz=st.floats(0.5, 1000.0), blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12))
 def test_any_rate_is_met_to_one_message_however_the_time_is_cut(rate_hz: float, blocks: list[int]) -> None:
     one = Schedule({FAST: rate_hz}, ceiling_hz=1000.0)
@@ -69,14 +63,6 @@ def test_what_cannot_be_sent_is_denied_and_changes_nothing(msgid: int, interval_
     assert one.interval_us(999) == 0
 
 
-def test_a_message_can_be_asked_for_once() -> None:
-    one = schedule()
-    assert one.ask_once(QUIET) is MavResult.ACCEPTED
-    assert one.ask_once(999) is MavResult.DENIED
-    assert dict(one.due(times(0, 4)))[QUIET].tolist() == [3]
-    assert count(one, QUIET, 4, 100) == 0
-
-
 @pytest.mark.parametrize(
     ("profile", "asked_us", "result", "attained_hz"),
     [
@@ -97,13 +83,3 @@ def test_a_profile_grants_rates_as_its_autopilot_does(
     rows = [rows for msgid, rows in one.due(times(0, 1000 * seconds)) if msgid == MessageId.ATTITUDE_TARGET]
     if result == MavResult.ACCEPTED:
         assert len(rows[0]) == pytest.approx(attained_hz * seconds, rel=0.01)
-
-
-def test_a_fresh_link_carries_what_the_autopilot_sends_unasked() -> None:
-    def heard(profile: str) -> set[int]:
-        return {msgid for msgid, _ in dialect_named(profile).schedule(None, fresh=True).due(times(0, 3000))}
-
-    assert heard("ardupilot") == {MessageId.HEARTBEAT}
-    assert MessageId.ATTITUDE_TARGET in heard("px4")
-    assert not heard("px4") & {MessageId.RAW_IMU, MessageId.HIGHRES_IMU}
-    assert dialect_named("px4").schedule(None).set_interval(MessageId.RAW_IMU, 10_000) == MavResult.DENIED

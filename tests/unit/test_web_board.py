@@ -59,22 +59,6 @@ def test_a_new_page_gets_the_latest_entries_and_one_that_was_away_for_long_all_t
     assert len(numbers(board.enter(None, 0).next())) == BATCH
 
 
-def test_entries_that_come_again_are_known() -> None:
-    """The server keeps what it has when the daemon's end begins anew with an entry that it gave."""
-    board = filled(5)
-    board.take("J 3 again")
-    assert [number for number, _ in board.entries] == [1, 2, 3, 4, 5]
-
-
-def test_a_hole_in_the_numbers_loses_nothing_that_came() -> None:
-    board = filled(5)
-    reader, late = board.enter(None, 0), board.enter(None, 3)
-    assert drained(reader) == [1, 2, 3, 4, 5]
-    for number in range(50, 60):
-        board.take(f"J {number} x")
-    assert drained(reader) == drained(late) == list(range(50, 60))
-
-
 def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_oldest() -> None:
     board = Board("r")
     one, other = board.enter(1, None), board.enter(2, None)
@@ -93,21 +77,8 @@ def test_figures_go_to_those_who_look_at_the_vehicle_and_a_slow_page_loses_the_o
     assert late[-1]["data"] == "999"
 
 
-def test_the_strips_of_another_chain_are_forgotten() -> None:
-    board = Board("r")
-    board.take("N 1 old")
-    board.take("A 1 new")
-    assert [event["event"] for event in events(board.enter(1, None).next())] == ["hello", "about"]
-
-
 @given(st.text(alphabet=st.characters(exclude_characters="\n")))
 def test_no_line_breaks_it(line: str) -> None:
     board = filled(3)
     board.take(line)
     assert board.newest >= 3
-
-
-def test_a_number_of_another_run_means_nothing() -> None:
-    board = filled(20)
-    reader = board.enter(None, parse_last("s-15", board.run))
-    assert drained(reader) == list(range(1, 21))
