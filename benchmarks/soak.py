@@ -33,7 +33,7 @@ from detector.values import SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import LOOK_NS
 from mavdiag.link.codec import Decoder, Encoder, decode_statustext
-from mavdiag.link.conversion import SOURCES
+from mavdiag.link.samples import SOURCES
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.ports import Endpoint, open_endpoint
 from mavdiag.telemetry import Instant, IntArray

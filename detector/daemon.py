@@ -45,7 +45,7 @@ from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
-from mavdiag.link.timesync import TimesyncMessage
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 

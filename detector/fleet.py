@@ -22,7 +22,7 @@ from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.timesync import Timesync, exchanged
+from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 

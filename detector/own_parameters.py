@@ -84,7 +84,7 @@ class Answer:
 
 
 def answer(frame: Frame) -> Answer:
-    """What a request leads to (`mavdiag.link.addressed`). One for a parameter that is not there gets no answer."""
+    """What a request leads to (`mavdiag.link.vehicles`). One for a parameter that is not there gets no answer."""
     fields = frame.fields
     if frame.msgid == MessageId.PARAM_REQUEST_LIST:
         return Answer(PARAMETERS)

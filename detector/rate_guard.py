@@ -9,10 +9,10 @@ A request for all groups becomes requests for those that hold none. Everything e
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from mavdiag.link.addressed import COMMANDS
 from mavdiag.link.codec import Encoder, Frame, field_index
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.vehicles import COMMANDS
 
 __all__ = ["GUARDED", "GroupRequest", "RateGuard", "Verdict"]
 

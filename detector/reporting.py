@@ -20,7 +20,7 @@ from detector.values import (
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import UsageError
-from mavdiag.link.timesync import TimesyncMessage
+from mavdiag.link.clock import TimesyncMessage
 
 __all__ = ["Lines", "Reporter", "kept_baselines"]
 

@@ -14,10 +14,10 @@ from detector.sender import MavlinkSender
 from detector.values import Effect, Note
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Stage
-from mavdiag.link.addressed import PARAMETER_REQUESTS, Command, commands_in, parameters_asked
 from mavdiag.link.codec import Decoder, Frame, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.vehicles import PARAMETER_REQUESTS, Command, command_in, parameters_asked
 from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
@@ -108,9 +108,9 @@ class Requests:
                     for one in verdict.instead
                 ]
                 return Handled(tuple(asked), (verdict.answer,) if verdict.answer else (), self._kept_back(frame))
-        handled = [self.command(one, system) for system, asked in commands_in((frame,)).items() for one in asked]
-        answers, turns = (tuple(x for one in handled for x in getattr(one, name)) for name in ("answers", "turns"))
-        return Handled((message,), answers, turns)
+        asked_of = command_in(frame)
+        handled = Handled() if asked_of is None else self.command(asked_of[1], asked_of[0])
+        return replace(handled, passed=(message,))
 
     def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
         """A command for a vehicle's detector. It takes one: an inspection is acknowledged.

@@ -16,7 +16,7 @@ with atheris.instrument_imports(include=["mavdiag.link", "detector"]):
     from detector.fleet import Fleet
     from detector.values import SessionSpec
     from mavdiag.link.codec import Encoder
-    from mavdiag.link.conversion import SOURCES
+    from mavdiag.link.samples import SOURCES
     from mavdiag.link.messages import MessageId
 
 from made_session import baseline_for

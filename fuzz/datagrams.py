@@ -25,7 +25,7 @@ from detector.fleet import Fleet
 from detector.states import State
 from detector.values import EventOpened, SendText, SessionSpec
 from mavdiag.link.codec import Decoder, Encoder
-from mavdiag.link.conversion import SOURCES
+from mavdiag.link.samples import SOURCES
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S

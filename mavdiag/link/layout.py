@@ -65,6 +65,11 @@ class Layout:
             place += size
         raise UsageError(f"{self.name} has no field {name}")
 
+    def offset(self, name: str) -> tuple[int, str]:
+        """At which byte of the payload a field begins, and its struct code. Raises UsageError if there is none."""
+        place = self.place(name)
+        return struct.calcsize("<" + "".join(self.codes[:place])), self.codes[place]
+
     def record_dtype(self, columns: Sequence[tuple[str, int]]) -> np.dtype[np.void]:
         """The payload as a record of some columns. Raises UsageError: no such field, or a column of several types.
 

@@ -127,7 +127,7 @@ class Link:
         while (left := until - time.monotonic()) > 0:
             each()
             pieces.append(self.poll(min(left, POLL_S)))
-        telemetry = joined([piece for piece in pieces if piece.series])
+        telemetry = joined(pieces)
         if self.stream is None:
             raise InputError(self._absent())
         notes = () if telemetry.series else (SILENT_NOTE,)

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
 
+import numpy as np
+
 from mavdiag.errors import UsageError
-from mavdiag.link.batch import Batch, batch_of
-from mavdiag.link.codec import Frame, message_name
-from mavdiag.link.evidence import Evidence, evidence_of
-from mavdiag.link.messages import Autopilot, Component, MessageId
+from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, message_name, record_dtype
+from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
@@ -39,6 +39,54 @@ IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
 
 #: Body rates without accelerometer, as the estimator has them; read only where no message of `IMU_MESSAGES` comes.
 LAST_RESORT = MessageId.ATTITUDE
+
+
+_BEAT = ("type", "autopilot")
+_HEARTBEAT = record_dtype(MessageId.HEARTBEAT, *((name, 1) for name in _BEAT))
+_RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the frames of one vehicle's autopilot show of its profile.
+
+    autopilots: what its heartbeats name it, MAV_AUTOPILOT.
+    counts: how many frames of each message.
+    weight: median size of RAW_IMU's acceleration, in counts; NaN without RAW_IMU. A vehicle feels its own weight.
+    period_us: median period of RAW_IMU [us]; NaN if it is not known.
+    """
+
+    autopilots: frozenset[int]
+    counts: Mapping[int, int]
+    weight: float
+    period_us: float
+
+    def weighs(self, span: tuple[float, float]) -> bool:
+        """Whether one g is within this span of counts."""
+        return span[0] <= self.weight < span[1]
+
+
+def beats_of(frames: Frames) -> Counter[tuple[int, int]]:
+    """How often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats of autopilots, not of stations or computers."""
+    record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
+    beats = Counter(zip(*(record[name].tolist() for name in _BEAT), strict=True))
+    companions = (MavType.GCS, MavType.ONBOARD_CONTROLLER)
+    return Counter({beat: n for beat, n in beats.items() if beat[0] not in companions and beat[1] != Autopilot.INVALID})
+
+
+def evidence_of(pieces: Iterable[Frames]) -> Evidence:
+    """What the frames of one vehicle show, in several pieces, in order of arrival."""
+    counts, beats, raw = Counter[int](), Counter[tuple[int, int]](), [np.empty(0, _RAW_IMU)]
+    for piece in pieces:
+        counts += piece.counts()
+        beats += beats_of(piece)
+        raw.append(piece.of(MessageId.RAW_IMU, compid=AUTOPILOT).records(_RAW_IMU))
+    record, weight, period_us = np.concatenate(raw), float("nan"), float("nan")
+    if len(record):
+        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
+    if len(record) > 1:
+        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
+    return Evidence(frozenset(autopilot for _, autopilot in beats), counts, weight, period_us)
 
 
 class Stamp(StrEnum):
@@ -211,14 +259,10 @@ class Recognised:
     reason: str = ""
 
 
-def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """The first of the profiles that one vehicle's frames fit; never a guess."""
-    return detect_profile_in([batch_of(frames)], profiles)
-
-
-def detect_profile_in(batches: Sequence[Batch], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """As `detect_profile`, for frames in several pieces, in order of arrival."""
-    seen = evidence_of(batches)
+def detect_profile(frames: Sequence[Frame] | Sequence[Frames], profiles: Iterable[Profile] = _ROWS) -> Recognised:
+    """The first of the profiles that one vehicle's frames fit; never a guess. They may come in several pieces."""
+    singly = [one for one in frames if isinstance(one, Frame)]
+    seen = evidence_of([one for one in frames if isinstance(one, Frames)] or [frames_of(singly)])
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
         return Recognised(found)
@@ -254,17 +298,12 @@ def by_attitude(profile: Profile) -> Profile:
     return replace(profile, imu=LAST_RESORT, accel_unit=1.0, gyro_unit=1.0)
 
 
-def with_imu(profile: Profile, frames: Iterable[Frame], least: int = 1) -> Profile:
-    """The profile with the one IMU message that these frames are best judged by; BODY_RATE never mixes two.
+def with_imu(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:
+    """The profile with the one IMU message that a vehicle is best judged by; BODY_RATE never mixes two.
 
     It is the profile's own, or else the first of `IMU_MESSAGES`, that comes at least `least` times and no fewer than a
-    quarter as often as the most frequent one. Where none does, the profile's own stays.
+    quarter as often as the most frequent one. Where none does, the profile's own stays. counts: frames of each message.
     """
-    return with_imu_of(profile, Counter(frame.msgid for frame in frames if frame.compid == Component.AUTOPILOT1), least)
-
-
-def with_imu_of(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:
-    """As `with_imu`, from how many frames of each message the autopilot sent."""
     choice = (profile.imu, *(message for message, units in IMU_MESSAGES.items() if units and message != profile.imu))
     enough = max(least, max(counts.get(message, 0) for message in choice) / SELDOM)
     chosen = next((message for message in choice if counts.get(message, 0) >= enough), profile.imu)

@@ -20,7 +20,7 @@ from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
 from mavdiag.link.addressed import PARAMETER_REQUESTS
 from mavdiag.link.codec import Decoder
-from mavdiag.link.conversion import sources
+from mavdiag.link.samples import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.telemetry import Instant

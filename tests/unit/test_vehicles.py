@@ -1,5 +1,7 @@
 """Bytes of a link become vehicles: who enters, what is told of those who do not, and what is kept of made-up ones."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from memory_port import memory_pair
@@ -113,7 +115,7 @@ def test_one_frame_of_a_slow_imu_message_does_not_settle_the_choice(size: int) -
     for at in range(0, len(frames), size):
         gyro = stream.step(frames[at : at + size]).get(Signal.BODY_RATE)
         samples += 0 if gyro is None else len(gyro)
-    assert stream.profile.imu is with_imu(PROFILES["ardupilot"], frames).imu is MessageId.SCALED_IMU2
+    assert stream.profile.imu is with_imu(PROFILES["ardupilot"], Counter(frame.msgid for frame in frames)).imu is MessageId.SCALED_IMU2
     assert samples >= 470  # of 500
 
 
@@ -176,7 +178,7 @@ def test_made_up_senders_cost_a_bounded_amount() -> None:
     for sysid in encoders:
         decoder.feed([(encoders[sysid].encode(MessageId.ATTITUDE, 1), 1)], 1)
     assert not decoder.vehicles
-    pending = decoder._pending
+    pending = decoder._waiting
     assert len(pending) == 255
     assert max(len(one.frames) for one in pending.values()) == WAITING_FRAMES
 
