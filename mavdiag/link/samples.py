@@ -317,7 +317,7 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
             runs.setdefault(series.signal, []).append(series)
     if count == 1:
         return piece
-    for signal in list(runs):
+    for signal in (one for one in Signal if one in runs):
         run = runs.pop(signal)
         t_ns = _shared(np.concatenate([series.t_ns for series in run]), times)
         host_ns = _shared(np.concatenate([series.host_ns for series in run]), times)
@@ -365,10 +365,8 @@ def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float
 @jit
 def _number(data: Bytes, at: int, stop: int, kind: int, word: Any, real: Any) -> float:
     """The number at this place. What is behind the end of the payload was trimmed, and is zero."""
-    value, size = np.int64(0), kind & 15
-    for k in range(size):
-        if at + k < stop:
-            value |= np.int64(data[at + k]) << 8 * k
+    size = kind & 15
+    value = _count(data, at, stop, size)
     if kind & 32:
         word[0] = value
         return np.float64(real[0])
