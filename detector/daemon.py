@@ -39,13 +39,13 @@ from mavdiag.airframe.airframe import Airframe
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Change
 from mavdiag.inspections import Inspections
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import KeptSigning
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import PEER_FRESH_S, Chunk, Endpoint, Kind, parse_address
 from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.link.sequence import Source
-from mavdiag.link.clock import TimesyncMessage
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 

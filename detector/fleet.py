@@ -17,12 +17,12 @@ from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
+from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder, Received, VehicleStream
 from mavdiag.telemetry import Instant, IntArray, Signal
 

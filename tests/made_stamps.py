@@ -12,7 +12,7 @@ from mavdiag.telemetry import IntArray
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit
 def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArray, t_ns: IntArray) -> None:
     mem, readings, leads, offsets = time
     for k in range(frames.shape[1]):

@@ -250,7 +250,7 @@ def stamp(
     received.
     """
     if tick == 0:
-        return mem.t_ns
+        return int(mem.t_ns)
     raw = min(max(count, 0), HIGHEST_NS // tick)
     ambiguous = 0 < turn * tick < _DAY_NS  # its first reading alone does not give the time since boot
     reading = readings[_place(readings, msgid)]
@@ -264,7 +264,7 @@ def stamp(
             return NEVER
         sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
     if sort == _IN_LINE:
-        return _placed(mem, leads, offsets, clock_ns, now_ns, _clock_of(tick, ambiguous, clock_ns))
+        return int(_placed(mem, leads, offsets, clock_ns, now_ns, _clock_of(tick, ambiguous, clock_ns)))
     if sort == _BROKEN_OFF:
         what = _out_of_line(mem, raw * tick, now_ns)
         if what == _REBOOT:

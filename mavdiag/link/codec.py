@@ -279,8 +279,11 @@ class Decoder:
 
     def take_datagrams(self, chunks: Iterable[tuple[bytes, int]], sources: Sequence[Source] = ()) -> Frames:
         """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
-        pieces, times = zip(*chunks, strict=True) if chunks else ((), ())
-        return self._scan(b"".join(pieces), [*map(len, pieces)], times, sources or (None,) * len(pieces), whole=True)[0]
+        some = list(chunks)
+        sizes, times = [len(data) for data, _ in some], [host_ns for _, host_ns in some]
+        return self._scan(
+            b"".join([data for data, _ in some]), sizes, times, sources or (None,) * len(some), whole=True
+        )[0]
 
     def _scan(
         self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
@@ -425,7 +428,7 @@ def _find(
         at, left = first + gap, max(FALSE_MARKERS, (end - first) // FALSE_MARKERS)
         while at < end:
             marker, after = data[at], at
-            if marker == _V1 or marker == _V2:
+            if marker in (_V1, _V2):
                 after = _take(data, at, end, whole, gap, known, tables, tally, found[count])
             if after == _NOT_YET:
                 break
@@ -434,7 +437,7 @@ def _find(
                 found[count].source = chunks[2, k]
                 count, at = count + 1, after + gap
                 continue
-            left -= int(gap == 0 and (marker == _V1 or marker == _V2))
+            left -= int(gap == 0 and (marker in (_V1, _V2)))
             at = at + 1 if left else end
         if not whole:
             return count, min(max(at - gap, 0), end)
@@ -447,7 +450,7 @@ def _stamp(data: Bytes, begin: int) -> int:
     time_us = np.int64(0)
     for k in range(begin - STAMP_BYTES, begin):
         time_us = time_us << 8 | np.int64(data[k])
-    return time_us
+    return int(time_us)
 
 
 @jit
@@ -499,7 +502,7 @@ def _take(
     frame.begin, frame.body, frame.stop, frame.after, frame.row = begin, body, stop, after, row
     frame.sender = (zero + data[header + 1]) << 8 | (zero + data[header + 2])
     frame.seq = data[header]
-    return after
+    return int(after)
 
 
 @jit
@@ -516,4 +519,4 @@ def _checksum(data: Bytes, first: int, stop: int, seed: int, tables: NDArray[np.
     while k < stop:
         crc = crc >> 8 ^ tables[0, (crc ^ data[k]) & 0xFF]
         k += 1
-    return crc >> 8 ^ tables[0, (crc ^ seed) & 0xFF]
+    return int(crc >> 8 ^ tables[0, (crc ^ seed) & 0xFF])

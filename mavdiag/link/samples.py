@@ -111,7 +111,7 @@ def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = Fals
     )
 
 
-def _telemetry_of_escs(message: MessageId, first: int) -> Source:
+def _telemetry_of_escs(message: int, first: int) -> Source:
     part = Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=first)
     return Source(message, (part,), chosen_by=_M.ESC_TELEMETRY_1_TO_4)
 
@@ -381,7 +381,7 @@ def _count(data: Bytes, at: int, stop: int, size: int) -> int:
     for k in range(size):
         if at + k < stop:
             value |= np.int64(data[at + k]) << 8 * k
-    return value
+    return int(value)
 
 
 @jit
@@ -437,7 +437,7 @@ def _rotors(data: Bytes, body: int, stop: int, part: Any, unit: float, speeds: F
 def _heartbeat(data: Bytes, body: int, stop: int, part: Any, host_ns: int, tally: IntArray, out: FloatArray) -> bool:
     """Whether a heartbeat is a vehicle's, and is believed: a disarmed one amid armed ones is another sender's."""
     kind = _count(data, body + part[7], stop, 1)
-    if kind == _GCS or kind == _COMPUTER:
+    if kind in (_GCS, _COMPUTER):
         return False
     armed = _count(data, body + part[2], stop, 1) & _ARMED > 0
     out[0] = 1.0 if armed else 0.0

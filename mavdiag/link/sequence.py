@@ -250,8 +250,8 @@ class Senders:
     def _count(self, place: int) -> LinkCount:
         row, seen = self._senders[place], self._seen[place]
         by_message = {self._msgids[at]: int(seen[at]) for at in np.flatnonzero(seen).tolist()}
-        figures = (int(row[name]) for name in ("received", "lost", "reordered", "duplicated", "restarts"))
-        return LinkCount(*figures, by_message, int(row["clashes"]))
+        names = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
+        return LinkCount(by_message=by_message, **{name: int(row[name]) for name in names})
 
 
 Fields: TypeAlias = Any  # one record, as numba has it
@@ -322,7 +322,7 @@ def _hear(
             senders[used].key, senders[used].source, senders[used].next = frame.sender, frame.source, frame.seq
             used += 1
             places[frame.sender] = used
-        sender, seq = senders[places[frame.sender] - 1], np.int64(frame.seq)
+        sender, seq = senders[places[frame.sender] - 1], 0 + frame.seq
         if sender.received and not _admit(sender, frame):
             continue
         sender.heard_ns = frame.host_ns

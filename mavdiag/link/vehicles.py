@@ -11,12 +11,13 @@ seconds apart, and running numbers that are one sender's; and at most so many as
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.link.clock import VehicleTime
-from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, ROWS, Decoder, Frame, Frames, field_index, frames_of
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import (
@@ -58,8 +59,10 @@ _TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
 _KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
 _TARGETS = ("target_system", "target_component")
 _ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
-_TARGETS_OF = {msgid: [field_index(msgid, name) for name in _TARGETS] for msgid in COMMANDS | PARAMETER_REQUESTS}
-_COMMAND_OF = {msgid: field_index(msgid, "command") for msgid in COMMANDS}
+_TARGETS_OF: Mapping[int, list[int]] = {
+    msgid: [field_index(msgid, name) for name in _TARGETS] for msgid in COMMANDS | PARAMETER_REQUESTS
+}
+_COMMAND_OF: Mapping[int, int] = {msgid: field_index(msgid, "command") for msgid in COMMANDS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,7 +339,7 @@ class LinkDecoder:
         self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def feed(
-        self, chunks: Sequence[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
+        self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
     ) -> dict[int, Received]:
         """Take bytes, each with its time of arrival [ns]; return what is new, by system id.
 
@@ -346,14 +349,14 @@ class LinkDecoder:
         self.take(chunks, now_ns, sources)
         return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
 
-    def take(self, chunks: Sequence[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
+    def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
         """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`, which need
         not be called after each `take`."""
         if self._datagrams:
             taken = [self.decoder.take_datagrams(chunks, sources)]
         else:
-            ends = sources or (None,) * len(chunks)
-            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=True)]
+            ends = sources or repeat(None)
+            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
         for frames in taken:
             for sysid, own in frames.by_sysid().items() if len(frames) else ():
                 if sysid and self._only in (None, sysid):

@@ -136,9 +136,7 @@ def decode_windows(windows: Iterable[bytes]) -> TlogContent:
     pieces = [decoder.take_stream(window) for window in windows]
     pieces.append(decoder.take_stream(b"", last=True))
     lost = decoder.size - decoder.sound_end
-    return TlogContent(
-        tuple(pieces), decoder.size, "", decoder.records, decoder.garbage_bytes, decoder.senders, lost
-    )
+    return TlogContent(tuple(pieces), decoder.size, "", decoder.records, decoder.garbage_bytes, decoder.senders, lost)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:

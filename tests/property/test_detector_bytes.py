@@ -18,11 +18,11 @@ from detector.rate_guard import GUARDED
 from detector.requests import Requests
 from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
-from mavdiag.link.addressed import PARAMETER_REQUESTS
 from mavdiag.link.codec import Decoder
-from mavdiag.link.samples import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.samples import sources
+from mavdiag.link.vehicles import PARAMETER_REQUESTS
 from mavdiag.telemetry import Instant
 
 TICK_NS = 40_000_000

@@ -170,7 +170,9 @@ def telemetry_framewise(data: bytes) -> tuple[int, Telemetry]:
     own = [frame for frame in decode_framewise(data).frames if frame.sysid == 1]
     profile = detect_profile(own).profile
     assert profile is not None
-    return own[0].host_ns, SampleDecoder(with_imu(profile, Counter(frame.msgid for frame in own if frame.compid == 1))).step(SampleState(), own)[1]
+    return own[0].host_ns, SampleDecoder(
+        with_imu(profile, Counter(frame.msgid for frame in own if frame.compid == 1))
+    ).step(SampleState(), own)[1]
 
 
 @pytest.mark.parametrize("seed", range(4))

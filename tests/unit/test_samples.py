@@ -512,9 +512,7 @@ def test_b19_one_imu_message_is_chosen_and_never_two() -> None:
 
 
 def test_a_message_is_added_by_one_row() -> None:
-    row = Source(
-        MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32)
-    )
+    row = Source(MessageId.ATTITUDE_QUATERNION, (Part(Signal.ATTITUDE, "q1", Form.ANGLES),), ("time_boot_ms", MS_32))
     frame = Vehicle().frame(MessageId.ATTITUDE_QUATERNION, 5, *quaternion(0.1, 0.2, 0.3).tolist())
     decoder = SampleDecoder(PROFILES["qdrone2"], table=(*SOURCES, row))
     _, telemetry = decoder.step(SampleState(), [frame])

@@ -92,7 +92,7 @@ def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
 )
 def test_running_numbers_of_one_sender_follow_on(numbers: list[int], sound: bool) -> None:
     senders = Senders()
-    assert all([heard(senders, KEY, seq, 0, HERE) for seq in numbers])
+    assert all(heard(senders, KEY, seq, 0, HERE) for seq in numbers)
     sender = senders.get(1, 1)
     assert sender is not None
     assert sender.sound is sound

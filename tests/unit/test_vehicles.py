@@ -115,7 +115,11 @@ def test_one_frame_of_a_slow_imu_message_does_not_settle_the_choice(size: int) -
     for at in range(0, len(frames), size):
         gyro = stream.step(frames[at : at + size]).get(Signal.BODY_RATE)
         samples += 0 if gyro is None else len(gyro)
-    assert stream.profile.imu is with_imu(PROFILES["ardupilot"], Counter(frame.msgid for frame in frames)).imu is MessageId.SCALED_IMU2
+    assert (
+        stream.profile.imu
+        is with_imu(PROFILES["ardupilot"], Counter(frame.msgid for frame in frames)).imu
+        is MessageId.SCALED_IMU2
+    )
     assert samples >= 470  # of 500
 
 
