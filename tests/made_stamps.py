@@ -36,8 +36,7 @@ def taken(*streams: Stream, time: VehicleTime | None = None, size: int = 1 << 30
     for at in range(0, len(order), size):
         some = order[at : at + size]
         time, found = VehicleTime(time.words.copy()), np.empty(len(some), np.int64)
-        memory = (time.mem, time.readings, time.leads, time.offsets)
-        _stamped(memory, counters, np.ascontiguousarray(frames[:, some]), found)
+        _stamped(time.records, counters, np.ascontiguousarray(frames[:, some]), found)
         times[some] = found
     ends = np.cumsum([len(raw) for _, raw, _ in streams])
     return time, np.split(times, ends[:-1])

@@ -99,6 +99,9 @@ US_32 = Counter(NS_PER_US, 1 << 32)  # SERVO_OUTPUT_RAW.time_usec: wraps after 7
 US_64 = Counter(NS_PER_US, 0)  # time_usec: since boot or since 1970
 TURN_NS = MS_32.turn * MS_32.tick_ns
 
+Fields: TypeAlias = Any  # one of these records, as numba has it
+Records: TypeAlias = NDArray[Any]
+
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, as
 # sent; how often it has wrapped; when it was last received in line; the most that it was ahead of the receiver's clock,
 # which drift takes back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
@@ -145,43 +148,38 @@ _MEM = np.dtype(
 )
 
 
-_KINDS = (_MEM, _READING, _LEADS, _OFFSET)
-_SIZES = (1, MESSAGES_MAX, len(Clock), len(Clock))
-_ENDS = np.cumsum([count * kind.itemsize // 8 for count, kind in zip(_SIZES, _KINDS, strict=True)]).tolist()
+_TIME = np.dtype(
+    [
+        ("mem", _MEM),
+        ("readings", _READING, MESSAGES_MAX),
+        *((name, kind, len(Clock)) for name, kind in (("leads", _LEADS), ("offsets", _OFFSET))),
+    ]
+)
 
 
 def _fresh() -> IntArray:
-    words = np.zeros(_ENDS[-1], np.int64)
-    mem = words[: _ENDS[0]].view(_MEM)
+    words = np.zeros(_TIME.itemsize // 8, np.int64)
+    mem = words.view(_TIME)["mem"]
     mem["reference"], mem["t_ns"] = -1, NEVER
     return words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleTime:
-    """Where one vehicle's time stands; `stamp` brings a copy of it on. words: the records above, end to end."""
+    """Where one vehicle's time stands; `stamp` brings a copy of it on. words: all of the records above."""
 
     words: IntArray = field(default_factory=_fresh)
 
     @property
-    def mem(self) -> NDArray[np.void]:
+    def mem(self) -> Records:
         """(1,) the vehicle."""
-        return self.words[: _ENDS[0]].view(_MEM)
+        return self.words.view(_TIME)["mem"]
 
     @property
-    def readings(self) -> NDArray[np.void]:
-        """(32,) the counters of its messages."""
-        return self.words[_ENDS[0] : _ENDS[1]].view(_READING)
-
-    @property
-    def leads(self) -> NDArray[np.void]:
-        """(4,) by `Clock`."""
-        return self.words[_ENDS[1] : _ENDS[2]].view(_LEADS)
-
-    @property
-    def offsets(self) -> NDArray[np.void]:
-        """(4,) by `Clock`."""
-        return self.words[_ENDS[2] :].view(_OFFSET)
+    def records(self) -> tuple[Records, Records, Records, Records]:
+        """(1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`."""
+        record = self.words.view(_TIME)
+        return record["mem"], record["readings"][0], record["leads"][0], record["offsets"][0]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, VehicleTime) and np.array_equal(self.words, other.words)
@@ -213,15 +211,12 @@ class VehicleTime:
     @property
     def drift_ppm(self) -> float | None:
         """How fast another clock of the vehicle drifts against the reference [ppm]; None if its messages have one."""
-        for offset in self.offsets:
+        for offset in self.records[3]:
             if offset["known"] and not offset["shared"]:
                 span_s = max(1, int(offset["second"]) + 1 - int(offset["since_s"]))
                 return float(offset["since_ns"] - offset["end_ns"]) / span_s * 1e6 / NS_PER_S
         return None
 
-
-Fields: TypeAlias = Any  # one record of the above, as numba has it
-Records: TypeAlias = NDArray[Any]
 
 _BOOT_MS, _BOOT_US, _BOOT_US_32, _UNIX = (int(clock) for clock in Clock)
 _DAY_NS = 86_400 * NS_PER_S

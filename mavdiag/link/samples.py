@@ -254,8 +254,9 @@ class SampleDecoder:
         timeline, speeds = VehicleTime(state.timeline.words.copy()), state.speeds.copy()
         tally = np.array([state.dropped, state.armed_ns, state.contrary])
         table = (self._lookup, self._sources, self._parts, self._scales, _WIDTHS)
-        time = (timeline.mem, timeline.readings, timeline.leads, timeline.offsets)
-        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, time, tally, speeds)
+        t_ns, host_ns, values, filled = _convert(
+            some.data, some.rows, given_ns, table, timeline.records, tally, speeds
+        )
         series, known, large = [], list[IntArray](), len(some) > LARGE
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:

@@ -126,7 +126,7 @@ def test_b7_the_turns_of_a_first_reading_are_chosen_by_the_time_since_boot(turns
     true_us = turns * (1 << 32) + 2_000_000_000
     boot = (US_64, ints([true_us + error_s * 1_000_000]), ints([0]))
     time, _ = taken(boot, (US_32, ints([true_us % (1 << 32)]), ints([1])))
-    lead = time.leads[Clock.BOOT_US_32]
+    lead = time.records[2][Clock.BOOT_US_32]
     assert lead["first_ns"] == 1 - true_us * 1000
 
 
