@@ -118,7 +118,7 @@ class Vehicle:
         inbox = Inbox(
             received.telemetry,
             received.present,
-            stream.reboots,
+            stream.state.timeline.reboots,
             received.acks,
             self.outcome,
             received.parameters,
@@ -272,6 +272,6 @@ class Fleet:
             rates=tuple((one.value, state.streams.meter(one).rate_hz) for one in METERED),
             ratios=tuple((one.monitor, one.axis or "", one.statistic / one.threshold) for one in gauges if one.valid),
             timesync=vehicle.timesync,
-            drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
+            drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,
             diagnosis=state.diagnosis,
         )

@@ -85,7 +85,7 @@ class Guard:
         counts = {sysid: self._link.count(sysid) for sysid in self._link.vehicles}
         text = "in the name of vehicle {} with the number of another frame"
         elsewhere += [(text.format(sysid), one.clashes) for sysid, one in counts.items() if one and one.clashes]
-        leaps = {sysid: stream.leaps for sysid, stream in self._link.vehicles.items()}
+        leaps = {sysid: stream.state.timeline.leaps for sysid, stream in self._link.vehicles.items()}
         elsewhere += [(f"of vehicle {sysid} whose stamps leap", count) for sysid, count in leaps.items() if count]
         signatures = [] if self._signing is None else [(str(cause), n) for cause, n in self._signing.refused.items()]
         return (*elsewhere, *signatures)
@@ -114,7 +114,7 @@ class Guard:
             yield SendText(Severity.WARNING, f"PROP another sender as {sysid}/{OURS}, not heard")
         if count is not None:
             yield from self._numbers(sysid, known, count)
-        leaps = self._link.vehicles[sysid].leaps
+        leaps = self._link.vehicles[sysid].state.timeline.leaps
         if leaps >= LEAPS and leaps >= 10 * known.leaps:
             known.leaps = leaps
             yield Note(f"vehicle {sysid}: stamps that leap: {leaps} dropped; another sender?")
@@ -122,7 +122,7 @@ class Guard:
 
     def _numbers(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
         """What a vehicle's running numbers show second after second: new beginnings, or two frames of one number."""
-        contrary = self._link.vehicles[sysid].contrary
+        contrary = self._link.vehicles[sysid].state.contrary
         odd = count.restarts - known.restarts >= RESTARTS or count.clashes > known.clashes or contrary > known.contrary
         known.looks = known.looks + 1 if odd else 0
         known.restarts, known.clashes, known.contrary = count.restarts, count.clashes, contrary

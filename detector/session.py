@@ -33,9 +33,9 @@ from mavdiag.chain import ChainOutput
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage, landed
 from mavdiag.decision.words import motors_words
 from mavdiag.errors import BaselineError
-from mavdiag.link.parameters import Reading
 from mavdiag.link.profiles import Profile
 from mavdiag.link.samples import joined
+from mavdiag.link.wants import Reading
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 __all__ = ["Session", "SessionState"]

@@ -5,7 +5,7 @@ from functools import cache
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavdiag.link.codec import LATEST_US, STAMP_BYTES, UNKNOWN, Frame, known_messages
+from mavdiag.link.codec import LATEST_US, MSGIDS, STAMP_BYTES, UNKNOWN, Frame, layout_of
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES
 from mavdiag.link.samples import SampleDecoder
@@ -43,13 +43,14 @@ def frame_at(data: bytes, at: int, host_ns: int) -> tuple[Frame, int] | None:
         return None
     seq, sysid, compid = header[4:7] if new else header[2:5]
     msgid = int.from_bytes(header[7:10], "little") if new else header[5]
-    if msgid not in known_messages():
+    if msgid not in MSGIDS[:-1]:
         following = after + STAMP_BYTES
         if after != len(data) and (following >= len(data) or data[following] not in MARKERS):
             return None
         return Frame(UNKNOWN, sysid, compid, seq, b"", host_ns), after
-    size, seed = known_messages()[msgid]
-    if mcrf4xx(bytes([seed]), mcrf4xx(data[at + 1 : stop])) != int.from_bytes(data[stop : stop + 2], "little"):
+    layout = layout_of(msgid)
+    size = layout.packer.size
+    if mcrf4xx(layout.crc_extra, mcrf4xx(data[at + 1 : stop])) != int.from_bytes(data[stop : stop + 2], "little"):
         return None
     return Frame(msgid, sysid, compid, seq, data[body:stop].ljust(size, b"\0")[:size], host_ns), after
 

@@ -112,16 +112,6 @@ def message_name(msgid: int) -> str:
     return layout.name if layout else f"UNKNOWN_{msgid}"
 
 
-def known_messages() -> dict[int, tuple[int, int]]:
-    """Length of the payload and checksum seed of each message of the dialect, by its number."""
-    return {msgid: (layout.packer.size, layout.crc_extra[0]) for msgid, layout in _LAYOUTS.items()}
-
-
-def wire_fields(msgid: int) -> tuple[tuple[str, int], ...]:
-    """Name and number of places of each field of `Frame.fields`, in order. Raises UsageError for an unknown message."""
-    return layout_of(msgid).wire_fields
-
-
 def field_index(msgid: int, name: str) -> int:
     """Place of a field (of an array: its first element) in `Frame.fields`; look it up once, outside the loop.
 
@@ -131,15 +121,6 @@ def field_index(msgid: int, name: str) -> int:
     Raises UsageError if there is no such message or field.
     """
     return layout_of(msgid).place(name)
-
-
-def record_dtype(msgid: int, *columns: tuple[str, int]) -> np.dtype[np.void]:
-    """How `numpy.frombuffer` reads joined payloads of one message: the way to convert many frames at once.
-
-    columns: (field, count) each; a column of count > 1 takes that many consecutive places from the field on, all of
-    one type. Raises UsageError if there is no such message or field, or the places differ in type.
-    """
-    return layout_of(msgid).record_dtype(columns)
 
 
 def next_marker(buffer: bytes, start: int) -> int:
@@ -197,7 +178,7 @@ class Frames:
         return Counter({MSGIDS[row]: int(own[row]) for row in np.flatnonzero(own).tolist()})
 
     def records(self, dtype: np.dtype[np.void]) -> Record:
-        """(n,) the payloads as records, see `record_dtype`: all must be of that one message."""
+        """(n,) the payloads as records, see `Layout.record_dtype`: all must be of that one message."""
         size, bodies = dtype.itemsize, self.rows["body"]
         inside = np.minimum(bodies[:, None] + np.arange(size), len(self.data) - 1)
         lengths = self.rows["stop"] - bodies

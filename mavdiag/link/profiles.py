@@ -13,7 +13,7 @@ from math import isfinite
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, message_name, record_dtype
+from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, layout_of, message_name
 from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
@@ -42,8 +42,8 @@ LAST_RESORT = MessageId.ATTITUDE
 
 
 _BEAT = ("type", "autopilot")
-_HEARTBEAT = record_dtype(MessageId.HEARTBEAT, *((name, 1) for name in _BEAT))
-_RAW_IMU = record_dtype(MessageId.RAW_IMU, ("time_usec", 1), ("xacc", 3))
+_HEARTBEAT = layout_of(MessageId.HEARTBEAT).record_dtype(*((name, 1) for name in _BEAT))
+_RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 3))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ matter.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum, StrEnum
+from enum import IntEnum
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -49,13 +49,6 @@ class Form(IntEnum):
     ARMED = 6  # a flag of a vehicle's heartbeat
 
 
-class Unit(StrEnum):
-    """A unit that is the profile's."""
-
-    ACCEL = "accel"
-    GYRO = "gyro"
-
-
 @dataclass(frozen=True, slots=True)
 class Part:
     """One signal of a message.
@@ -63,7 +56,7 @@ class Part:
     signal: what it measures.
     first: its first field; the others of the same type stand behind it.
     form: how they become columns.
-    unit: of one count.
+    unit: of one count, or the name of that of the profile.
     unless: (field, bits): a row with any of these bits does not carry it.
     beside: another field that the form needs; of `ROTORS` the number of the first rotor may stand here.
     """
@@ -71,7 +64,7 @@ class Part:
     signal: Signal
     first: str
     form: Form = Form.VECTOR
-    unit: float | Unit = 1.0
+    unit: float | str = 1.0
     unless: tuple[str, int] | None = None
     beside: str | int = 0
 
@@ -91,11 +84,6 @@ class Source:
     time: tuple[str, Counter] | None = None
     chosen_by: int | None = None
 
-    @property
-    def signals(self) -> frozenset[Signal]:
-        """The signals in it."""
-        return frozenset(part.signal for part in self.parts)
-
 
 _M, _S = MessageId, Signal
 _BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
@@ -105,9 +93,9 @@ _ATTITUDE = Part(_S.ATTITUDE, "roll")
 def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = False) -> Source:
     """numbered: the message tells which sensor it is of; the first one is read."""
     unless = ("id", 0xFF) if numbered else None
-    rate = Part(_S.BODY_RATE, "xgyro", unit=Unit.GYRO, unless=unless)
+    rate = Part(_S.BODY_RATE, "xgyro", unit="gyro_unit", unless=unless)
     return Source(
-        message, (rate, Part(_S.SPECIFIC_FORCE, "xacc", unit=Unit.ACCEL, unless=unless)), time, chosen_by=message
+        message, (rate, Part(_S.SPECIFIC_FORCE, "xacc", unit="accel_unit", unless=unless)), time, chosen_by=message
     )
 
 
@@ -166,17 +154,10 @@ _ONE, _MANY = {_S.THRUST_SETPOINT, _S.HEIGHT, _S.VOLTAGE, _S.ARMED}, {_S.ACTUATO
 _WIDTHS = np.array([1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS])  # columns of each signal
 
 
-def sources(
-    profile: Profile, signals: Collection[Signal] = _SIGNALS, table: Iterable[Source] = SOURCES
-) -> tuple[Source, ...]:
-    """The rows of the table that a profile reads for these signals; of two for one message the later one counts."""
-    messages = profile.messages
-    rows = {
-        row.message: row
-        for row in table
-        if (row.chosen_by is None or row.chosen_by in messages) and not row.signals.isdisjoint(signals)
-    }
-    return tuple(rows.values())
+def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source, ...]:
+    """The rows of the table that a profile reads; of two for one message the later one counts."""
+    read = (row for row in table if row.chosen_by is None or row.chosen_by in profile.messages)
+    return tuple({row.message: row for row in read}.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,11 +177,6 @@ class SampleState:
     armed_ns: int = NEVER
     contrary: int = 0
 
-    @property
-    def leaps(self) -> int:
-        """Samples left out because their stamps leap, so far."""
-        return self.timeline.leaps
-
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SampleState) and self._key() == other._key()
 
@@ -215,18 +191,15 @@ class SampleDecoder:
     """Turns one vehicle's frames into telemetry, by its profile. Holds nothing but the profile; the state is passed.
 
     profile: how the vehicle sends.
-    signals: those of interest; messages without any of them are passed over.
     table: the messages that are known.
     wanted: the message ids that it reads, for the decoder of frames.
     Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
     has given the time since boot. Raises UsageError for a row whose message has no such fields.
     """
 
-    def __init__(
-        self, profile: Profile, signals: Collection[Signal] = _SIGNALS, table: Iterable[Source] = SOURCES
-    ) -> None:
+    def __init__(self, profile: Profile, table: Iterable[Source] = SOURCES) -> None:
         self.profile = profile
-        read = sources(profile, signals, table)
+        read = sources(profile, table)
         self.wanted = frozenset(row.message for row in read)
         self._lookup = np.full(len(MSGIDS), -1, np.int16)
         self._lookup[[ROWS[row.message] for row in read]] = np.arange(len(read))
@@ -254,9 +227,7 @@ class SampleDecoder:
         timeline, speeds = VehicleTime(state.timeline.words.copy()), state.speeds.copy()
         tally = np.array([state.dropped, state.armed_ns, state.contrary])
         table = (self._lookup, self._sources, self._parts, self._scales, _WIDTHS)
-        t_ns, host_ns, values, filled = _convert(
-            some.data, some.rows, given_ns, table, timeline.records, tally, speeds
-        )
+        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, timeline.records, tally, speeds)
         series, known, large = [], list[IntArray](), len(some) > LARGE
         for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
             if count:
@@ -288,8 +259,7 @@ def _laid(profile: Profile, msgid: int, part: Part) -> tuple[tuple[int, ...], tu
     at, code = layout.offset(part.first)
     hidden, bits = (layout.offset(part.unless[0])[0], part.unless[1]) if part.unless else (0, 0)
     beside = layout.offset(part.beside)[0] if isinstance(part.beside, str) else -1 - part.beside
-    units = {Unit.ACCEL: profile.accel_unit, Unit.GYRO: profile.gyro_unit}
-    scale = (part.unit if isinstance(part.unit, float | int) else units[part.unit], 0.0)
+    scale = (getattr(profile, part.unit) if isinstance(part.unit, str) else part.unit, 0.0)
     if part.form is Form.PULSES:
         low, high = profile.actuator_span
         scale = (1.0 / (high - low), low)
@@ -464,24 +434,24 @@ def _filled(
     body, stop, form, whole = frame.body, frame.stop, part[1], True
     if part[6] and _count(data, body + part[5], stop, 1) & part[6]:
         return False
-    if form == _ANGLES:
+    if form == Form.ANGLES:
         w = _number(data, body + part[2], stop, 36, word, real)
         x = _number(data, body + part[2] + 4, stop, 36, word, real)
         y = _number(data, body + part[2] + 8, stop, 36, word, real)
         z = _number(data, body + part[2] + 12, stop, 36, word, real)
         out[0], out[1], out[2] = _angles(w, x, y, z)
-    elif form == _PULSES:
+    elif form == Form.PULSES:
         _pulses(data, body, stop, part, scale, out)
-    elif form == _OUTPUTS:
+    elif form == Form.OUTPUTS:
         _outputs(data, body, stop, part, word, real, out)
-    elif form == _ROTORS:
+    elif form == Form.ROTORS:
         return _rotors(data, body, stop, part, scale[0], speeds, out)
-    elif form == _FLAG:
+    elif form == Form.ARMED:
         return _heartbeat(data, body, stop, part, frame.host_ns, tally, out)
     else:
         for k in range(len(out)):
             out[k] = scale[0] * _number(data, body + part[2] + (part[3] & 15) * k, stop, part[3], word, real)
-        if form == _VOLTAGE and _count(data, body + part[2], stop, 2) == UNKNOWN_MV:
+        if form == Form.VOLTAGE and _count(data, body + part[2], stop, 2) == UNKNOWN_MV:
             return False
     for k in range(len(out)):
         whole = whole and math.isfinite(out[k])
@@ -489,9 +459,6 @@ def _filled(
     return whole
 
 
-_ANGLES, _PULSES, _OUTPUTS, _ROTORS, _VOLTAGE, _FLAG = (
-    int(form) for form in (Form.ANGLES, Form.PULSES, Form.OUTPUTS, Form.ROTORS, Form.VOLTAGE, Form.ARMED)
-)
 _GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int(ModeFlag.SAFETY_ARMED)
 
 

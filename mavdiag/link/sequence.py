@@ -37,13 +37,9 @@ _KEPT, _OURS = 1, 2  # flags of a sender
 #: A frame as it lies in a buffer: when it was received; the places of its marker, its payload, its checksum and behind
 #: it; the number of its source; the row of its message (`codec.ROWS`); its sender (system id << 8 | component id) and
 #: running number; and what became of it.
+_PLACES = [(name, "i4") for name in ("begin", "body", "stop", "after", "source")]
 FRAME = np.dtype(
-    [
-        ("host_ns", "i8"),
-        *((name, "i4") for name in ("begin", "body", "stop", "after", "source")),
-        *(("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")),
-    ],
-    align=True,
+    [("host_ns", "i8"), *_PLACES, ("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")], align=True
 )
 
 # One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
@@ -59,15 +55,10 @@ _SENDER = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class LinkCount:
-    """What came from one sender so far.
+    """What came from one sender so far, in frames.
 
-    received: frames.
-    lost: net of those that came late after all.
-    reordered: frames that came late.
-    duplicated: frames that came twice.
-    restarts: how often it began its count again.
-    by_message: frames of each message id.
-    clashes: frames whose number another, different frame had just had.
+    lost: net of those that came late after all (reordered). duplicated: that came twice. restarts: how often it began
+    its count again. by_message: of each message id. clashes: whose number another, different frame had just had.
     """
 
     received: int
@@ -83,10 +74,8 @@ class LinkCount:
 class DecoderCount:
     """What a decoder made of its input so far, besides the frames themselves.
 
-    garbage_bytes: bytes outside any accepted frame.
-    bad_crc: seeming frames with a wrong checksum.
-    incompatible: seeming frames with incompatibility flags that we do not know.
-    unknown: frames outside the dialect.
+    garbage_bytes: outside any accepted frame. bad_crc, incompatible: seeming frames with a wrong checksum, or with
+    incompatibility flags that we do not know. unknown: frames outside the dialect.
     """
 
     garbage_bytes: int
@@ -97,11 +86,7 @@ class DecoderCount:
 
 @dataclass(frozen=True, slots=True)
 class Intruder:
-    """Another source that sends in a sender's name.
-
-    source: the latest one.
-    frames: refused so far.
-    """
+    """Another source (the latest one) that sends in a sender's name, and how many frames of it were refused."""
 
     source: Source
     frames: int
@@ -111,16 +96,12 @@ class Intruder:
 class Sender:
     """One sender as it stands.
 
-    source: where it is heard from.
-    heard_ns: when its last frame was received [ns].
-    intruder: who else uses its name, if anybody does.
+    source: where it is heard from. intruder: who else uses its name, if anybody does.
     sound: whether its numbers are those of one sender: of eight frames or more most follow on, or of three all; or of
         32 frames three quarters are no farther off than a line moves them that swaps frames.
-    count: its figures.
     """
 
     source: Source
-    heard_ns: int
     intruder: Intruder | None
     sound: bool
     count: LinkCount
@@ -219,18 +200,13 @@ class Senders:
         sound = in_order or (received >= NEAR and 4 * far <= received)
         refused = int(row["refused"])
         intruder = Intruder(self._sources[int(row["intruder"])], refused) if refused else None
-        source = self._sources[int(row["source"])]
-        return Sender(source, int(row["heard_ns"]), intruder, sound, self._count(place))
+        return Sender(self._sources[int(row["source"])], intruder, sound, self._count(place))
 
-    def heard_ns(self, sysid: int, compid: int) -> int | None:
-        """When a sender's last frame was received [ns]; None if it is not followed."""
+    def heard_from(self, sysid: int, compid: int) -> tuple[Source, int]:
+        """Where a sender is heard from, and when it was last [ns]; (None, -1) if it is not followed."""
         place = int(self._places[sysid << 8 | compid])
-        return int(self._senders["heard_ns"][place - 1]) if place else None
-
-    def source(self, sysid: int, compid: int) -> Source:
-        """Where a sender is heard from; None if it is not followed, or on a link with one other end."""
-        place = int(self._places[sysid << 8 | compid])
-        return self._sources[int(self._senders["source"][place - 1])] if place else None
+        row = self._senders[place - 1]
+        return (self._sources[int(row["source"])], int(row["heard_ns"])) if place else (None, -1)
 
     def contested(self, sysid: int, compid: int) -> IntArray | None:
         """The numbers that two senders claimed since the last call; None if that has never happened."""

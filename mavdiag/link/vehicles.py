@@ -9,6 +9,8 @@ all together. A careful decoder lets a vehicle enter only with two like heartbea
 seconds apart, and running numbers that are one sender's; and at most so many as it is told.
 """
 
+import math
+import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
@@ -16,10 +18,8 @@ from itertools import repeat
 import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
-from mavdiag.link.clock import VehicleTime
-from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of, layout_of
 from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
-from mavdiag.link.parameters import with_parameters
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
     LAST_RESORT,
@@ -32,7 +32,7 @@ from mavdiag.link.profiles import (
 from mavdiag.link.samples import SampleDecoder, SampleState, joined, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.telemetry import Signal, Telemetry
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
@@ -48,6 +48,7 @@ CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU 
 # Commands and parameter requests for one vehicle's computer that are handed out at a time, so that a flood is not
 # answered (our choice).
 REQUESTS_MAX = 16
+MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
 #: Messages that carry a command.
 COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
@@ -62,16 +63,15 @@ _ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "r
 _TARGETS_OF: Mapping[int, list[int]] = {
     msgid: [field_index(msgid, name) for name in _TARGETS] for msgid in COMMANDS | PARAMETER_REQUESTS
 }
+_PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
+_PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
+_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
 _COMMAND_OF: Mapping[int, int] = {msgid: field_index(msgid, "command") for msgid in COMMANDS}
 
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """What an autopilot answered to a command of ours.
-
-    command: MAV_CMD.
-    result: MAV_RESULT.
-    """
+    """What an autopilot answered to a command of ours: MAV_CMD and MAV_RESULT."""
 
     command: int
     result: int
@@ -79,11 +79,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command that was addressed to a vehicle's on-board computer.
-
-    command: MAV_CMD.
-    sysid, compid: who sent it.
-    """
+    """A command (MAV_CMD) that was addressed to a vehicle's on-board computer, and who sent it."""
 
     command: int
     sysid: int
@@ -120,17 +116,35 @@ def parameters_asked(frame: Frame) -> int | None:
     return system if component == Component.ONBOARD_COMPUTER or everybody else None
 
 
+def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
+    """The latest value of each parameter in the frames of one vehicle's autopilot (component 1), by name.
+
+    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; ArduPilot, and what else
+    is not PX4, casts the integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not
+    finite are left out. autopilot: MAV_AUTOPILOT.
+    """
+    found: dict[str, float] = {}
+    for frame in frames:
+        if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
+            name, (kind,) = frame.fields[_PARAM_NAME], struct.unpack_from("B", frame.payload, _PARAM_TYPE)
+            form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
+            (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
+            text = name.partition(b"\0")[0].decode("latin-1") if isinstance(name, bytes) else ""
+            if text and math.isfinite(value):
+                found[text] = float(value)
+    return found
+
+
 class VehicleStream:
     """One vehicle's frames to telemetry, on one clock.
 
     profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
-    signals: those of interest.
+    state: of its conversion.
     parameters: of its autopilot that passed by so far, by name.
     """
 
-    def __init__(self, profile: Profile, signals: Collection[Signal] = tuple(Signal)) -> None:
-        self._signals = signals
-        self._decoder, self._state = SampleDecoder(profile, signals), SampleState()
+    def __init__(self, profile: Profile) -> None:
+        self._decoder, self.state = SampleDecoder(profile), SampleState()
         self._own, self._since_ns = profile, 0
         self._imu = NO_FRAMES.rows
         self._settled = False  # whether the IMU message is chosen for good
@@ -141,43 +155,15 @@ class VehicleStream:
         """The profile, with the IMU message that is read."""
         return self._decoder.profile
 
-    @property
-    def timeline(self) -> VehicleTime:
-        """Where the vehicle's time stands."""
-        return self._state.timeline
-
-    @property
-    def vehicle_ns(self) -> int | None:
-        """Latest time of the vehicle's clock [ns], None before its first stamp."""
-        return self._state.timeline.t_ns
-
-    @property
-    def reboots(self) -> int:
-        """How often it started anew."""
-        return self._state.timeline.reboots
-
-    @property
-    def dropped(self) -> int:
-        """Samples left out for NaN, infinity or a zero quaternion so far."""
-        return self._state.dropped
-
-    @property
-    def leaps(self) -> int:
-        """Samples left out because their stamps leap, so far."""
-        return self._state.leaps
-
-    @property
-    def contrary(self) -> int:
-        """Disarmed heartbeats amid armed ones, left out so far."""
-        return self._state.contrary
-
     def step(self, frames: Frames | Sequence[Frame]) -> Telemetry:
         """Take the vehicle's next frames, in order of arrival."""
         some = frames if isinstance(frames, Frames) else frames_of(frames)
         if not self._settled and len(some):
             self._choose_imu(some)
-        self.parameters = with_parameters(self.parameters, some.of(MessageId.PARAM_VALUE), self.profile.autopilot)
-        self._state, telemetry = self._decoder.step(self._state, some)
+        if told := parameters_in(some.of(MessageId.PARAM_VALUE), self.profile.autopilot):
+            merged = {**self.parameters, **told}
+            self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
+        self.state, telemetry = self._decoder.step(self.state, some)
         return telemetry
 
     def _choose_imu(self, frames: Frames) -> None:
@@ -191,29 +177,21 @@ class VehicleStream:
         if not counts and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
             chosen = by_attitude(self._own)
         if chosen.imu != self.profile.imu:
-            self._decoder = SampleDecoder(chosen, self._signals)
+            self._decoder = SampleDecoder(chosen)
         told_s = int(times_ns[-1] - times_ns[0]) / NS_PER_S if counts else 0.0
         self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
 
 
 @dataclass(slots=True)
 class _Waiting:
-    """A system id that has not entered.
+    """A system id that has not entered."""
 
-    since_ns: since when it is watched [ns].
-    frames: its autopilot's latest.
-    beat: its autopilot's latest heartbeat.
-    beats: how many like it came, each at its time after the one before.
-    checked_ns: when its profile was looked for last [ns].
-    reason: why it waits though its autopilot was received.
-    """
-
-    since_ns: int
-    frames: list[Frame] = field(default_factory=list)
-    beat: Frame | None = None
-    beats: int = 0
-    checked_ns: int | None = None
-    reason: str = ""
+    since_ns: int  # it is watched
+    frames: list[Frame] = field(default_factory=list)  # its autopilot's latest
+    beat: Frame | None = None  # its autopilot's latest heartbeat
+    beats: int = 0  # how many like it came, each at its time after the one before
+    checked_ns: int | None = None  # when its profile was looked for last
+    reason: str = ""  # why it waits though its autopilot was received
 
     def note(self, frames: Iterable[Frame]) -> None:
         """Take in heartbeats."""
@@ -271,7 +249,6 @@ class LinkDecoder:
     only: the one system id to follow, None for all.
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.
-    profiles: the profiles to choose from.
     careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
@@ -286,7 +263,6 @@ class LinkDecoder:
         profile: Profile | None = None,
         only: int | None = None,
         datagrams: bool = True,
-        profiles: Collection[Profile] = tuple(PROFILES.values()),
         *,
         careful: bool = False,
         most: int = VEHICLES_MAX,
@@ -295,11 +271,11 @@ class LinkDecoder:
         ours: Collection[int] = (),
     ) -> None:
         warm()
-        everyone = profiles if profile is None else (profile,)
-        wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
+        chosen = PROFILES.values() if profile is None else (profile,)
+        wanted = {msgid for one in chosen for msgid in SampleDecoder(one).wanted}
         self.decoder = Decoder(wanted | IMU_MESSAGES.keys() | _TALK, signing, passed)
         self.decoder.heard.claim(ours)
-        self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
+        self._profile, self._only, self._careful = profile, only, careful
         self._most, self._datagrams = most, datagrams
         self._waiting: dict[int, _Waiting] = {}
         self._unread: dict[int, _Unread] = {}
@@ -318,12 +294,11 @@ class LinkDecoder:
 
     def heard_since(self, host_ns: int) -> list[int]:
         """The vehicles whose autopilots were heard at this time or later [ns]."""
-        times = ((sysid, self.decoder.heard.heard_ns(sysid, AUTOPILOT)) for sysid in self.vehicles)
-        return [sysid for sysid, heard_ns in times if heard_ns is not None and heard_ns >= host_ns]
+        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_from(sysid, AUTOPILOT)[1] >= host_ns]
 
     def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
-        return self.decoder.heard.source(sysid, compid)
+        return self.decoder.heard.heard_from(sysid, compid)[0]
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""
@@ -427,7 +402,7 @@ class LinkDecoder:
             return []
         profile = self._profile
         if profile is None:
-            recognised = detect_profile([waiting.beat, *waiting.frames], self._profiles)
+            recognised = detect_profile([waiting.beat, *waiting.frames])
             profile, waiting.reason = recognised.profile, recognised.reason
         if profile is None:
             return []

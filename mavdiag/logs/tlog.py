@@ -17,10 +17,10 @@ from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
 from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
-from mavdiag.link.parameters import parameters_in
 from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, beats_of, detect_profile, profile_named, with_imu
 from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import LinkCount
+from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, windows_of
 from mavdiag.telemetry import Log, Telemetry
 

@@ -8,10 +8,9 @@ import pytest
 from detector.negotiate import HELD_S, Negotiation, Seen, negotiate
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
-from mavdiag.link.parameters import Reading, telling
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Want, log_remedy, messages_of, remedy, wants_of
+from mavdiag.link.wants import Reading, Want, log_remedy, messages_of, remedy, telling, wants_of
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 

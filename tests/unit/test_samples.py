@@ -434,13 +434,6 @@ def test_b7_the_turns_are_chosen_anew_after_a_reboot() -> None:
     assert outputs.t_ns[-18:].tolist() == imu.t_ns[-18:].tolist()
 
 
-def test_only_the_signals_of_interest_are_read() -> None:
-    converter = SampleDecoder(PROFILES["ardupilot"], [Signal.BODY_RATE, Signal.VIBRATION])
-    assert converter.wanted == {MessageId.RAW_IMU, MessageId.VIBRATION}
-    _, telemetry = converter.step(SampleState(), flight())
-    assert {series.signal for series in telemetry.series} == {Signal.BODY_RATE, Signal.SPECIFIC_FORCE}
-
-
 def test_nothing_in_nothing_out() -> None:
     state, telemetry = SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), [])
     assert state == SampleState()
