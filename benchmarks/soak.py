@@ -191,8 +191,8 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
             daemon.tick()
             host_ns = time.monotonic_ns()
             for stream in daemon.fleet.link.vehicles.values():
-                if stream.reboots == flights and stream.vehicle_ns is not None:
-                    lead_ns = min(lead_ns, stream.timeline.host_ns - stream.vehicle_ns)
+                if stream.state.timeline.reboots == flights and stream.state.timeline.t_ns is not None:
+                    lead_ns = min(lead_ns, stream.state.timeline.host_ns - stream.state.timeline.t_ns)
                     record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mavdiag.jit import cached, jit, source_digest
+from mavdiag.jit import allocating, cached, jit, source_digest
 from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
 from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
@@ -462,6 +462,23 @@ def _filled(
 _GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int(ModeFlag.SAFETY_ARMED)
 
 
+@allocating
+def _room(
+    rows: NDArray[Any], lookup: NDArray[np.int16], sources: IntArray, parts: IntArray, widths: IntArray
+) -> IntArray:
+    """Where the rows and the values of each signal begin, and how many there may be."""
+    filled = np.zeros((len(widths), 3), np.int64)
+    for k in range(len(rows)):
+        source = lookup[rows[k].row]
+        if source >= 0 and rows[k].sender & 0xFF == AUTOPILOT:
+            for p in range(sources[source, 5], sources[source, 6]):
+                filled[parts[p, 0], 2] += 1
+    for signal in range(1, len(widths)):
+        filled[signal, 0] = filled[signal - 1, 0] + filled[signal - 1, 2]
+        filled[signal, 1] = filled[signal - 1, 1] + filled[signal - 1, 2] * widths[signal - 1]
+    return filled
+
+
 def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray, IntArray]]:
     @cached
     def convert(
@@ -477,15 +494,7 @@ def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray
         and its values begin, and how many rows there are."""
         lookup, sources, parts, scales, widths = table
         mem, readings, leads, offsets = time
-        filled = np.zeros((len(widths), 3), np.int64)
-        for k in range(len(rows) if digest else 0):
-            source = lookup[rows[k].row]
-            if source >= 0 and rows[k].sender & 0xFF == AUTOPILOT:
-                for p in range(sources[source, 5], sources[source, 6]):
-                    filled[parts[p, 0], 2] += 1
-        for signal in range(1, len(widths)):
-            filled[signal, 0] = filled[signal - 1, 0] + filled[signal - 1, 2]
-            filled[signal, 1] = filled[signal - 1, 1] + filled[signal - 1, 2] * widths[signal - 1]
+        filled = _room(rows if digest else rows[:0], lookup, sources, parts, widths)
         room = filled[-1, 0] + filled[-1, 2]
         t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
         values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])

@@ -101,7 +101,7 @@ def test_every_bit_of_a_signed_frame_is_protected() -> None:
         signing, _ = verifier()
         changed = bytearray(frame)
         changed[place] ^= 1
-        assert not signing.admit(bytes(changed)), place
+        assert not signing.genuine(bytes(changed)), place
         assert signing.refused == {Refusal.FORGED: 1}
 
 

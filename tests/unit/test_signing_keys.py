@@ -131,12 +131,13 @@ def test_a_clock_that_was_two_hours_ahead_is_told_and_can_be_remedied(tmp_path: 
     genuine = Signing(read_key(tmp_path / "key"), stamp=stamp_at(NOW_NS))
     frame = Encoder(1, 1, genuine).encode(MessageId.HEARTBEAT, 2, 3, 81, 0, 4, 3)
     again = open_signing(tmp_path / "key", "detector", NOW_NS)
-    assert not again.signing.admit(frame)
+    assert again.signing.genuine(frame)
+    assert not again.signing.fresh(frame)
     assert "7199 s ahead" in again.doubt or "7200 s ahead" in again.doubt
     assert "--reset-stamp" in again.doubt
     again.close()
     reset = open_signing(tmp_path / "key", "detector", NOW_NS, reset=True)
     assert reset.doubt == ""
-    assert reset.signing.admit(frame)
+    assert reset.signing.fresh(frame)
     reset.close()
     assert open_signing(tmp_path / "key", "detector", NOW_NS).doubt == ""

@@ -113,7 +113,7 @@ class _Udp(Endpoint):
 
     def filenos(self) -> tuple[int, ...]:
         """The socket's descriptor."""
-        return () if self._socket.fileno() < 0 else (self._socket.fileno(),)
+        return (self._socket.fileno(),) if self._socket.fileno() >= 0 else ()
 
     def close(self) -> None:
         """Close the socket."""
@@ -133,7 +133,7 @@ class _Udp(Endpoint):
                 now_ns = self._clock()
                 if (lost := self._mail.overflowed) is not None:
                     self._lost[link.fileno()] = lost
-                    self._overflowed = self._lost_before + sum(self._lost.values())
+                    self._count.overflowed = self._lost_before + sum(self._lost.values())
                 self._note_senders(dict.fromkeys(peers))
                 chunks += zip(taken, repeat(now_ns))
                 sources += peers
@@ -155,9 +155,9 @@ class _Udp(Endpoint):
     def _send_to(self, data: bytes, peer: SocketAddress) -> None:
         try:
             self._socket.sendto(data, peer)
-            self._sent += 1
+            self._count.sent += 1
         except OSError:  # a full buffer, no route, too long, closed: the datagram is gone either way
-            self._dropped += 1
+            self._count.dropped += 1
 
 
 class UdpIn(_Udp):
@@ -197,14 +197,14 @@ class UdpIn(_Udp):
         if self._alone:
             peers = [peer for peer in peers if peer in self._trusted]
         if not peers:
-            self._dropped += 1
+            self._count.dropped += 1
         for peer in peers:
             self._send_to(data, peer)
 
     def answer(self, data: bytes, source: object) -> None:
         """Send to one fresh peer; without it, the message is dropped and counted."""
         peers = [peer for peer in self._fresh_peers() if peer == source and (not self._alone or peer in self._trusted)]
-        self._dropped += not peers
+        self._count.dropped += not peers
         for peer in peers:
             self._send_to(data, peer)
 
@@ -282,22 +282,22 @@ class UdpOut(_Udp):
         for _ in range(2):
             try:
                 self._socket.send(data)
-                self._sent += 1
+                self._count.sent += 1
                 return
             except ConnectionRefusedError:
                 self._refused()
             except OSError:  # a full buffer, no route, too long, closed
                 break
-        self._dropped += 1
+        self._count.dropped += 1
 
     def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         self._answered = True
 
     def _refused(self) -> None:
         self._answered = False
-        if self._sent:
-            self._sent -= 1
-            self._dropped += 1
+        if self._count.sent:
+            self._count.sent -= 1
+            self._count.dropped += 1
 
 
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
