@@ -38,7 +38,7 @@ def watching() -> Iterator[Callable[..., Bench]]:
         bench = Bench(WATCH, vehicles=[MadeVehicle(1)], baseline=baseline_for(), host=host or VirtualHost())
         made.append(bench)
         bench.run(6.0)
-        assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+        assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
         return bench
 
     yield make
@@ -74,7 +74,7 @@ def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench])
     bench.vehicles[0].sent = 0
     bench.run(8.0)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 1
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
     assert finds_a_fault(bench)
 
 
@@ -82,10 +82,10 @@ def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench])
 def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut_s: float) -> None:
     bench = watching()
     unheard(bench, cut_s)
-    assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
+    assert (bench.daemon.fleet.vehicles[1].session.state.state is State.LOST) == (cut_s > 3.0)
     bench.run(6.0)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
     assert finds_a_fault(bench)
 
 
@@ -97,7 +97,7 @@ def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s:
         bench.run(half_s)
     bench.run(6.0)
     assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
     assert finds_a_fault(bench)
 
 
@@ -163,7 +163,7 @@ def test_a_baseline_that_finds_the_disk_full_leaves_the_old_one_and_watching_goe
     assert path.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["b.json"]
     assert any("baseline is not saved" in line and "No space left" in line for line in bench.host.lines)
-    assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
+    assert bench.daemon.fleet.vehicles[1].session.state.state is State.MONITORING
     assert finds_a_fault(bench)
     bench.close()
 
@@ -303,7 +303,7 @@ def test_a_serial_line_that_was_unplugged_is_read_again(tmp_path: Path) -> None:
 
 
 def state(daemon: Daemon) -> State:
-    return daemon.fleet.vehicles[1].session.state
+    return daemon.fleet.vehicles[1].session.state.state
 
 
 def replace_connect(address: str) -> Settings:

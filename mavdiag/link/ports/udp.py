@@ -52,7 +52,7 @@ class _Mailbag:
         self._data = np.empty((AT_ONCE, _DATAGRAM_MAX + 1), np.uint8)  # what is not touched costs nothing
         self._names, self._control = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8), np.zeros(_CONTROL_BYTES, np.uint8)
         self._places = np.array([(row.ctypes.data, _DATAGRAM_MAX) for row in self._data], np.uintp)
-        self._headers, self._bytes = np.zeros(AT_ONCE, _HEADER), memoryview(self._data).cast("B")
+        self._headers = np.zeros(AT_ONCE, _HEADER)
         self._headers["name"] = [row.ctypes.data for row in self._names]
         self._headers["places"] = [row.ctypes.data for row in self._places]
         self._headers["place_count"] = 1
