@@ -14,13 +14,12 @@ Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
 
 @numba.njit
 def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArray, t_ns: IntArray) -> None:
-    mem, readings, leads, offsets = time
     for k in range(frames.shape[1]):
         number, count, host_ns = frames[0, k], frames[1, k], frames[2, k]
         t_ns[k] = REBOOT
         while t_ns[k] == REBOOT:
             tick, turn = counters[number, 0], counters[number, 1]
-            t_ns[k] = stamp(mem[0], readings, leads, offsets, number, tick, turn, count, host_ns)
+            t_ns[k] = stamp(time, number, tick, turn, count, host_ns)
 
 
 def taken(*streams: Stream, time: VehicleTime | None = None, size: int = 1 << 30) -> tuple[VehicleTime, list[IntArray]]:

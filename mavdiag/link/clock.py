@@ -4,31 +4,25 @@ Counters. A vehicle stamps its messages with milliseconds or microseconds since 
 days or 71.6 minutes) or 64, and some of them with microseconds of the unix epoch. How often a counter of 71.6 minutes
 had wrapped before its first message follows from the vehicle's other messages. The receiver's clock only decides
 between a wrap, a reboot and a leap; it never adds its jitter to a stamp. A stamp up to a second older than the highest
-is a late frame and keeps its place; one further out of line is left out. A stamp that leaps ahead of all that the
-receiver's clock explains is left out until others follow it: a forged or damaged frame must not make the genuine ones
-old.
+is a late frame and keeps its place; one further out of line, or that leaps ahead of all that the receiver's clock
+explains, is left out until others follow it: a forged or damaged frame must not make the genuine ones old.
 
-Reboots. A stamp that is out of line is no reboot while others go on: a second path may be slower, and somebody may send
-old frames again. The vehicle starts anew when its old clock has been silent, for a second if the new clock is no
-further than a reboot in that silence can have brought it, else for ten, and three frames in a row agree on a new clock
-that goes on. So reboots cannot be counted more often than once a second.
+Reboots. The vehicle starts anew when its old clock has been silent, for a second if the new clock is no further than a
+reboot in that silence can have brought it, else for ten, and three frames in a row agree on a new clock that goes on.
+So a slower second path, or old frames sent again, are no reboot, and there is at most one a second.
 
-Clocks. The timeline is the clock of the first stamped message; the others are laid over it. A message that is stamped
-c_ns arrives at host_ns = c_ns + (origin of its clock) + delay, with delay >= 0. The least host_ns - c_ns of a window,
-the clock's lead, is its origin to within the least delay. So the difference of two leads is the offset of two clocks
-without the receiver's jitter; the receiver's own drift is in both and cancels. Quartz drifts by tens of parts in a
-million: 50 ppm are 180 ms in an hour. The window slides by whole seconds of the receiver's clock; within a second the
-offset goes on a straight line, never faster than `SLEW_NS`. Clocks since boot that are within a second of each other,
-but for whole turns of the one of 49.7 days, count as one: their stamps stay exactly as sent until their leads have
-moved apart by more than changing delays explain.
+Clocks. The timeline is the clock of the first stamped message; the others are laid over it. A message stamped c_ns
+arrives at host_ns = c_ns + (origin of its clock) + delay, delay >= 0. The least host_ns - c_ns of a window, the clock's
+lead, is its origin to within the least delay; the difference of two leads is the offset of two clocks, without the
+receiver's jitter and drift. Quartz drifts by tens of parts in a million: 50 ppm are 180 ms in an hour. The window
+slides by whole seconds of the receiver's clock; within a second the offset goes on a straight line, never faster than
+`SLEW_NS`. Clocks since boot that are within a second of each other, but for whole turns of the one of 49.7 days, count
+as one: their stamps stay exactly as sent until their leads have moved apart by more than changing delays explain.
 
-Frames are taken one by one, by a compiled function over four records; so how they are cut into blocks does not matter.
-
-Asking. TIMESYNC tells what the vehicle's clock shows now; it is asked rarely, and answered whenever the vehicle asks. A
-request has tc1 = 0 and the sender's time in ts1; the answer repeats ts1 and has the answerer's time in tc1, both in
-nanoseconds. The answer is read at a look at the link, so a round trip is known to within a tick, and the offset to
-within half of it. It is shown and not used: laying the stamps over each other does better.
-Message 111: https://mavlink.io/en/services/timesync.html
+Asking. TIMESYNC (message 111, https://mavlink.io/en/services/timesync.html) tells what the vehicle's clock shows now. A
+request has tc1 = 0 and the sender's time in ts1; the answer repeats ts1 and has the answerer's time in tc1 [ns]. It is
+read at a look at the link, so a round trip is known to within a tick. It is shown and not used: laying the stamps over
+each other does better.
 """
 
 from collections.abc import Iterable
@@ -84,11 +78,7 @@ class Clock(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Counter:
-    """How a message counts time.
-
-    tick_ns: one count [ns].
-    turn: counts until it wraps, 0 for never.
-    """
+    """How a message counts time. tick_ns: one count [ns]. turn: counts until it wraps, 0 for never."""
 
     tick_ns: int
     turn: int
@@ -105,12 +95,8 @@ Records: TypeAlias = NDArray[Any]
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, as
 # sent; how often it has wrapped; when it was last received in line; the most that it was ahead of the receiver's clock,
 # which drift takes back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
-_READING = np.dtype(
-    [
-        (name, "i8")
-        for name in ("msgid", "used", "raw", "turns", "host_ns", "line_ns", "rival_ns", "rival_host_ns", "rivals")
-    ]
-)
+_READINGS = ("msgid", "used", "raw", "turns", "host_ns", "line_ns", "rival_ns", "rival_host_ns", "rivals")
+_READING = np.dtype([(name, "i8") for name in _READINGS])
 # How far the receiver's clock leads one of the vehicle's: in which second it was seen first, with which lead; and the
 # latest seconds in which it was seen, ascending, each with its least lead.
 _LEADS = np.dtype(
@@ -119,23 +105,8 @@ _LEADS = np.dtype(
 # What lays a clock over the reference in one second of the receiver's clock: what to add at its beginning and its end;
 # whether it counts as one clock with the reference, but for whole turns; the part of its lead that is a delay of its
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
-_OFFSET = np.dtype(
-    [
-        (name, "i8")
-        for name in (
-            "known",
-            "second",
-            "begin_ns",
-            "end_ns",
-            "shared",
-            "zeroed",
-            "zero_ns",
-            "odd",
-            "since_s",
-            "since_ns",
-        )
-    ]
-)
+_OFFSETS = ("known", "second", "begin_ns", "end_ns", "shared", "zeroed", "zero_ns", "odd", "since_s", "since_ns")
+_OFFSET = np.dtype([(name, "i8") for name in _OFFSETS])
 # The vehicle: the clock that the others are laid over, -1 before the first stamp; what to add to it; latest time known;
 # when the last stamp was received; when the last stamp in line was, and the highest stamp, of the clock since boot and
 # of unix time; another clock that may take over; how often it started anew, and samples left out because they leap.
@@ -226,24 +197,16 @@ _STRAY, _RIVAL, _REBOOT = 0, 1, 2  # what a stamp out of line is
 
 @jit
 def stamp(
-    mem: Fields,
-    readings: Records,
-    leads: Records,
-    offsets: Records,
-    msgid: int,
-    tick: int,
-    turn: int,
-    count: int,
-    now_ns: int,
+    records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
 ) -> int:
     """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if the vehicle has started anew.
 
-    The frame of a reboot is the first one of the new clocks: it must be given again.
-
-    mem, readings, leads, offsets: of `VehicleTime`. msgid, tick, turn: the message and its `Counter`; a tick of 0 for
-    one without a time of its own, which gets the latest time known. count: as it was sent. now_ns: when it was
-    received.
+    The frame of a reboot is the first one of the new clocks: it must be given again. records: of `VehicleTime`. msgid,
+    tick, turn: the message and its `Counter`; a tick of 0 for one without a time of its own, which gets the latest time
+    known. count: as it was sent. now_ns: when it was received.
     """
+    mems, readings, leads, offsets = records
+    mem = mems[0]
     if tick == 0:
         return int(mem.t_ns)
     raw = min(max(count, 0), HIGHEST_NS // tick)
@@ -573,10 +536,8 @@ class TimesyncMessage:
 class Timesync:
     """What is known by it.
 
-    asked_ns: when a request was sent last (host), None for never.
-    open: it has not been answered.
-    round_trip_s: of the latest answer; None if none came.
-    offset_s: the vehicle's clock less ours at that time; None if none came.
+    asked_ns: when a request was sent last (host), None for never. open: it has not been answered.
+    round_trip_s: of the latest answer; offset_s: the vehicle's clock less ours at that time; None if none came.
     """
 
     asked_ns: int | None = None

@@ -26,7 +26,7 @@ from mavdiag.errors import UsageError
 from mavdiag.jit import cached, jit
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
 from mavdiag.link.messages import Component, MessageId, Severity
-from mavdiag.link.sequence import FRAME, HEARD, DecoderCount, LinkCount, Senders, Source
+from mavdiag.link.sequence import FRAME, HEARD, REFUSED, DecoderCount, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
 from mavdiag.telemetry import BoolArray, IntArray
 from mavdiag.units import NS_PER_US
@@ -50,13 +50,9 @@ _pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with th
 
 
 class Frame(NamedTuple):
-    """One received message.
+    """One received message: its number, its sender and that one's running number, and when it was received [ns].
 
-    msgid: number of the message.
-    sysid, compid: its sender.
-    seq: the sender's running number, 0..255.
     payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off.
-    host_ns: when it was received [ns].
     """
 
     msgid: int
@@ -131,10 +127,9 @@ def next_marker(buffer: bytes, start: int) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Many received messages, in order of arrival. It iterates them one by one, as `Frame`.
+    """Many received messages, in order of arrival; iterates them one by one, as `Frame`.
 
-    data: the bytes that they lie in.
-    rows: (n,) where, and from whom, see `sequence.FRAME`.
+    data: the bytes that they lie in. rows: (n,) where, and from whom, see `sequence.FRAME`.
     """
 
     data: Bytes
@@ -144,9 +139,8 @@ class Frames:
         return len(self.rows)
 
     def __iter__(self) -> Iterator[Frame]:
-        for row in self.rows.tolist():
-            host_ns, _, body, stop, _, _, number, sender, seq, _ = row
-            msgid = MSGIDS[number]
+        for host_ns, _, body, stop, _, _, row, sender, seq, _ in self.rows.tolist():
+            msgid = MSGIDS[row]
             size = _LAYOUTS[msgid].packer.size
             payload = self.data[body : min(stop, body + size)].tobytes().ljust(size, b"\0")
             yield Frame(msgid, sender >> 8, sender & 0xFF, seq, payload, host_ns)
@@ -157,20 +151,18 @@ class Frames:
 
     def of(self, *msgids: int, compid: int | None = None) -> "Frames":
         """Those of some messages. compid: and of this component of any vehicle; None for all."""
-        numbers = self.rows["row"]
-        chosen = np.isin(numbers, [ROWS[msgid] for msgid in msgids]) if len(msgids) > 1 else numbers == ROWS[msgids[0]]
+        chosen, *others = (self.rows["row"] == ROWS[msgid] for msgid in msgids)
+        for other in others:
+            chosen |= other
         return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
 
     def by_sysid(self) -> dict[int, "Frames"]:
         """Those of each system id, by rising number."""
         sysids = (self.rows["sender"] >> 8).astype(np.uint8)
-        order = np.argsort(sysids, kind="stable")
-        counts = np.bincount(sysids)
+        order, counts = np.argsort(sysids, kind="stable"), np.bincount(sysids)
         ends = np.cumsum(counts)
-        return {
-            sysid: self.where(order[ends[sysid] - counts[sysid] : ends[sysid]])
-            for sysid in np.flatnonzero(counts).tolist()
-        }
+        found = np.flatnonzero(counts).tolist()
+        return {sysid: self.where(order[ends[sysid] - counts[sysid] : ends[sysid]]) for sysid in found}
 
     def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
         """How many of each message came from a component."""
@@ -203,14 +195,13 @@ NO_FRAMES = frames_of(())
 
 
 class Decoder:
-    """Bytes in, frames out, for one link or one telemetry log. At most 289 bytes are kept between calls of `feed`.
+    """Bytes in, frames out, for one link or one telemetry log. At most 289 bytes are kept between calls.
 
-    wanted: message ids to hand out, None for all of the dialect. Others are checked and counted all the same.
+    wanted: message ids to hand out, None for all of the dialect; others are checked and counted all the same.
     stamped: a time stamp stands before each frame, as in a telemetry log; then garbage is searched to its end.
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, wanted or not, with its time of arrival; None for nobody.
-    heard: the senders, and from where each is heard.
-    records: frames so far. size: bytes that are done with; sound_end: place behind the last frame among them.
+    heard: the senders. records: frames so far. size: bytes done with; sound_end: place behind the last frame in them.
     """
 
     def __init__(
@@ -286,27 +277,20 @@ class Decoder:
 
     def _admitted(self, data: bytes, buffer: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The frames that are genuine, and whose senders are heard from where they came."""
-        if self._signing is None:
+        signing, rows["heard"] = self._signing, REFUSED
+        for k in range(len(rows) if signing else 0):
+            # A stamp is kept only if its sender may come from there: who sends a genuine frame again from elsewhere
+            # does not make the genuine one old.
+            frame = data[int(rows[k]["begin"]) : int(rows[k]["after"])]
+            if signing and signing.genuine(frame) and (not self.heard.admits(rows[k]) or signing.fresh(frame)):
+                self.heard.hear(buffer, rows[k : k + 1])
+        if signing is None:
             self.heard.hear(buffer, rows)
-        else:
-            rows["heard"] = 0
-            for k in range(len(rows)):
-                self._check(self._signing, data, buffer, rows[k : k + 1])
         rows = rows[rows["heard"] == HEARD]
         if self._passed is not None:
             places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
             self._passed += [(data[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
         return rows
-
-    def _check(self, signing: Signing, data: bytes, buffer: Bytes, row: NDArray[np.void]) -> None:
-        """Hear one frame if it is genuine and new.
-
-        Its stamp is kept only if its sender may come from there: who sends a genuine frame again from elsewhere does
-        not make the genuine one old.
-        """
-        frame = data[int(row["begin"][0]) : int(row["after"][0])]
-        if signing.genuine(frame) and (not self.heard.admits(row[0]) or signing.fresh(frame)):
-            self.heard.hear(buffer, row)
 
 
 class Encoder:
@@ -350,12 +334,9 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A STATUSTEXT as received.
+    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text.
 
-    severity: MAV_SEVERITY.
-    text: this piece of it.
-    chunk_id: 0 for a text in one piece, else the same for all pieces of a longer one.
-    chunk_seq: number of the piece.
+    chunk_id: 0 for a text in one piece, else the same for all pieces; chunk_seq: number of the piece.
     """
 
     severity: int

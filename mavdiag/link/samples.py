@@ -33,7 +33,7 @@ PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed
 DSHOT_FULL = 2047.0  # the largest of its 11 bits
 SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
-LARGE = 10_000  # frames: in a block of more, each signal has arrays of its own, so that each can be given up by itself
+LARGE = 10_000  # rows: beyond it signals share times, and none keeps the memory of another alive
 BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
 
 
@@ -53,11 +53,8 @@ class Form(IntEnum):
 class Part:
     """One signal of a message.
 
-    signal: what it measures.
-    first: its first field; the others of the same type stand behind it.
-    form: how they become columns.
-    unit: of one count, or the name of that of the profile.
-    unless: (field, bits): a row with any of these bits does not carry it.
+    first: its first field; the others of the same type stand behind it. form: how they become columns.
+    unit: of one count, or the name of that of the profile. unless: (field, bits): a row with any of them is without it.
     beside: another field that the form needs; of `ROTORS` the number of the first rotor may stand here.
     """
 
@@ -71,10 +68,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One message that is read.
+    """One message that is read, and the signals in it.
 
-    message: its number.
-    parts: the signals in it.
     time: the field that counts time, and how; None for a message that has no time.
     chosen_by: it is read by the profiles that use this message; None for all profiles.
     """
@@ -149,7 +144,7 @@ SOURCES: tuple[Source, ...] = (
     *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate((11030, 11031, 11032))),
 )
 
-_SIGNALS = tuple(Signal)
+_SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
 _ONE, _MANY = {_S.THRUST_SETPOINT, _S.HEIGHT, _S.VOLTAGE, _S.ARMED}, {_S.ACTUATOR: ACTUATORS, _S.ROTOR_SPEED: ROTORS}
 _WIDTHS = np.array([1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS])  # columns of each signal
 
@@ -210,19 +205,10 @@ class SampleDecoder:
         self._parts = np.array([places for places, _ in laid], np.int64).reshape(-1, 8)
         self._scales = np.array([scale for _, scale in laid], np.float64).reshape(-1, 2)
 
-    def step(self, state: SampleState, frames: Sequence[Frame] | Frames) -> tuple[SampleState, Telemetry]:
-        """Take the next frames of one vehicle, in order of arrival."""
-        return self._converted(state, frames, _NO_TIMES)
-
-    def dated(
-        self, state: SampleState, frames: Sequence[Frame] | Frames, t_ns: IntArray
+    def step(
+        self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
     ) -> tuple[SampleState, Telemetry]:
-        """As `step`, for frames of one sender whose vehicle time is known. t_ns: (n,) [ns]."""
-        return self._converted(state, frames, t_ns)
-
-    def _converted(
-        self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray
-    ) -> tuple[SampleState, Telemetry]:
+        """Take the next frames of one vehicle, in order of arrival. given_ns: (n,) their vehicle times, if known."""
         some = frames if isinstance(frames, Frames) else frames_of(frames)
         timeline, speeds = VehicleTime(state.timeline.words.copy()), state.speeds.copy()
         tally = np.array([state.dropped, state.armed_ns, state.contrary])
@@ -239,7 +225,6 @@ class SampleDecoder:
         return SampleState(timeline, speeds, *tally.tolist()), Telemetry(tuple(series))
 
 
-_NO_TIMES = np.empty(0, np.int64)
 _COLUMNS = _WIDTHS.tolist()
 _SIZES = {"f": 4 | 32, "h": 2 | 16, "H": 2, "i": 4 | 16, "I": 4, "B": 1, "Q": 8}  # bytes; signed: 16; floating: 32
 
@@ -290,19 +275,16 @@ def joined(pieces: Iterable[Telemetry]) -> Telemetry:
         return piece
     for signal in (one for one in Signal if one in runs):
         run = runs.pop(signal)
-        t_ns = _shared(np.concatenate([series.t_ns for series in run]), times)
-        host_ns = _shared(np.concatenate([series.host_ns for series in run]), times)
-        whole.append(Series(signal, t_ns, host_ns, np.concatenate([series.values for series in run])))
+        columns = [np.concatenate([getattr(series, name) for series in run]) for name in ("t_ns", "host_ns", "values")]
+        whole.append(Series(signal, _shared(columns[0], times), _shared(columns[1], times), columns[2]))
     return Telemetry(tuple(whole))
 
 
 def _shared(t_ns: IntArray, known: list[IntArray]) -> IntArray:
-    """These times, in the array that has them already if one does."""
-    for other in known:
-        if np.array_equal(t_ns, other):
-            return other
-    known.append(t_ns)
-    return t_ns
+    """These times, in the array that has them already if one does; few of them are not looked for."""
+    found = next((other for other in known if len(t_ns) > LARGE and np.array_equal(t_ns, other)), t_ns)
+    known += [t_ns] if found is t_ns else []
+    return found
 
 
 def euler_angles(q: FloatArray) -> FloatArray:
@@ -334,25 +316,21 @@ def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @jit
-def _number(data: Bytes, at: int, stop: int, kind: int, word: Any, real: Any) -> float:
-    """The number at this place. What is behind the end of the payload was trimmed, and is zero."""
-    size = kind & 15
-    value = _count(data, at, stop, size)
-    if kind & 32:
-        word[0] = value
-        return np.float64(real[0])
-    if kind & 16 and value >= 1 << 8 * size - 1:
-        value -= 1 << 8 * size
-    return np.float64(value)
+def _count(data: Bytes, at: int, stop: int, size: int) -> int:
+    """The whole number at this place. What is behind the end of the payload was trimmed, and is zero."""
+    value = np.int64(0)
+    for k in range(min(size, stop - at)):
+        value |= np.int64(data[at + k]) << 8 * k
+    return int(value)
 
 
 @jit
-def _count(data: Bytes, at: int, stop: int, size: int) -> int:
-    value = np.int64(0)
-    for k in range(size):
-        if at + k < stop:
-            value |= np.int64(data[at + k]) << 8 * k
-    return int(value)
+def _number(data: Bytes, at: int, stop: int, kind: int, word: Any, real: Any) -> float:
+    value, size = _count(data, at, stop, kind & 15), kind & 15
+    if kind & 32:
+        word[0] = value
+        return np.float64(real[0])
+    return np.float64(value - (1 << 8 * size if kind & 16 and value >= 1 << 8 * size - 1 else 0))
 
 
 @jit
@@ -388,17 +366,17 @@ def _outputs(data: Bytes, body: int, stop: int, part: Any, word: Any, real: Any,
 
 
 @jit
-def _rotors(data: Bytes, body: int, stop: int, part: Any, unit: float, speeds: FloatArray, out: FloatArray) -> bool:
+def _rotors(
+    data: Bytes, body: int, stop: int, part: Any, unit: float, memory: tuple[IntArray, FloatArray, Any, Any], out: Any
+) -> bool:
     """Four rotors; returns whether there are such. `ESC_STATUS` tells the first of them by its index."""
+    _, speeds, word, real = memory
     first = _count(data, body + part[7], stop, 1) if part[7] >= 0 else -1 - part[7]
     if first >= ROTORS:
         return False
-    size = part[3] & 15
     for k in range(min(4, ROTORS - first)):
-        count = _count(data, body + part[2] + size * k, stop, size)
-        if part[3] & 16 and count >= 1 << 8 * size - 1:
-            count -= 1 << 8 * size
-        speeds[first + k] = unit * abs(np.float64(count))
+        place = body + part[2] + (part[3] & 15) * k
+        speeds[first + k] = unit * abs(_number(data, place, stop, part[3], word, real))
     for k in range(ROTORS):
         out[k] = speeds[k]
     return True
@@ -430,7 +408,7 @@ def _filled(
     out: FloatArray,
 ) -> bool:
     """Whether a part of a frame is meant and sound; then its values are in `out`."""
-    tally, speeds, word, real = memory
+    tally, _, word, real = memory
     body, stop, form, whole = frame.body, frame.stop, part[1], True
     if part[6] and _count(data, body + part[5], stop, 1) & part[6]:
         return False
@@ -445,7 +423,7 @@ def _filled(
     elif form == Form.OUTPUTS:
         _outputs(data, body, stop, part, word, real, out)
     elif form == Form.ROTORS:
-        return _rotors(data, body, stop, part, scale[0], speeds, out)
+        return _rotors(data, body, stop, part, scale[0], memory, out)
     elif form == Form.ARMED:
         return _heartbeat(data, body, stop, part, frame.host_ns, tally, out)
     else:
@@ -493,7 +471,6 @@ def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray
         """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
         and its values begin, and how many rows there are."""
         lookup, sources, parts, scales, widths = table
-        mem, readings, leads, offsets = time
         filled = _room(rows if digest else rows[:0], lookup, sources, parts, widths)
         room = filled[-1, 0] + filled[-1, 2]
         t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
@@ -509,10 +486,10 @@ def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray
                 continue
             row = sources[source]
             if len(given_ns):
-                at_ns = given_ns[k - 1]
+                at_ns, tally[1] = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
             else:
                 count = _count(data, frame.body + row[3], frame.stop, row[4])
-                at_ns = stamp(mem[0], readings, leads, offsets, row[0], row[1], row[2], count, frame.host_ns)
+                at_ns = stamp(time, row[0], row[1], row[2], count, frame.host_ns)
             if at_ns == REBOOT:
                 speeds[:], tally[1], k = np.nan, NEVER, k - 1
             for p in range(row[5], row[6] if at_ns > NEVER else row[5]):

@@ -74,7 +74,7 @@ class TelemetryStream:
         rows, t_ns = np.concatenate(found), np.concatenate(times)
         order = np.argsort(rows["host_ns"], kind="stable")
         frames = Frames(np.frombuffer(b"".join(payloads), np.uint8), rows[order])
-        self._state, telemetry = self._decoder.dated(self._state, frames, t_ns[order])
+        self._state, telemetry = self._decoder.step(self._state, frames, t_ns[order])
         return telemetry
 
 
