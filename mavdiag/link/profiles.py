@@ -50,10 +50,9 @@ _RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 
 class Evidence:
     """What the frames of one vehicle's autopilot show of its profile.
 
-    autopilots: what its heartbeats name it, MAV_AUTOPILOT.
-    counts: how many frames of each message.
-    weight: median size of RAW_IMU's acceleration, in counts; NaN without RAW_IMU. A vehicle feels its own weight.
-    period_us: median period of RAW_IMU [us]; NaN if it is not known.
+    autopilots: what its heartbeats name it, MAV_AUTOPILOT. counts: how many frames of each message.
+    weight: median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; period_us: its median
+    period [us]; NaN without RAW_IMU.
     """
 
     autopilots: frozenset[int]
@@ -100,20 +99,16 @@ class Stamp(StrEnum):
 class Profile:
     """How one kind of vehicle sends what the diagnosis needs.
 
-    name: how users and baselines call it.
-    autopilot: MAV_AUTOPILOT of its heartbeat.
+    name: how users and baselines call it. autopilot: MAV_AUTOPILOT of its heartbeat.
     recognise: whether the frames of a vehicle are of this profile.
     setpoint, imu, actuator, rotor_speed: the messages to use.
-    accel_unit: one count of the IMU message's acceleration [m/s^2].
-    gyro_unit: one count of its rate [rad/s].
-    rate_hz: nominal rate of the pair of set-point and IMU message.
+    accel_unit, gyro_unit: one count of the IMU message's acceleration [m/s^2] and rate [rad/s].
+    rate_hz: nominal rate of the pair of set-point and IMU message. stamp: what the IMU message's own time means.
     imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
-    stamp: what the IMU message's own time means.
-    vibration: whether its VIBRATION message carries acceleration per axis.
-    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS has no fixed ones,
-        and is told by its values.
-    gate: what counts as flying; the same live and in a .tlog.
     imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
+    vibration: whether its VIBRATION message carries acceleration per axis.
+    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own.
+    gate: what counts as flying; the same live and in a .tlog.
     """
 
     name: str
@@ -145,10 +140,6 @@ class Profile:
         return self.imu_corner_hz if told is None else told if told > 0.0 else None
 
 
-def _is_spec(seen: Evidence) -> bool:
-    return seen.weighs(IIM_42652)
-
-
 def _is_ardupilot(seen: Evidence) -> bool:
     """It says so; what sends RAW_IMU faster than its loop allows is another one under its name."""
     raw = seen.counts.get(MessageId.RAW_IMU, 0) > 0
@@ -162,49 +153,50 @@ def _is_px4(seen: Evidence) -> bool:
     return named and not seen.counts.get(MessageId.RAW_IMU, 0)
 
 
-def _is_qdrone2(seen: Evidence) -> bool:
-    return seen.weighs(MILLI_G)
-
-
+# The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
+_QDRONE2 = Profile(
+    name="qdrone2",
+    autopilot=Autopilot.GENERIC,
+    recognise=lambda seen: seen.weighs(MILLI_G),
+    imu=MessageId.RAW_IMU,
+    accel_unit=MILLI * G,
+    gyro_unit=MILLI,
+    rate_hz=1000.0,
+    imu_corner_hz=None,
+    stamp=Stamp.SAMPLE,
+    vibration=False,
+    actuator=MessageId.SERVO_OUTPUT_RAW,
+    actuator_span=(1000.0, 2000.0),
+    rotor_speed=MessageId.ESC_STATUS,
+)
 _ROWS = (
     # RAW_IMU as its definition has it, without unit: the counts of the IIM-42652 at its full scale of 16 g and
     # 2000 deg/s (data sheet: 2048 LSB/g and 16.4 LSB/(deg/s)).
-    Profile(
+    replace(
+        _QDRONE2,
         name="spec",
-        autopilot=Autopilot.GENERIC,
-        recognise=_is_spec,
-        imu=MessageId.RAW_IMU,
+        recognise=lambda seen: seen.weighs(IIM_42652),
         accel_unit=G / 2048,
         gyro_unit=DEG / 16.4,
-        rate_hz=1000.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
-        rotor_speed=MessageId.ESC_STATUS,
     ),
     # ArduPilot Copter: RAW_IMU is low-passed at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) and stamped when sent; 50 to
     # 200 Hz are met exactly.
-    Profile(
+    replace(
+        _QDRONE2,
         name="ardupilot",
         autopilot=Autopilot.ARDUPILOTMEGA,
         recognise=_is_ardupilot,
-        imu=MessageId.RAW_IMU,
-        accel_unit=MILLI * G,
-        gyro_unit=MILLI,
         rate_hz=100.0,
         imu_corner_hz=20.0,
         stamp=Stamp.SEND,
         vibration=True,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
         imu_corner_parameter="INS_GYRO_FILTER",
     ),
     # PX4: no RAW_IMU; HIGHRES_IMU is in SI and comes from the sensors before the controller's filter; its VIBRATION
     # mixes gyro and accelerometer metrics. Asked for 200 Hz it sends 160 to 170.
-    Profile(
+    replace(
+        _QDRONE2,
         name="px4",
         autopilot=Autopilot.PX4,
         recognise=_is_px4,
@@ -212,29 +204,10 @@ _ROWS = (
         accel_unit=1.0,
         gyro_unit=1.0,
         rate_hz=160.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
         actuator=MessageId.ACTUATOR_OUTPUT_STATUS,
         actuator_span=(0.0, 1.0),
-        rotor_speed=MessageId.ESC_STATUS,
     ),
-    # The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
-    Profile(
-        name="qdrone2",
-        autopilot=Autopilot.GENERIC,
-        recognise=_is_qdrone2,
-        imu=MessageId.RAW_IMU,
-        accel_unit=MILLI * G,
-        gyro_unit=MILLI,
-        rate_hz=1000.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
-        rotor_speed=MessageId.ESC_STATUS,
-    ),
+    _QDRONE2,
 )
 
 PROFILES: Mapping[str, Profile] = {profile.name: profile for profile in _ROWS}
@@ -249,11 +222,7 @@ def profile_named(name: str) -> Profile:
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """What a vehicle's frames say of its profile.
-
-    profile: None if it cannot be recognised.
-    reason: why not, one sentence; empty otherwise.
-    """
+    """The profile that a vehicle's frames show; None if they show none, and the reason, one sentence."""
 
     profile: Profile | None
     reason: str = ""

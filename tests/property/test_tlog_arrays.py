@@ -110,24 +110,6 @@ def test_the_loop_finds_what_the_decoder_finds(data: bytes, sizes: list[int]) ->
     assert_same(decode_windows(cut(data, sizes)), data)
 
 
-def test_where_the_file_is_cut_does_not_matter() -> None:
-    """The longest frames that there are, and one outside the dialect, cut at every byte."""
-    long = [new(msgid, bytes([7] * 255), k, (1, 1), flags=1) for k, msgid in enumerate((83, 27, (1 << 24) - 1, 22))]
-    data = b"".join(tlog_record(START_US, one) for one in long)
-    whole = decode_windows([data])
-    assert_same(whole, data)
-    for at in range(1, len(data)):
-        found = decode_windows([data[:at], data[at:]])
-        assert (found.records, found.frames) == (whole.records, whole.frames)
-
-
-def test_random_bytes_and_repeated_markers() -> None:
-    rng = np.random.default_rng(3)
-    for size in range(0, 6000, 373):
-        data = rng.choice(np.array([0, 0, 0, 0, 7, 0xFD, 0xFE, 0xFF], np.uint8), size).tobytes()
-        assert_same(decode_windows([data]), data)
-
-
 def flight(seed: int) -> bytes:
     """Forty seconds at 100 Hz, from boot: lost and swapped records, a reboot, another vehicle, a signed stretch."""
     rng = np.random.default_rng(seed)

@@ -56,12 +56,6 @@ def test_a_sender_may_move_after_silence_and_then_the_old_source_is_the_second()
     assert not heard(senders, KEY, 2, round(PINNED_S * S) + 1, HERE)
 
 
-def test_other_components_of_the_vehicle_may_be_elsewhere() -> None:
-    senders = Senders()
-    assert heard(senders, KEY, 0, 0, HERE)
-    assert heard(senders, 1 << 8 | 100, 0, 0, THERE)
-
-
 def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
     senders = Senders()
     senders.keep(7 << 8 | 1)
@@ -162,14 +156,3 @@ def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
     link.feed(second(encoder, 0), 0)
     ask = [(station.encode(MessageId.COMMAND_LONG, 1, Component.ONBOARD_COMPUTER, MavCmd.REQUEST_MESSAGE), S)] * 5000
     assert len(link.feed(ask, S)[1].commands) == REQUESTS_MAX
-
-
-def test_only_the_chosen_vehicle_is_heard() -> None:
-    link = LinkDecoder(only=7, careful=True)
-    one, other = Encoder(7, 1), Encoder(8, 1)
-    for k in range(3):
-        chunks = [*second(one, k), *second(other, k)]
-        received = link.feed(chunks, chunks[-1][1])
-        assert set(received) <= {7}
-    assert list(link.vehicles) == [7]
-    assert set(link._waiting) == set()
