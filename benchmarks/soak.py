@@ -33,9 +33,9 @@ from detector.values import SendText, SessionSpec
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import LOOK_NS
 from mavdiag.link.codec import Decoder, Encoder, decode_statustext
-from mavdiag.link.conversion import SOURCES
 from mavdiag.link.messages import Component, MessageId, Severity
 from mavdiag.link.ports import Endpoint, open_endpoint
+from mavdiag.link.samples import SOURCES
 from mavdiag.telemetry import Instant, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S
 from sitl_plant.autopilot.dialect import dialect_named
@@ -47,9 +47,9 @@ HEALTHY_S, FAULTY_S, ONSET_S, PAUSE_S = 120.0, 14.0, 8.0, 1.5
 TICK_S = 0.04
 FAULT, ROTOR = "F2/SV2", 2
 STAMPS = {
-    source.message: (struct.Struct("<I" if source.counter.turn else "<Q"), source.counter.tick_ns)
+    source.message: (struct.Struct("<I" if source.time[1].turn else "<Q"), source.time[1].tick_ns)
     for source in SOURCES
-    if source.counter is not None
+    if source.time is not None
 }  # every stamp is the first field on the wire
 BINS = 2000  # of 1 ms
 
@@ -193,8 +193,8 @@ def real(minutes: float, rate_hz: float, seed: int) -> None:
             daemon.tick()
             host_ns = time.monotonic_ns()
             for stream in daemon.fleet.link.vehicles.values():
-                if stream.reboots == flights and stream.vehicle_ns is not None:
-                    lead_ns = min(lead_ns, stream.timeline.host_ns - stream.vehicle_ns)
+                if stream.state.timeline.reboots == flights and stream.state.timeline.t_ns is not None:
+                    lead_ns = min(lead_ns, stream.state.timeline.host_ns - stream.state.timeline.t_ns)
                     record.look(daemon.fleet, host_ns, lead_ns)
             for data, now_ns in station.receive(0.0):
                 for frame in decoder.feed(data, now_ns):

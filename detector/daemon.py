@@ -202,7 +202,8 @@ class Daemon:
         return Instant(self._host.now_ns())
 
     def _when(self, sysid: int | None) -> When:
-        return When(self._host.utc(), sysid, None if sysid is None else self.fleet.link.vehicles[sysid].vehicle_ns)
+        timeline = None if sysid is None else self.fleet.link.vehicles[sysid].state.timeline
+        return When(self._host.utc(), sysid, None if timeline is None else timeline.t_ns)
 
     def _unix_ns(self) -> int:
         return round(self._host.utc().timestamp() * NS_PER_S)

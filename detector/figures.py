@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from detector.states import State
 from mavdiag.decision.alarm import NOTHING_SEEN, Diagnosis
+from mavdiag.link.clock import Timesync
 from mavdiag.link.ports import Traffic
-from mavdiag.link.timesync import Timesync
 
 
 @dataclass(frozen=True, slots=True)

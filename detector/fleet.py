@@ -18,12 +18,12 @@ from detector.session import Session
 from detector.streams import METERED
 from detector.values import Effect, EventOpened, Inbox, LearningFailed, Note, SessionSpec
 from mavdiag.baseline import Baseline
+from mavdiag.link.clock import Timesync, exchanged
 from mavdiag.link.codec import Frame
 from mavdiag.link.messages import Component
 from mavdiag.link.profiles import Profile
 from mavdiag.link.sequence import Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.timesync import Timesync, exchanged
 from mavdiag.link.vehicles import VEHICLES_MAX, Command, LinkDecoder
 from mavdiag.telemetry import Instant, Series, Signal
 
@@ -189,7 +189,14 @@ class Fleet:
     def _turn(self, sysid: int, now: Instant) -> Turn:
         vehicle, stream, received = self.vehicles[sysid], self.link.vehicles[sysid], self.link.received(sysid)
         session, alive = vehicle.session, received.present
-        came = (received.telemetry, alive, stream.reboots, received.acks, vehicle.outcome, received.parameters)
+        came = (
+            received.telemetry,
+            alive,
+            stream.state.timeline.reboots,
+            received.acks,
+            vehicle.outcome,
+            received.parameters,
+        )
         vehicle.outcome = None
         effects = session.step(Inbox(*came, stream.profile.imu), now)
         vehicle.events += sum(isinstance(effect, EventOpened) for effect in effects)
@@ -232,6 +239,6 @@ class Fleet:
             rates=tuple((signal.value, session.streams.meter(signal).rate_hz) for signal in METERED),
             ratios=tuple((gauge.monitor, gauge.axis or "", gauge.statistic / gauge.threshold) for gauge in valid),
             timesync=vehicle.timesync,
-            drift_ppm=self.link.vehicles[sysid].timeline.drift_ppm,
+            drift_ppm=self.link.vehicles[sysid].state.timeline.drift_ppm,
             diagnosis=session.diagnosis,
         )

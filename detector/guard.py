@@ -96,7 +96,7 @@ class Guard:
             counts.append((f"in our own name {sysid}/{OURS}", impostor.frames if impostor else 0))
             clashes = count.clashes if count else 0
             counts.append((f"in the name of vehicle {sysid} with the number of another frame", clashes))
-            counts.append((f"of vehicle {sysid} whose stamps leap", stream.leaps))
+            counts.append((f"of vehicle {sysid} whose stamps leap", stream.state.timeline.leaps))
         signatures = [] if self._signing is None else [(str(cause), n) for cause, n in self._signing.refused.items()]
         return (*(entry for entry in counts if entry[1]), *signatures)
 
@@ -107,7 +107,7 @@ class Guard:
 
     def _second(self, sysid: int, known: _Known) -> Iterable[Effect]:
         intruder, impostor, count = self._link.intruder(sysid), self._link.impostor(sysid), self._link.count(sysid)
-        source, leaps = self._link.source(sysid), self._link.vehicles[sysid].leaps
+        source, leaps = self._link.source(sysid), self._link.vehicles[sysid].state.timeline.leaps
         if known.source not in (None, source):
             moved = f"{_address(source)} instead of {_address(known.source)}, which was silent for {PINNED_S:g} s"
             yield Note(f"vehicle {sysid} is heard from {moved}")
@@ -128,7 +128,7 @@ class Guard:
 
     def _numbers(self, sysid: int, known: _Known, count: LinkCount) -> Iterable[Effect]:
         """What a vehicle's running numbers show second after second: new beginnings, or two frames of one number."""
-        contrary = self._link.vehicles[sysid].contrary
+        contrary = self._link.vehicles[sysid].state.contrary
         odd = count.restarts - known.restarts >= RESTARTS or count.clashes > known.clashes or contrary > known.contrary
         known.looks = known.looks + 1 if odd else 0
         known.restarts, known.clashes, known.contrary = count.restarts, count.clashes, contrary

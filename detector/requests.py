@@ -24,10 +24,10 @@ from detector.states import State
 from detector.values import Effect, Note
 from mavdiag.baseline import Baseline
 from mavdiag.decision.diagnosis import Stage
-from mavdiag.link.addressed import COMMANDS, PARAMETER_REQUESTS, Command, commands_in, parameters_asked
 from mavdiag.link.codec import Decoder, Encoder, Frame, field_index, message_name
 from mavdiag.link.messages import Component, MavCmd, MavResult, MessageId
 from mavdiag.link.signing import Signing
+from mavdiag.link.vehicles import COMMANDS, PARAMETER_REQUESTS, Command, command_in, parameters_asked
 from mavdiag.link.wants import messages_of
 from mavdiag.telemetry import Instant
 
@@ -128,11 +128,9 @@ class Requests:
         kept = self._kept(frame) if self._settings.keep_rates else None
         if kept is not None:
             return kept + Handled(turns=self._kept_back(frame))
-        handled = Handled((message,))
-        for sysid, commands in commands_in((frame,)).items():
-            for command in commands:
-                handled += self.command(command, sysid)
-        return handled
+        command = command_in(frame)
+        answer = Handled() if command is None else self.command(command[1], command[0])
+        return Handled((message,)) + answer
 
     def command(self, command: Command, sysid: int, *, trusted: bool = True) -> Handled:
         """A command for a vehicle's detector. It takes one: an inspection is acknowledged.

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 from detector.states import State
 from detector.values import AskInterval, AskParameters, Effect, SendFloat, SendText
-from mavdiag.link.addressed import Command
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.codec import Encoder
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavResult, MavType, MessageId
 from mavdiag.link.signing import Signing
-from mavdiag.link.timesync import TimesyncMessage
+from mavdiag.link.vehicles import Command
 from mavdiag.units import NS_PER_MS
 
 MAVLINK_VERSION = 3  # HEARTBEAT.mavlink_version: what pymavlink and the autopilots fill in

@@ -20,9 +20,9 @@ from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Stage
 from mavdiag.decision.words import motors_words
 from mavdiag.errors import BaselineError
 from mavdiag.link.codec import message_name
-from mavdiag.link.parameters import Reading
 from mavdiag.link.profiles import LAST_RESORT, Profile
 from mavdiag.link.samples import joined
+from mavdiag.link.wants import Reading
 from mavdiag.telemetry import Instant, Signal, Telemetry
 
 WAITED_CHUNKS = 256  # kept while the streams are measured: some ten seconds (our choice)

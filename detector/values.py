@@ -8,9 +8,9 @@ from detector.config import SessionSettings
 from detector.states import State
 from mavdiag.baseline import Baseline
 from mavdiag.decision.alarm import NOTHING_SEEN, Change, Diagnosis, Event
+from mavdiag.link.clock import TimesyncMessage
 from mavdiag.link.messages import MessageId, Severity
 from mavdiag.link.profiles import Profile
-from mavdiag.link.timesync import TimesyncMessage
 from mavdiag.link.vehicles import Ack
 from mavdiag.telemetry import Instant, Telemetry
 

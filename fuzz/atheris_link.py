@@ -16,8 +16,8 @@ with atheris.instrument_imports(include=["mavdiag.link", "detector"]):
     from detector.fleet import Fleet
     from detector.values import SessionSpec
     from mavdiag.link.codec import Encoder
-    from mavdiag.link.conversion import SOURCES
     from mavdiag.link.messages import MessageId
+    from mavdiag.link.samples import SOURCES
 
 from made_session import baseline_for
 from made_vehicle import START_NS, MadeVehicle

@@ -25,8 +25,8 @@ from detector.fleet import Fleet
 from detector.states import State
 from detector.values import EventOpened, SendText, SessionSpec
 from mavdiag.link.codec import Decoder, Encoder
-from mavdiag.link.conversion import SOURCES
 from mavdiag.link.messages import MessageId, Severity
+from mavdiag.link.samples import SOURCES
 from mavdiag.telemetry import Instant
 from mavdiag.units import NS_PER_S
 

@@ -1,11 +1,25 @@
 """Stamps of a vehicle's messages, taken by its time in blocks."""
 
-import numpy as np
+from typing import Any
 
-from mavdiag.link.clock import NEVER, Counter, VehicleTime
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from mavdiag.link.clock import NEVER, REBOOT, Counter, VehicleTime, stamp
 from mavdiag.telemetry import IntArray
 
 Stream = tuple[Counter, IntArray, IntArray]  # counts and times of arrival [ns]
+
+
+@numba.njit
+def _stamped(time: tuple[Any, Any, Any, Any], counters: IntArray, frames: IntArray, t_ns: IntArray) -> None:
+    for k in range(frames.shape[1]):
+        number, count, host_ns = frames[0, k], frames[1, k], frames[2, k]
+        t_ns[k] = REBOOT
+        while t_ns[k] == REBOOT:
+            tick, turn = counters[number, 0], counters[number, 1]
+            t_ns[k] = stamp(time, number, tick, turn, count, host_ns)
 
 
 def taken(*streams: Stream, time: VehicleTime | None = None, size: int = 1 << 30) -> tuple[VehicleTime, list[IntArray]]:
@@ -13,16 +27,16 @@ def taken(*streams: Stream, time: VehicleTime | None = None, size: int = 1 << 30
 
     size: stamps at a time.
     """
-    messages = np.array([(number, c.tick_ns, c.turn) for number, (c, _, _) in enumerate(streams)], np.int64)
+    counters = np.array([(c.tick_ns, c.turn) for c, _, _ in streams], np.int64)
     columns = [np.stack([np.full(len(raw), number), raw, host]) for number, (_, raw, host) in enumerate(streams)]
-    frames = np.concatenate(columns, axis=1)
+    frames: NDArray[Any] = np.concatenate(columns, axis=1)
     order = np.argsort(frames[2], kind="stable")
-    time, times, at = time or VehicleTime(), np.empty(len(order), np.int64), 0
-    while at < len(order):
-        block = np.ascontiguousarray(frames[:, order[at : at + size]])
-        time, t_ns, done = time.stamped(messages, *block)
-        times[order[at : at + done]] = t_ns
-        at += done
+    time, times = time or VehicleTime(), np.empty(len(order), np.int64)
+    for at in range(0, len(order), size):
+        some = order[at : at + size]
+        time, found = VehicleTime(time.words.copy()), np.empty(len(some), np.int64)
+        _stamped(time.records, counters, np.ascontiguousarray(frames[:, some]), found)
+        times[some] = found
     ends = np.cumsum([len(raw) for _, raw, _ in streams])
     return time, np.split(times, ends[:-1])
 

@@ -9,8 +9,6 @@ from collections import deque
 
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint
 
-__all__ = ["MemoryEndpoint", "memory_pair"]
-
 
 class _Mailbox:
     """A bounded queue of messages with a descriptor that is readable while something waits in it."""
@@ -63,9 +61,9 @@ class MemoryEndpoint(Endpoint):
     def send(self, data: bytes) -> None:
         """Put one message into the peer's mailbox; dropped and counted if that is full, or either end is closed."""
         if self.connected and self._outbox.put(data):
-            self._sent += 1
+            self._count.sent += 1
         else:
-            self._dropped += 1
+            self._count.dropped += 1
 
     def close(self) -> None:
         """Close this end; what waits in it is lost."""

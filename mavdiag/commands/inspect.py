@@ -17,14 +17,13 @@ from mavdiag.commandline import ERROR, say
 from mavdiag.commands.options import AsJson, Columns, FromS, Layout, ToS, Vehicle, between, is_endpoint
 from mavdiag.commands.progress import each
 from mavdiag.errors import InputError, UsageError
-from mavdiag.link.asking import Asked, Asker
 from mavdiag.link.codec import message_name
 from mavdiag.link.keys import read_key
 from mavdiag.link.link import Link, open_link
 from mavdiag.link.messages import Component, MavResult
 from mavdiag.link.profiles import PROFILES
 from mavdiag.link.sequence import LinkCount
-from mavdiag.link.wants import Want, wants_of
+from mavdiag.link.wants import Asked, Asker, Want, wants_of
 from mavdiag.logs import read_log
 from mavdiag.logs.csv_columns import ColumnMap, is_csv, load_column_map
 from mavdiag.logs.tlog import read_content

@@ -4,33 +4,38 @@ Counters. A vehicle stamps its messages with milliseconds or microseconds since 
 days or 71.6 minutes) or 64, and some of them with microseconds of the unix epoch. How often a counter of 71.6 minutes
 had wrapped before its first message follows from the vehicle's other messages. The receiver's clock only decides
 between a wrap, a reboot and a leap; it never adds its jitter to a stamp. A stamp up to a second older than the highest
-is a late frame and keeps its place; one further out of line is left out. A stamp that leaps ahead of all that the
-receiver's clock explains is left out until others follow it: a forged or damaged frame must not make the genuine ones
-old.
+is a late frame and keeps its place; one further out of line, or that leaps ahead of all that the receiver's clock
+explains, is left out until others follow it: a forged or damaged frame must not make the genuine ones old.
 
-Reboots. A stamp that is out of line is no reboot while others go on: a second path may be slower, and somebody may send
-old frames again. The vehicle starts anew when its old clock has been silent, for a second if the new clock is no
-further than a reboot in that silence can have brought it, else for ten, and three frames in a row agree on a new clock
-that goes on. So reboots cannot be counted more often than once a second.
+Reboots. The vehicle starts anew when its old clock has been silent, for a second if the new clock is no further than a
+reboot in that silence can have brought it, else for ten, and three frames in a row agree on a new clock that goes on.
+So a slower second path, or old frames sent again, are no reboot, and there is at most one a second.
 
-Clocks. The timeline is the clock of the first stamped message; the others are laid over it. A message that is stamped
-c_ns arrives at host_ns = c_ns + (origin of its clock) + delay, with delay >= 0. The least host_ns - c_ns of a window,
-the clock's lead, is its origin to within the least delay. So the difference of two leads is the offset of two clocks
-without the receiver's jitter; the receiver's own drift is in both and cancels. Quartz drifts by tens of parts in a
-million: 50 ppm are 180 ms in an hour. The window slides by whole seconds of the receiver's clock; within a second the
-offset goes on a straight line, never faster than `SLEW_NS`. Clocks since boot that are within a second of each other,
-but for whole turns of the one of 49.7 days, count as one: their stamps stay exactly as sent until their leads have
-moved apart by more than changing delays explain.
+Clocks. The timeline is the clock of the first stamped message; the others are laid over it. A message stamped c_ns
+arrives at host_ns = c_ns + (origin of its clock) + delay, delay >= 0. The least host_ns - c_ns of a window, the clock's
+lead, is its origin to within the least delay; the difference of two leads is the offset of two clocks, without the
+receiver's jitter and drift. Quartz drifts by tens of parts in a million: 50 ppm are 180 ms in an hour. The window
+slides by whole seconds of the receiver's clock; within a second the offset goes on a straight line, never faster than
+`SLEW_NS`. Clocks since boot that are within a second of each other, but for whole turns of the one of 49.7 days, count
+as one: their stamps stay exactly as sent until their leads have moved apart by more than changing delays explain.
 
-Frames are taken one by one, by a compiled loop over one record; so how they are cut into blocks does not matter.
+Asking. TIMESYNC (message 111, https://mavlink.io/en/services/timesync.html) tells what the vehicle's clock shows now. A
+request has tc1 = 0 and the sender's time in ts1; the answer repeats ts1 and has the answerer's time in tc1 [ns]. It is
+read at a look at the link, so a round trip is known to within a tick. It is shown and not used: laying the stamps over
+each other does better.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavdiag.jit import jit
+from mavdiag.link.codec import Frame, field_index
+from mavdiag.link.messages import Component, MessageId
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
@@ -57,6 +62,7 @@ STEPPED = 3  # seconds in a row that must show it
 EPOCH_NS = 1_000_000_000 * NS_PER_S  # stamps from here on (year 2001) are unix time, earlier ones time since boot
 HIGHEST_NS = (1 << 62) - 1  # year 2116: garbage beyond is held here, so that a stamp and an offset fit 64 bits
 NEVER = -(1 << 62)  # stands for "no time known" [ns]
+REBOOT = NEVER - 1  # stands for "the vehicle has started anew"
 MESSAGES_MAX = 32  # that are stamped, of one vehicle: there are 18
 SECONDS = WINDOW + 3  # of leads that there is room for: a window with both its ends, and one more
 
@@ -72,11 +78,7 @@ class Clock(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Counter:
-    """How a message counts time.
-
-    tick_ns: one count [ns].
-    turn: counts until it wraps, 0 for never.
-    """
+    """How a message counts time. tick_ns: one count [ns]. turn: counts until it wraps, 0 for never."""
 
     tick_ns: int
     turn: int
@@ -87,15 +89,14 @@ US_32 = Counter(NS_PER_US, 1 << 32)  # SERVO_OUTPUT_RAW.time_usec: wraps after 7
 US_64 = Counter(NS_PER_US, 0)  # time_usec: since boot or since 1970
 TURN_NS = MS_32.turn * MS_32.tick_ns
 
+Fields: TypeAlias = Any  # one of these records, as numba has it
+Records: TypeAlias = NDArray[Any]
+
 # Where one message's counter stands: the message plus one, 0 for none; whether it has begun; highest count so far, as
 # sent; how often it has wrapped; when it was last received in line; the most that it was ahead of the receiver's clock,
 # which drift takes back slowly; and the other clock that its latest samples show, with how many in a row agree on it.
-_READING = np.dtype(
-    [
-        (name, "i8")
-        for name in ("msgid", "used", "raw", "turns", "host_ns", "line_ns", "rival_ns", "rival_host_ns", "rivals")
-    ]
-)
+_READINGS = ("msgid", "used", "raw", "turns", "host_ns", "line_ns", "rival_ns", "rival_host_ns", "rivals")
+_READING = np.dtype([(name, "i8") for name in _READINGS])
 # How far the receiver's clock leads one of the vehicle's: in which second it was seen first, with which lead; and the
 # latest seconds in which it was seen, ascending, each with its least lead.
 _LEADS = np.dtype(
@@ -104,23 +105,8 @@ _LEADS = np.dtype(
 # What lays a clock over the reference in one second of the receiver's clock: what to add at its beginning and its end;
 # whether it counts as one clock with the reference, but for whole turns; the part of its lead that is a delay of its
 # messages; seconds in a row in which a shared clock was apart; and when it began, or was set last, and what it was.
-_OFFSET = np.dtype(
-    [
-        (name, "i8")
-        for name in (
-            "known",
-            "second",
-            "begin_ns",
-            "end_ns",
-            "shared",
-            "zeroed",
-            "zero_ns",
-            "odd",
-            "since_s",
-            "since_ns",
-        )
-    ]
-)
+_OFFSETS = ("known", "second", "begin_ns", "end_ns", "shared", "zeroed", "zero_ns", "odd", "since_s", "since_ns")
+_OFFSET = np.dtype([(name, "i8") for name in _OFFSETS])
 # The vehicle: the clock that the others are laid over, -1 before the first stamp; what to add to it; latest time known;
 # when the last stamp was received; when the last stamp in line was, and the highest stamp, of the clock since boot and
 # of unix time; another clock that may take over; how often it started anew, and samples left out because they leap.
@@ -133,43 +119,38 @@ _MEM = np.dtype(
 )
 
 
-_KINDS = (_MEM, _READING, _LEADS, _OFFSET)
-_SIZES = (1, MESSAGES_MAX, len(Clock), len(Clock))
-_ENDS = np.cumsum([count * kind.itemsize // 8 for count, kind in zip(_SIZES, _KINDS, strict=True)]).tolist()
+_TIME = np.dtype(
+    [
+        ("mem", _MEM),
+        ("readings", _READING, MESSAGES_MAX),
+        *((name, kind, len(Clock)) for name, kind in (("leads", _LEADS), ("offsets", _OFFSET))),
+    ]
+)
 
 
 def _fresh() -> IntArray:
-    words = np.zeros(_ENDS[-1], np.int64)
-    mem = words[: _ENDS[0]].view(_MEM)
+    words = np.zeros(_TIME.itemsize // 8, np.int64)
+    mem = words.view(_TIME)["mem"]
     mem["reference"], mem["t_ns"] = -1, NEVER
     return words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleTime:
-    """Where one vehicle's time stands. A value: `stamped` returns another one. words: the records above, end to end."""
+    """Where one vehicle's time stands; `stamp` brings a copy of it on. words: all of the records above."""
 
     words: IntArray = field(default_factory=_fresh)
 
     @property
-    def mem(self) -> NDArray[np.void]:
+    def mem(self) -> Records:
         """(1,) the vehicle."""
-        return self.words[: _ENDS[0]].view(_MEM)
+        return self.words.view(_TIME)["mem"]
 
     @property
-    def readings(self) -> NDArray[np.void]:
-        """(32,) the counters of its messages."""
-        return self.words[_ENDS[0] : _ENDS[1]].view(_READING)
-
-    @property
-    def leads(self) -> NDArray[np.void]:
-        """(4,) by `Clock`."""
-        return self.words[_ENDS[1] : _ENDS[2]].view(_LEADS)
-
-    @property
-    def offsets(self) -> NDArray[np.void]:
-        """(4,) by `Clock`."""
-        return self.words[_ENDS[2] :].view(_OFFSET)
+    def records(self) -> tuple[Records, Records, Records, Records]:
+        """(1,) the vehicle; (32,) the counters of its messages; (4,) leads and offsets, by `Clock`: for `stamp`."""
+        record = self.words.view(_TIME)
+        return record["mem"], record["readings"][0], record["leads"][0], record["offsets"][0]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, VehicleTime) and np.array_equal(self.words, other.words)
@@ -201,26 +182,390 @@ class VehicleTime:
     @property
     def drift_ppm(self) -> float | None:
         """How fast another clock of the vehicle drifts against the reference [ppm]; None if its messages have one."""
-        for offset in self.offsets:
+        for offset in self.records[3]:
             if offset["known"] and not offset["shared"]:
                 span_s = max(1, int(offset["second"]) + 1 - int(offset["since_s"]))
                 return float(offset["since_ns"] - offset["end_ns"]) / span_s * 1e6 / NS_PER_S
         return None
 
-    def stamped(
-        self, messages: IntArray, rows: IntArray, raw: IntArray, host_ns: IntArray
-    ) -> tuple["VehicleTime", IntArray, int]:
-        """Take the next frames, (n,) each, in order of arrival.
 
-        messages: (k, 3) the messages: number, tick [ns] and turn, as `Counter` has them; a tick of 0 for one without a
-        time of its own, which gets the latest time known. rows: which of them each frame is; -1 for a frame that is
-        passed over. raw: their counts. host_ns: when they were received [ns].
-        Returns the vehicle's time of each [ns], `NEVER` for those that are left out, 0 for those that are passed over;
-        and how many were taken: up to the first one of a vehicle that has started anew.
-        """
-        from mavdiag.link.clock_loop import stamp  # numba, at the first frame
+_BOOT_MS, _BOOT_US, _BOOT_US_32, _UNIX = (int(clock) for clock in Clock)
+_DAY_NS = 86_400 * NS_PER_S
+_IN_LINE, _LEFT_OUT, _BROKEN_OFF = 0, 1, 2  # what a stamp is
+_STRAY, _RIVAL, _REBOOT = 0, 1, 2  # what a stamp out of line is
 
-        after, t_ns = VehicleTime(self.words.copy()), np.empty(len(raw), np.int64)
-        records = (after.mem, after.readings, after.leads, after.offsets)
-        taken = stamp(*records, (messages, rows, raw, host_ns), t_ns)
-        return after, t_ns[:taken], taken
+
+@jit
+def stamp(
+    records: tuple[Records, Records, Records, Records], msgid: int, tick: int, turn: int, count: int, now_ns: int
+) -> int:
+    """The vehicle's time of one frame [ns]; `NEVER` if it is left out, `REBOOT` if the vehicle has started anew.
+
+    The frame of a reboot is the first one of the new clocks: it must be given again. records: of `VehicleTime`. msgid,
+    tick, turn: the message and its `Counter`; a tick of 0 for one without a time of its own, which gets the latest time
+    known. count: as it was sent. now_ns: when it was received.
+    """
+    mems, readings, leads, offsets = records
+    mem = mems[0]
+    if tick == 0:
+        return int(mem.t_ns)
+    raw = min(max(count, 0), HIGHEST_NS // tick)
+    ambiguous = 0 < turn * tick < _DAY_NS  # its first reading alone does not give the time since boot
+    reading = readings[_place(readings, msgid)]
+    sort, clock_ns = _BROKEN_OFF, NEVER
+    if reading.used:
+        sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
+        if sort == _BROKEN_OFF and (reading.raw * tick >= EPOCH_NS) != (raw * tick >= EPOCH_NS):
+            reading.used = 0  # it went over from time since boot to unix time or back, which is no reboot
+    if not reading.used:
+        if not _begin(reading, leads, tick, turn, ambiguous, raw, count > raw, now_ns):
+            return NEVER
+        sort, clock_ns = _unwrapped(mem, reading, tick, turn, raw, now_ns)
+    if sort == _IN_LINE:
+        return int(_placed(mem, leads, offsets, clock_ns, now_ns, _clock_of(tick, ambiguous, clock_ns)))
+    if sort == _BROKEN_OFF:
+        what = _out_of_line(mem, raw * tick, now_ns)
+        if what == _REBOOT:
+            _start_anew(mem, readings, leads, offsets)
+            return REBOOT
+        if what == _STRAY:
+            reading.host_ns = now_ns  # the next decision is due after another second
+    return NEVER
+
+
+@jit
+def _clock_of(tick: int, ambiguous: bool, clock_ns: int) -> int:
+    if clock_ns >= EPOCH_NS:
+        return _UNIX
+    if ambiguous:
+        return _BOOT_US_32
+    return _BOOT_MS if tick == NS_PER_MS else _BOOT_US
+
+
+@jit
+def _place(readings: Records, msgid: int) -> int:
+    """Where a message's reading is, or can be: the last place where there is no room for one more."""
+    for k in range(len(readings)):
+        if readings[k].msgid == msgid + 1 or readings[k].msgid == 0:
+            readings[k].msgid = msgid + 1
+            return k
+    return len(readings) - 1
+
+
+@jit
+def _begin(
+    reading: Fields, leads: Records, tick: int, turn: int, ambiguous: bool, raw: int, beyond: bool, now_ns: int
+) -> bool:
+    """Where a counter stood before its first sample: there, unless it is ahead of what other messages show.
+
+    beyond: the count was garbage beyond `HIGHEST_NS`. Returns whether it can be placed: a counter that wraps often
+    needs the time since boot that the others show.
+    """
+    first, wrapped = raw, 0
+    if ambiguous:
+        shown = leads[_BOOT_MS] if leads[_BOOT_MS].count else leads[_BOOT_US]
+        if not shown.count:
+            return False
+        since_boot_ns = now_ns - _least(shown)
+        wrapped = max(0, int(np.rint((since_boot_ns - raw * tick) / (turn * tick))))
+    else:
+        own = leads[_clock_of(tick, ambiguous, raw * tick)]
+        if own.count and (beyond or raw * tick - (now_ns - _least(own)) > LATE_NS):
+            first = max(0, now_ns - _least(own)) // tick
+    clock_ns = min(first * tick + wrapped * turn * tick, HIGHEST_NS)
+    reading.used, reading.raw, reading.turns, reading.host_ns, reading.rivals = 1, first, wrapped, now_ns, 0
+    reading.line_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
+    return True
+
+
+@jit
+def _unwrapped(mem: Fields, reading: Fields, tick: int, turn: int, raw: int, now_ns: int) -> tuple[int, int]:
+    """What the stamp is, and the message's own clock [ns]. The reading goes on, unless the counter has broken off."""
+    ahead_of_it = reading.turns * turn
+    elapsed_ns = max(now_ns - reading.host_ns, 0)
+    step = raw - reading.raw
+    if turn:
+        shorter = (step + turn // 2) % turn - turn // 2  # the shorter way round
+        if abs(shorter * tick - elapsed_ns) <= WRAP_SLACK_NS:
+            step = shorter
+    clock_ns = (reading.raw + ahead_of_it + step) * tick
+    if (clock_ns >= EPOCH_NS) != ((reading.raw + ahead_of_it) * tick >= EPOCH_NS):
+        return _BROKEN_OFF, clock_ns
+    ahead_ns = clock_ns - now_ns + (now_ns >> DRIFT_SHIFT)
+    beyond_ns = step * tick - elapsed_ns  # of what the receiver's clock explains
+    if beyond_ns > LEAP_NS and ahead_ns - reading.line_ns > LEAP_NS:
+        if beyond_ns > JUMP_SLACK_NS and elapsed_ns >= SILENT_NS:
+            return _BROKEN_OFF, clock_ns
+        advance_ns = clock_ns - reading.rival_ns
+        agrees = reading.rivals and advance_ns > 0
+        agrees = agrees and abs(advance_ns - (now_ns - reading.rival_host_ns)) <= LATE_NS
+        reading.rivals = reading.rivals + 1 if agrees else 1
+        reading.rival_ns, reading.rival_host_ns = clock_ns, now_ns
+        if beyond_ns > JUMP_SLACK_NS or reading.rivals < AGREEING or elapsed_ns < SILENT_NS:
+            mem.leaps += 1
+            return _LEFT_OUT, clock_ns
+    elif step * tick < -LATE_NS:
+        return _BROKEN_OFF if elapsed_ns >= SILENT_NS else _LEFT_OUT, clock_ns
+    reading.host_ns, reading.line_ns, reading.rivals = now_ns, max(reading.line_ns, ahead_ns), 0
+    if step > 0:
+        if turn:
+            reading.turns += (reading.raw + step - raw) // turn
+        reading.raw = raw
+    return _IN_LINE, clock_ns
+
+
+@jit
+def _out_of_line(mem: Fields, clock_ns: int, now_ns: int) -> int:
+    """What a stamp out of line is taken for: a stray, a clock that may take over, or the vehicle that started anew."""
+    silent_ns = now_ns - mem.seen_ns[int(clock_ns >= EPOCH_NS)]
+    young = clock_ns <= silent_ns + UPTIME_SLACK_NS
+    if silent_ns < (SILENT_NS if young else GONE_NS):
+        return _STRAY
+    advance_ns = clock_ns - mem.rival_ns
+    if mem.rivals == 0:
+        mem.rivals = 1
+    elif abs(advance_ns - (now_ns - mem.rival_host_ns)) > LATE_NS:
+        mem.rivals = 0
+        return _STRAY
+    elif advance_ns < AGREED_STEP_NS:
+        return _RIVAL
+    elif mem.rivals + 1 == AGREEING:
+        return _REBOOT
+    else:
+        mem.rivals += 1
+    mem.rival_ns, mem.rival_host_ns = clock_ns, now_ns
+    return _RIVAL
+
+
+@jit
+def _start_anew(mem: Fields, readings: Records, leads: Records, offsets: Records) -> None:
+    """The clocks are new, and the time goes on with the receiver's, by a second at least."""
+    mem.reference, mem.base_ns, mem.rivals = -1, 0, 0
+    mem.reboots += 1
+    for k in range(2):
+        mem.seen_ns[k] = mem.high_ns[k] = 0
+    for reading in readings:
+        reading.used = 0
+    for clock in range(len(leads)):
+        leads[clock].count = offsets[clock].known = 0
+
+
+@jit
+def _placed(mem: Fields, leads: Records, offsets: Records, clock_ns: int, now_ns: int, clock: int) -> Any:
+    """The vehicle's time of a stamp in line; `NEVER` where its clock is not laid over the reference yet."""
+    if mem.reference < 0:
+        mem.reference = clock
+        if mem.t_ns != NEVER:
+            mem.base_ns = mem.t_ns + max(now_ns - mem.host_ns, REBOOT_GAP_NS) - clock_ns
+    _watch(leads, clock, clock_ns, now_ns)
+    t_ns = clock_ns if clock == mem.reference else NEVER
+    for other in range(len(leads)):
+        if other != mem.reference and leads[other].count:
+            laid_ns = _follow(offsets[other], leads[other], leads[mem.reference], mem.reference, other, now_ns)
+            if other == clock and laid_ns != NEVER:
+                t_ns = clock_ns + min(max(laid_ns, -HIGHEST_NS), HIGHEST_NS)
+    _forget(leads)
+    if t_ns != NEVER:
+        t_ns += mem.base_ns
+        mem.t_ns = max(mem.t_ns, t_ns)
+    mem.host_ns = max(mem.host_ns, now_ns)
+    epoch = int(clock == _UNIX)
+    if clock != _BOOT_US_32 and clock_ns >= mem.high_ns[epoch] - GONE_NS:  # else a clock of its own
+        if now_ns > mem.seen_ns[epoch]:
+            mem.seen_ns[epoch] = now_ns
+            if mem.rivals and int(mem.rival_ns >= EPOCH_NS) == epoch:
+                mem.rivals = 0
+        mem.high_ns[epoch] = max(mem.high_ns[epoch], clock_ns)
+    return t_ns
+
+
+@jit
+def _least(lead: Fields) -> Any:
+    least = lead.least[0]
+    for k in range(1, lead.count):
+        least = min(least, lead.least[k])
+    return least
+
+
+@jit
+def _watch(leads: Records, clock: int, clock_ns: int, now_ns: int) -> None:
+    """Take a sample into the leads of its clock."""
+    lead, second, found_ns = leads[clock], now_ns // NS_PER_S, now_ns - clock_ns
+    if lead.count == 0:
+        lead.first_s, lead.first_ns = second, found_ns
+    k = lead.count
+    while k > 0 and lead.seconds[k - 1] > second:
+        k -= 1
+    if k > 0 and lead.seconds[k - 1] == second:
+        lead.least[k - 1] = min(lead.least[k - 1], found_ns)
+        return
+    for j in range(lead.count, k, -1):  # there is room: `_forget` leaves a window of them
+        lead.seconds[j], lead.least[j] = lead.seconds[j - 1], lead.least[j - 1]
+    lead.count += 1
+    lead.seconds[k], lead.least[k] = second, found_ns
+
+
+@jit
+def _forget(leads: Records) -> None:
+    """Drop the seconds that no window will use any more; the latest one of each clock stays."""
+    since_s = NEVER
+    for lead in leads:
+        if lead.count:
+            since_s = max(since_s, lead.seconds[lead.count - 1] - WINDOW)
+    for lead in leads:
+        old = 0
+        while old < lead.count - 1 and lead.seconds[old] < since_s:
+            old += 1
+        if old:
+            for k in range(old, lead.count):
+                lead.seconds[k - old], lead.least[k - old] = lead.seconds[k], lead.least[k]
+            lead.count -= old
+
+
+@jit
+def _follow(offset: Fields, own: Fields, base: Fields, reference: int, clock: int, now_ns: int) -> int:
+    """Bring an offset on by the seconds that are new; what it is at this time [ns], `NEVER` while it is not known."""
+    boot = reference != _UNIX and clock != _UNIX
+    first_s, first_ns = max(own.first_s, base.first_s), own.first_ns - base.first_ns
+    second = offset.second if offset.known else first_s - 1
+    found_ns = _at(offset, now_ns) if offset.known else NEVER
+    while True:
+        following, other = _after(own, second), _after(base, second)
+        if following == NEVER or NEVER < other < following:
+            following = other
+        if following == NEVER:
+            return found_ns
+        second = following
+        if offset.known:
+            _go_on(offset, own, base, first_s, second)
+        else:
+            _lay(offset, own, base, boot, first_s, first_ns, second)
+        if offset.known and second <= now_ns // NS_PER_S:
+            found_ns = _at(offset, now_ns)
+
+
+@jit
+def _after(lead: Fields, second: int) -> int:
+    """The first second after this one in which a clock was seen; `NEVER` if there is none."""
+    for k in range(lead.count):
+        if lead.seconds[k] > second:
+            return int(lead.seconds[k])
+    return NEVER
+
+
+@jit
+def _at(offset: Fields, now_ns: int) -> int:
+    """An offset within its second [ns]."""
+    share = min(max((now_ns - offset.second * NS_PER_S) / NS_PER_S, 0.0), 1.0)
+    return int(offset.begin_ns + int(np.rint((offset.end_ns - offset.begin_ns) * share)))
+
+
+@jit
+def _lag(own: Fields, base: Fields, since_s: int, until_s: int) -> int:
+    """The least lead of the clock less that of the reference over [since_s, until_s) [ns]; `NEVER` without either."""
+    found = NEVER
+    for k in range(own.count):
+        if since_s <= own.seconds[k] < until_s and (found == NEVER or own.least[k] < found):
+            found = own.least[k]
+    least = NEVER
+    for k in range(base.count):
+        if since_s <= base.seconds[k] < until_s and (least == NEVER or base.least[k] < least):
+            least = base.least[k]
+    return NEVER if found == NEVER or least == NEVER else int(found - least)
+
+
+@jit
+def _lay(offset: Fields, own: Fields, base: Fields, boot: bool, first_s: int, first_ns: int, second: int) -> None:
+    """Lay a clock over the reference for the first time, if enough is known in this second."""
+    at_ns = int(np.rint(first_ns / TURN_NS)) * TURN_NS
+    offset.shared, offset.zeroed, offset.zero_ns, offset.odd = 1, 0, 0, 0
+    if not (boot and abs(first_ns - at_ns) < TOGETHER_NS):
+        at_ns = _lag(own, base, second - WINDOW, second) if second >= first_s + 2 else NEVER
+        offset.shared, offset.zeroed = 0, 1
+    if at_ns != NEVER:
+        offset.known, offset.second, offset.since_s = 1, second, second
+        offset.begin_ns = offset.end_ns = offset.since_ns = at_ns
+
+
+@jit
+def _go_on(offset: Fields, own: Fields, base: Fields, first_s: int, second: int) -> None:
+    """Bring an offset on to the next second in which a sample came."""
+    at_ns = offset.end_ns
+    offset.second, offset.begin_ns = second, at_ns
+    lag_ns = _lag(own, base, max(second - WINDOW, offset.since_s - STEPPED), second)
+    if lag_ns == NEVER:
+        return
+    if not offset.zeroed:
+        if second >= first_s + WINDOW:
+            offset.zeroed, offset.zero_ns = 1, lag_ns - at_ns
+        return
+    off_ns = lag_ns - offset.zero_ns - at_ns
+    if offset.shared:
+        offset.odd = offset.odd + 1 if abs(off_ns) > APART_NS else 0
+        offset.shared = int(offset.odd <= WINDOW)
+        return
+    ahead = behind = 0
+    least_ns = HIGHEST_NS
+    for each in range(second - STEPPED, second):
+        each_ns = _lag(own, base, each, each + 1)
+        if each_ns != NEVER:
+            step_ns = each_ns - offset.zero_ns - at_ns
+            ahead, behind = ahead + int(step_ns > SET_NS), behind + int(step_ns < -SET_NS)
+            least_ns = step_ns if abs(step_ns) < abs(least_ns) else least_ns
+    if ahead == STEPPED or behind == STEPPED:
+        offset.begin_ns = offset.end_ns = offset.since_ns = at_ns + least_ns
+        offset.since_s = second
+        return
+    offset.end_ns = at_ns + min(max(off_ns, -SLEW_NS), SLEW_NS)
+
+
+EVERY_NS = 10 * NS_PER_S  # our choice: it is only a figure
+
+_TC1, _TS1 = (field_index(MessageId.TIMESYNC, name) for name in ("tc1", "ts1"))
+
+
+@dataclass(frozen=True, slots=True)
+class TimesyncMessage:
+    """One TIMESYNC to send. tc1_ns: our time in an answer, 0 in a request; ts1_ns: the asker's time."""
+
+    tc1_ns: int
+    ts1_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Timesync:
+    """What is known by it.
+
+    asked_ns: when a request was sent last (host), None for never. open: it has not been answered.
+    round_trip_s: of the latest answer; offset_s: the vehicle's clock less ours at that time; None if none came.
+    """
+
+    asked_ns: int | None = None
+    open: bool = False
+    round_trip_s: float | None = None
+    offset_s: float | None = None
+
+
+def exchanged(
+    state: Timesync, frames: Iterable[Frame], now_ns: int, *, alive: bool
+) -> tuple[Timesync, tuple[TimesyncMessage, ...]]:
+    """Read the autopilot's TIMESYNCs among its frames; returns what to send: at most one answer and one request.
+
+    now_ns: on the host's clock. alive: the vehicle sent something, so that asking it makes sense.
+    """
+    wanted: int | None = None
+    for frame in frames:
+        if frame.msgid != MessageId.TIMESYNC or frame.compid != Component.AUTOPILOT1:
+            continue
+        fields = frame.fields
+        tc1_ns, ts1_ns = int(fields[_TC1]), int(fields[_TS1])
+        if tc1_ns == 0:
+            wanted = ts1_ns
+        elif state.open and ts1_ns == state.asked_ns:
+            took_ns = max(0, frame.host_ns - ts1_ns)
+            offset_s = (tc1_ns - ts1_ns - took_ns / 2) / NS_PER_S
+            state = replace(state, open=False, round_trip_s=took_ns / NS_PER_S, offset_s=offset_s)
+    answers = () if wanted is None else (TimesyncMessage(now_ns, wanted),)
+    if not alive or (state.asked_ns is not None and now_ns - state.asked_ns < EVERY_NS):
+        return state, answers
+    return replace(state, asked_ns=now_ns, open=True), (*answers, TimesyncMessage(0, now_ns))

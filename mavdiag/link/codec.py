@@ -1,50 +1,58 @@
 """MAVLink 1 and 2 frames to values and back: the only module that knows pymavlink.
 
-Of pymavlink only the generated dialect is used: the wire format and the checksum seed of each message. The decoder
-never raises on input: what is not a frame is counted and skipped, and scanning resumes right after the false marker,
-so that one fake header cannot swallow the good frames behind it. The encoder raises UsageError for what cannot be sent.
+Of pymavlink only the generated dialect is used: the wire format and the checksum seed of each message. One compiled
+loop finds the frames, in what a link brings and in a telemetry log. It never raises on input: what is not a frame is
+counted and skipped, and scanning resumes right after the false marker, so that one fake header cannot swallow the good
+frames behind it. The encoder raises UsageError for what cannot be sent.
 
+Checksums are taken eight bytes at a time by tables ("slicing by eight", Kounavis and Berry 2005).
 Wire format: https://mavlink.io/en/guide/serialization.html
 """
 
 import re
 import struct
-from collections.abc import Collection, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from functools import cache
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pymavlink.dialects.v20.ardupilotmega as dialect
 from fastcrc.crc16 import mcrf4xx
+from numpy.typing import NDArray
 
 from mavdiag.errors import UsageError
+from mavdiag.jit import cached, jit
 from mavdiag.link.layout import EXTRA_LAYOUTS, Argument, FieldValue, Layout, cut
-from mavdiag.link.messages import MessageId, Severity
-from mavdiag.link.sequence import DecoderCount, LinkCount, Senders, Source
+from mavdiag.link.messages import Component, MessageId, Severity
+from mavdiag.link.sequence import FRAME, HEARD, REFUSED, DecoderCount, LinkCount, Senders, Source
 from mavdiag.link.signing import SEAL_BYTES, SIGNED_FLAG, Signing
+from mavdiag.telemetry import BoolArray, IntArray
+from mavdiag.units import NS_PER_US
 
-MARKER_V1, MARKER_V2 = MARKERS = 0xFE, 0xFD
-UNFINISHED = -1
+Record: TypeAlias = NDArray[Any]
+Bytes: TypeAlias = NDArray[np.uint8]
+
 UNKNOWN = -1  # stands for every message id outside the dialect in `LinkCount.by_message`
-SHORTEST_V1, SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
 TEXT_BYTES = 50  # STATUSTEXT.text
+AUTOPILOT = int(Component.AUTOPILOT1)
+STAMP_BYTES = 8  # before each frame of a telemetry log: microseconds since 1970, most significant first
+LATEST_US = 1 << 52  # year 2112: a later stamp is damage, whatever follows it
 # What came at once is searched up to so many false markers, or one in so many bytes; the rest is garbage (our choice).
 FALSE_MARKERS = 64
 
+_V1, _V2 = 0xFE, 0xFD
+_SHORTEST_V1, _SHORTEST_V2 = 8, 12  # header and checksum round an empty payload
+_NOT_YET = -1
 _search_marker = re.compile(rb"[\xfd\xfe]").search
-_header_v1 = struct.Struct("<xBBBBB").unpack_from  # length, seq, sysid, compid, msgid
-_header_v2 = struct.Struct("<xBBxBBBI").unpack_from  # length, flags, seq, sysid, compid, msgid and one byte beyond
-_pack_header = struct.Struct("<BBBBBBHB").pack  # the same, without the marker and with the message id in two parts
+_pack_header = struct.Struct("<BBBBBBHB").pack  # without the marker and with the message id in two parts
 
 
 class Frame(NamedTuple):
-    """One received message.
+    """One received message: its number, its sender and that one's running number, and when it was received [ns].
 
-    msgid: number of the message.
-    sysid, compid: its sender.
-    seq: the sender's running number, 0..255.
     payload: as on the wire, with the trimmed zeros put back and unknown extensions cut off.
-    host_ns: when it was received [ns].
     """
 
     msgid: int
@@ -76,9 +84,18 @@ _LAYOUTS: Mapping[int, Layout] = {
     **{number: _generated_layout(message) for number, message in dialect.mavlink_map.items()},
     **EXTRA_LAYOUTS,
 }
+#: The message of each row of `FRAME`; the last one stands for all that are unknown.
+MSGIDS = (*sorted(_LAYOUTS), UNKNOWN)
+#: The row of each message.
+ROWS = {msgid: row for row, msgid in enumerate(MSGIDS)}
+# By message: its row, the byte that its definition adds to the checksum; -1 in the last ones, for all ids beyond.
+_KNOWN = np.full((max(_LAYOUTS) + 2, 2), -1, np.int16)
+for _msgid, _row in ROWS.items():
+    _KNOWN[_msgid] = (_row, _LAYOUTS[_msgid].crc_extra[0]) if _msgid in _LAYOUTS else (_row, -1)
 
 
-def _layout(msgid: int) -> Layout:
+def layout_of(msgid: int) -> Layout:
+    """How a message lies on the wire. Raises UsageError for an unknown one."""
     layout = _LAYOUTS.get(msgid)
     if layout is None:
         raise UsageError(f"message {msgid} is not in the dialect")
@@ -91,16 +108,6 @@ def message_name(msgid: int) -> str:
     return layout.name if layout else f"UNKNOWN_{msgid}"
 
 
-def known_messages() -> dict[int, tuple[int, int]]:
-    """Length of the payload and checksum seed of each message of the dialect, by its number."""
-    return {msgid: (layout.packer.size, layout.crc_extra[0]) for msgid, layout in _LAYOUTS.items()}
-
-
-def wire_fields(msgid: int) -> tuple[tuple[str, int], ...]:
-    """Name and number of places of each field of `Frame.fields`, in order. Raises UsageError for an unknown message."""
-    return _layout(msgid).wire_fields
-
-
 def field_index(msgid: int, name: str) -> int:
     """Place of a field (of an array: its first element) in `Frame.fields`; look it up once, outside the loop.
 
@@ -109,16 +116,7 @@ def field_index(msgid: int, name: str) -> int:
 
     Raises UsageError if there is no such message or field.
     """
-    return _layout(msgid).place(name)
-
-
-def record_dtype(msgid: int, *columns: tuple[str, int]) -> np.dtype[np.void]:
-    """How `numpy.frombuffer` reads joined payloads of one message: the way to convert many frames at once.
-
-    columns: (field, count) each; a column of count > 1 takes that many consecutive places from the field on, all of
-    one type. Raises UsageError if there is no such message or field, or the places differ in type.
-    """
-    return _layout(msgid).record_dtype(columns)
+    return layout_of(msgid).place(name)
 
 
 def next_marker(buffer: bytes, start: int) -> int:
@@ -127,39 +125,99 @@ def next_marker(buffer: bytes, start: int) -> int:
     return found.start() if found else len(buffer)
 
 
-_Noted: TypeAlias = tuple[int, int, int, int, Source, int]
-"""What is noted of a frame: key of its sender, running number, message, time of arrival, source, checksum."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Many received messages, in order of arrival; iterates them one by one, as `Frame`.
+
+    data: the bytes that they lie in. rows: (n,) where, and from whom, see `sequence.FRAME`.
+    """
+
+    data: Bytes
+    rows: NDArray[np.void]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for host_ns, _, body, stop, _, _, row, sender, seq, _ in self.rows.tolist():
+            msgid = MSGIDS[row]
+            size = _LAYOUTS[msgid].packer.size
+            payload = self.data[body : min(stop, body + size)].tobytes().ljust(size, b"\0")
+            yield Frame(msgid, sender >> 8, sender & 0xFF, seq, payload, host_ns)
+
+    def where(self, chosen: BoolArray | IntArray | slice) -> "Frames":
+        """Some of them."""
+        return Frames(self.data, self.rows[chosen])
+
+    def of(self, *msgids: int, compid: int | None = None) -> "Frames":
+        """Those of some messages. compid: and of this component of any vehicle; None for all."""
+        chosen, *others = (self.rows["row"] == ROWS[msgid] for msgid in msgids)
+        for other in others:
+            chosen |= other
+        return self.where(chosen if compid is None else chosen & (self.rows["sender"] & 0xFF == compid))
+
+    def by_sysid(self) -> dict[int, "Frames"]:
+        """Those of each system id, by rising number."""
+        sysids = (self.rows["sender"] >> 8).astype(np.uint8)
+        order, counts = np.argsort(sysids, kind="stable"), np.bincount(sysids)
+        ends = np.cumsum(counts)
+        found = np.flatnonzero(counts).tolist()
+        return {sysid: self.where(order[ends[sysid] - counts[sysid] : ends[sysid]]) for sysid in found}
+
+    def counts(self, compid: int = AUTOPILOT) -> Counter[int]:
+        """How many of each message came from a component."""
+        own = np.bincount(self.rows["row"][self.rows["sender"] & 0xFF == compid])
+        return Counter({MSGIDS[row]: int(own[row]) for row in np.flatnonzero(own).tolist()})
+
+    def records(self, dtype: np.dtype[np.void]) -> Record:
+        """(n,) the payloads as records, see `Layout.record_dtype`: all must be of that one message."""
+        size, bodies = dtype.itemsize, self.rows["body"]
+        inside = np.minimum(bodies[:, None] + np.arange(size), len(self.data) - 1)
+        lengths = self.rows["stop"] - bodies
+        payloads = np.where(np.arange(size) < lengths[:, None], self.data[inside] if len(bodies) else inside, 0)
+        return np.ascontiguousarray(payloads, np.uint8).view(dtype)[:, 0]
+
+
+def frames_of(frames: Iterable[Frame]) -> Frames:
+    """As columns what came one by one."""
+    some = list(frames)
+    rows = np.zeros(len(some), FRAME)
+    msgids, sysids, compids, seqs, payloads, host_ns = zip(*some, strict=True) if some else ((),) * 6
+    ends = np.cumsum(np.fromiter(map(len, payloads), np.int64, len(some)))
+    rows["stop"], rows["body"][1:] = ends, ends[:-1]
+    rows["row"] = [ROWS[msgid] for msgid in msgids]
+    rows["sender"] = np.array(sysids, np.int64) << 8 | np.array(compids, np.int64)
+    rows["seq"], rows["host_ns"] = seqs, host_ns
+    return Frames(np.frombuffer(b"".join(payloads), np.uint8), rows)
+
+
+NO_FRAMES = frames_of(())
 
 
 class Decoder:
-    """Bytes in, frames out, for one link. At most 281 bytes are kept between calls.
+    """Bytes in, frames out, for one link or one telemetry log. At most 289 bytes are kept between calls.
 
-    wanted: message ids to hand out, None for all. Others are checked and counted all the same.
-    gap: bytes that stand between frames, as the time stamps of a log do.
+    wanted: message ids to hand out, None for all of the dialect; others are checked and counted all the same.
+    stamped: a time stamp stands before each frame, as in a telemetry log; then garbage is searched to its end.
     signing: lets only genuine frames pass; None passes all.
-    source: where the next bytes come from.
-    heard: the senders, and from where each is heard.
     passed: gets the bytes of every frame that passes, wanted or not, with its time of arrival; None for nobody.
+    heard: the senders. records: frames so far. size: bytes done with; sound_end: place behind the last frame in them.
     """
 
     def __init__(
         self,
         wanted: Collection[int] | None = None,
-        gap: int = 0,
         signing: Signing | None = None,
         passed: list[tuple[bytes, int]] | None = None,
+        *,
+        stamped: bool = False,
     ) -> None:
-        self._gap, self._signing, self._passed = gap, signing, passed
-        self._guarded = signing is not None or passed is not None
-        self.source: Source = None
-        self.heard = Senders()
-        self._note = self.heard.note
-        self._table = {
-            msgid: (layout.packer.size, layout.crc_extra, wanted is None or msgid in wanted)
-            for msgid, layout in _LAYOUTS.items()
-        }
+        self._gap, self._signing, self._passed = STAMP_BYTES if stamped else 0, signing, passed
+        self.heard = Senders(MSGIDS)
+        self._wanted = np.array([msgid != UNKNOWN and (wanted is None or msgid in wanted) for msgid in MSGIDS])
         self._pending = b""
-        self._garbage = self._bad_crc = self._incompatible = self._unknown = 0
+        self._tally = np.zeros(3, np.int64)  # wrong checksums, flags that we do not know, frames outside the dialect
+        self.records = self.size = self.sound_end = self._sound = 0
 
     @property
     def senders(self) -> Mapping[tuple[int, int], LinkCount]:
@@ -169,110 +227,70 @@ class Decoder:
     @property
     def count(self) -> DecoderCount:
         """Figures of the whole link."""
-        return DecoderCount(self._garbage, self._bad_crc, self._incompatible, self._unknown)
+        return DecoderCount(self.garbage_bytes, *self._tally.tolist())
+
+    @property
+    def garbage_bytes(self) -> int:
+        """Bytes that are in no frame, nor in the time stamp of one."""
+        return self.size - self._sound
 
     def feed(self, data: bytes, host_ns: int) -> list[Frame]:
         """Take the next bytes of a stream, received at `host_ns`. A frame may span calls, wherever they cut it."""
-        buffer = self._pending + data if self._pending else data
-        frames, used = self._scan(buffer, host_ns, whole=False)
-        self._pending = buffer[used:]
-        return frames
+        return list(self.take_stream(data, host_ns))
 
     def feed_datagram(self, data: bytes, host_ns: int) -> list[Frame]:
         """Take one datagram: what it leaves unfinished is garbage and does not spoil the next one."""
-        return self._scan(data, host_ns, whole=True)[0]
+        return list(self.take_datagrams([(data, host_ns)]))
 
-    def _scan(self, buffer: bytes, host_ns: int, *, whole: bool) -> tuple[list[Frame], int]:
-        """Frames of the buffer, and how many bytes are done with: all of them if it is whole."""
-        frames: list[Frame] = []
-        at, end, take = 0, len(buffer), self.take
-        left = max(FALSE_MARKERS, end // FALSE_MARKERS)
-        while at < end:
-            after = take(buffer, at, host_ns, frames, whole)
-            if after > at:
-                at = after
-            elif after == UNFINISHED:
-                break
-            else:
-                left -= 1
-                resume = next_marker(buffer, at + 1) if left else end
-                self._garbage += resume - at
-                at = resume
-        return frames, at
+    def take_stream(self, data: bytes, host_ns: int = 0, source: Source = None, *, last: bool = False) -> Frames:
+        """As `feed`, for many frames. source: where the bytes come from. last: nothing follows them."""
+        buffer = self._pending + data if self._pending else data
+        frames, used = self._scan(buffer, (len(buffer),), (host_ns,), (source,), whole=last)
+        self._pending = buffer[used:]
+        return frames
 
-    def take(self, buffer: bytes, at: int, host_ns: int, frames: list[Frame], whole: bool = True) -> int:
-        """Append the frame that starts at `at`, if it is wanted, and return the place behind it; `at` if there is none.
+    def take_datagrams(self, chunks: Iterable[tuple[bytes, int]], sources: Sequence[Source] = ()) -> Frames:
+        """As `feed_datagram`, for many datagrams, each with its time of arrival [ns]. sources: where each is from."""
+        some = list(chunks)
+        sizes, times = [len(data) for data, _ in some], [host_ns for _, host_ns in some]
+        return self._scan(
+            b"".join([data for data, _ in some]), sizes, times, sources or (None,) * len(some), whole=True
+        )[0]
 
-        whole: the buffer goes on no further; else UNFINISHED says that more bytes must decide.
-        """
-        marker, end = buffer[at], len(buffer)
-        after: int
-        if marker == MARKER_V2:
-            if end - at < SHORTEST_V2:
-                return at if whole else UNFINISHED
-            length, flags, seq, sysid, compid, msgid = _header_v2(buffer, at)
-            if flags > SIGNED_FLAG:
-                self._incompatible += 1
-                return at
-            msgid &= 0xFFFFFF
-            start = at + 10
-            after = start + length + (2 + SEAL_BYTES if flags else 2)
-        elif marker == MARKER_V1:
-            if end - at < SHORTEST_V1:
-                return at if whole else UNFINISHED
-            length, seq, sysid, compid, msgid = _header_v1(buffer, at)
-            start = at + 6
-            after = start + length + 2
-        else:
-            return at
-        if after > end:
-            return at if whole else UNFINISHED
-        entry = self._table.get(msgid)
-        if entry is None:
-            sender = (sysid << 8 | compid, seq, UNKNOWN, host_ns, self.source, -1)
-            return self._take_unknown(buffer, at, after, sender, whole)
-        size, extra, wanted = entry
-        stop = start + length
-        checksum = buffer[stop] | buffer[stop + 1] << 8
-        if mcrf4xx(extra, mcrf4xx(buffer[at + 1 : stop])) != checksum:
-            self._bad_crc += 1
-            return at
-        sender = (sysid << 8 | compid, seq, msgid, host_ns, self.source, checksum)
-        if not (self._passes(buffer[at:after], sender) if self._guarded else self._note(*sender)):
-            return after
-        if wanted:
-            payload = buffer[start:stop]
-            if length != size:  # MAVLink 2 trims trailing zeros; a newer definition may be longer
-                payload = payload.ljust(size, b"\0")[:size]
-            frames.append(tuple.__new__(Frame, (msgid, sysid, compid, seq, payload, host_ns)))
-        return after
+    def _scan(
+        self, data: bytes, sizes: Sequence[int], times: Sequence[int], sources: Sequence[Source], *, whole: bool
+    ) -> tuple[Frames, int]:
+        """The wanted frames among chunks that lie one behind the other, and how many bytes are done with."""
+        number = self.heard.number
+        chunks = np.array([sizes, times, [number(source) for source in sources]], np.int64)
+        found, buffer = np.empty(len(data) // (_SHORTEST_V1 + self._gap) + 1, FRAME), np.frombuffer(data, np.uint8)
+        count, used = _find(buffer, chunks, whole, self._gap, _KNOWN, _tables(), self._tally, found)
+        rows = found[:count]
+        if count:
+            self.sound_end = self.size + int(rows["after"][-1])
+            self._sound += int((rows["after"] - rows["begin"]).sum()) + self._gap * count
+            self.records += count
+            rows = self._admitted(data, buffer, rows)
+        self.size += used
+        chosen = self._wanted[rows["row"]]
+        return Frames(buffer, rows[chosen]), used
 
-    def _take_unknown(self, buffer: bytes, at: int, after: int, sender: _Noted, whole: bool) -> int:
-        """A frame outside the dialect has no seed to check it by: it counts if another one follows, or the end."""
-        following = after + self._gap
-        if following >= len(buffer) and not whole:
-            return UNFINISHED
-        if after != len(buffer) and (following >= len(buffer) or buffer[following] not in MARKERS):
-            return at
-        self._unknown += 1
-        self._passes(buffer[at:after], sender)
-        return after
-
-    def _passes(self, frame: bytes, sender: _Noted) -> bool:
-        """Whether a whole frame is genuine, and its sender is heard from where it came.
-
-        Its stamp is kept only then: who sends a genuine frame again from elsewhere does not make the genuine one old.
-        """
-        key, _, _, host_ns, source, _ = sender
-        if self._signing is not None and not (
-            self._signing.genuine(frame) and self.heard.admits(key, host_ns, source) and self._signing.fresh(frame)
-        ):
-            return False
-        if not self._note(*sender):
-            return False
+    def _admitted(self, data: bytes, buffer: Bytes, rows: NDArray[np.void]) -> NDArray[np.void]:
+        """The frames that are genuine, and whose senders are heard from where they came."""
+        signing, rows["heard"] = self._signing, REFUSED
+        for k in range(len(rows) if signing else 0):
+            # A stamp is kept only if its sender may come from there: who sends a genuine frame again from elsewhere
+            # does not make the genuine one old.
+            frame = data[int(rows[k]["begin"]) : int(rows[k]["after"])]
+            if signing and signing.genuine(frame) and (not self.heard.admits(rows[k]) or signing.fresh(frame)):
+                self.heard.hear(buffer, rows[k : k + 1])
+        if signing is None:
+            self.heard.hear(buffer, rows)
+        rows = rows[rows["heard"] == HEARD]
         if self._passed is not None:
-            self._passed.append((frame, host_ns))
-        return True
+            places = (rows[name].tolist() for name in ("begin", "after", "host_ns"))
+            self._passed += [(data[begin:after], host_ns) for begin, after, host_ns in zip(*places, strict=True)]
+        return rows
 
 
 class Encoder:
@@ -293,12 +311,12 @@ class Encoder:
         Integers are rounded and saturated to their field, text is cut to it. Raises UsageError for an unknown message,
         too many fields, an array of the wrong length, or a value that its field cannot hold at all.
         """
-        layout = _layout(msgid)
+        layout = layout_of(msgid)
         return self._frame(msgid, layout, layout.pack(fields))
 
     def encode_payload(self, msgid: int, payload: bytes) -> bytes:
         """One frame from a whole payload, as `Frame.payload` has it. Raises UsageError for an unknown message."""
-        return self._frame(msgid, _layout(msgid), payload)
+        return self._frame(msgid, layout_of(msgid), payload)
 
     def statustext(self, severity: Severity, text: str) -> bytes:
         """A STATUSTEXT frame; text beyond 50 bytes is cut, at a whole character."""
@@ -316,12 +334,9 @@ class Encoder:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A STATUSTEXT as received.
+    """A STATUSTEXT as received: MAV_SEVERITY, and one piece of a text.
 
-    severity: MAV_SEVERITY.
-    text: this piece of it.
-    chunk_id: 0 for a text in one piece, else the same for all pieces of a longer one.
-    chunk_seq: number of the piece.
+    chunk_id: 0 for a text in one piece, else the same for all pieces; chunk_seq: number of the piece.
     """
 
     severity: int
@@ -332,12 +347,138 @@ class StatusText:
 
 def decode_statustext(frame: Frame) -> StatusText:
     """What a STATUSTEXT frame says; what is not UTF-8 is replaced. Raises UsageError for another message."""
-    severity, raw, chunk_id, chunk_seq = frame.fields if frame.msgid == MessageId.STATUSTEXT else (None,) * 4
-    if not (
-        isinstance(severity, int)
-        and isinstance(raw, bytes)
-        and isinstance(chunk_id, int)
-        and isinstance(chunk_seq, int)
-    ):
-        raise UsageError(f"not a STATUSTEXT: {message_name(frame.msgid)}")
-    return StatusText(severity, raw.split(b"\0", 1)[0].decode(errors="replace"), chunk_id, chunk_seq)
+    match frame.fields if frame.msgid == MessageId.STATUSTEXT else ():
+        case (int(severity), bytes(raw), int(chunk_id), int(chunk_seq)):
+            return StatusText(severity, raw.split(b"\0", 1)[0].decode(errors="replace"), chunk_id, chunk_seq)
+        case _:
+            raise UsageError(f"not a STATUSTEXT: {message_name(frame.msgid)}")
+
+
+@cache
+def _tables() -> NDArray[np.uint16]:
+    """(8, 256): what a byte makes of the checksum that stands 0 to 7 bytes behind it (CRC-16/MCRF4XX)."""
+    tables = np.zeros((8, 256), np.uint16)
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)  # 0x1021, bits in reverse
+        tables[0, byte] = crc
+    for k in range(1, 8):
+        tables[k] = tables[k - 1] >> np.uint16(8) ^ tables[0, tables[k - 1] & 0xFF]
+    return tables
+
+
+@cached
+def _find(
+    data: Bytes,
+    chunks: IntArray,
+    whole: bool,
+    gap: int,
+    known: NDArray[np.int16],
+    tables: NDArray[np.uint16],
+    tally: IntArray,
+    found: NDArray[Any],
+) -> tuple[int, int]:
+    """Write down the frames; returns how many, and how many bytes are done with.
+
+    chunks: (3, k) their sizes, times of arrival [ns] and sources. whole: none of them goes on in the next one, else
+    there is one chunk. gap: bytes before each frame.
+    """
+    count = end = 0
+    for k in range(chunks.shape[1]):
+        first, end = end, end + chunks[0, k]
+        at, left = first + gap, max(FALSE_MARKERS, (end - first) // FALSE_MARKERS)
+        while at < end:
+            marker, after = data[at], at
+            if marker in (_V1, _V2):
+                after = _take(data, at, end, whole, gap, known, tables, tally, found[count])
+            if after == _NOT_YET:
+                break
+            if after > at:
+                found[count].host_ns = chunks[1, k] if gap == 0 else _stamp(data, at) * NS_PER_US
+                found[count].source = chunks[2, k]
+                count, at = count + 1, after + gap
+                continue
+            left -= int(gap == 0 and (marker in (_V1, _V2)))
+            at = at + 1 if left else end
+        if not whole:
+            return count, min(max(at - gap, 0), end)
+    return count, end
+
+
+@jit
+def _stamp(data: Bytes, begin: int) -> int:
+    """The time stamp of a record of a log [us]."""
+    time_us = np.int64(0)
+    for k in range(begin - STAMP_BYTES, begin):
+        time_us = time_us << 8 | np.int64(data[k])
+    return int(time_us)
+
+
+@jit
+def _take(
+    data: Bytes,
+    begin: int,
+    end: int,
+    whole: bool,
+    gap: int,
+    known: NDArray[np.int16],
+    tables: NDArray[np.uint16],
+    tally: IntArray,
+    frame: Any,
+) -> int:
+    """Write down the frame that begins at a marker, and return the place behind it; `begin` if there is none.
+
+    whole: the data goes on no further; else `_NOT_YET` says that more bytes must decide.
+    """
+    zero = np.int64(0)  # `zero +` makes a byte a signed number for numba
+    if gap and (data[begin - 8] != 0 or data[begin - 7] >= LATEST_US >> 48):
+        return begin
+    later = begin if whole else _NOT_YET
+    if end - begin < (_SHORTEST_V2 if data[begin] == _V2 else _SHORTEST_V1):
+        return later
+    body, header, flags, msgid = begin + 6, begin + 2, zero, zero + data[begin + 5]
+    if data[begin] == _V2:
+        body, header, flags = begin + 10, begin + 4, zero + data[begin + 2]
+        msgid = (zero + data[begin + 7]) | (zero + data[begin + 8]) << 8 | (zero + data[begin + 9]) << 16
+    if flags > SIGNED_FLAG:
+        tally[1] += 1
+        return begin
+    stop = body + data[begin + 1]
+    after = stop + 2 + SEAL_BYTES * flags
+    if after > end:
+        return later
+    place = min(msgid, len(known) - 1)
+    row, seed = known[place, 0], zero + known[place, 1]
+    if seed < 0:  # it cannot be checked: it counts if another frame follows, or the end
+        following = after + gap
+        if following >= end and not whole:
+            return _NOT_YET
+        if after != end and (following >= end or (data[following] != _V1 and data[following] != _V2)):
+            return begin
+        row = known[len(known) - 1, 0]
+        tally[2] += 1
+    elif _checksum(data, begin + 1, stop, seed, tables) != (zero + data[stop]) | (zero + data[stop + 1]) << 8:
+        tally[0] += 1
+        return begin
+    frame.begin, frame.body, frame.stop, frame.after, frame.row = begin, body, stop, after, row
+    frame.sender = (zero + data[header + 1]) << 8 | (zero + data[header + 2])
+    frame.seq = data[header]
+    return int(after)
+
+
+@jit
+def _checksum(data: Bytes, first: int, stop: int, seed: int, tables: NDArray[np.uint16]) -> int:
+    crc, k, zero = np.int64(0xFFFF), first, np.int64(0)
+    while k + 8 <= stop:
+        before, crc = crc, zero
+        for j in range(8):
+            byte = zero + data[k + j]
+            if j < 2:
+                byte ^= before >> 8 * j & 0xFF
+            crc ^= tables[7 - j, byte]
+        k += 8
+    while k < stop:
+        crc = crc >> 8 ^ tables[0, (crc ^ data[k]) & 0xFF]
+        k += 1
+    return int(crc >> 8 ^ tables[0, (crc ^ seed) & 0xFF])

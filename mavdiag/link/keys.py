@@ -56,20 +56,16 @@ class KeptSigning:
     """A `Signing` whose time stamp outlives the process. Call `step` regularly, and `close` at the end.
 
     What is kept is ahead of every stamp in use, so that a restart never uses one again, whatever ended the process.
-    path: where the stamp is kept. reset: forget what is kept, and begin with the wall clock.
-    doubt: what is wrong with the stamp that was kept, and the remedy, one sentence; empty if nothing is.
-    Raises UsageError if it cannot be read or written.
+    path: where the stamp is kept. reset: forget what is kept, and begin with the wall clock. doubt: what is wrong with
+    the stamp that was kept, and the remedy; empty if nothing is. Raises UsageError if it cannot be read or written.
     """
 
     def __init__(self, key: bytes, path: Path, unix_ns: int, *, reset: bool = False) -> None:
         self._path, self._retry_ns = path, 0
         kept, now = 0 if reset else _kept(path), stamp_at(unix_ns)
-        ahead_s = (kept - now) // TICKS_S
-        self.doubt = (
-            "" if kept - now <= AHEAD + STALE else f"{path}: the stamp is {ahead_s} s ahead of the clock: {REMEDY}"
-        )
+        ahead = f"{path}: the stamp is {(kept - now) // TICKS_S} s ahead of the clock: {REMEDY}"
+        self.doubt = ahead if kept - now > AHEAD + STALE else ""
         self.signing = Signing(key, stamp=max(kept, now))
-        self._reserved = 0
         self._reserve()
 
     def step(self, unix_ns: int) -> str | None:

@@ -12,6 +12,7 @@ from functools import cache
 from typing import TypeAlias, cast
 
 import numpy as np
+from fastcrc.crc16 import mcrf4xx
 
 from mavdiag.errors import UsageError
 from mavdiag.link.messages import MessageId
@@ -47,39 +48,35 @@ class Layout:
     crc_extra: bytes
 
     @property
-    def wire_fields(self) -> tuple[tuple[str, int], ...]:
-        """Name and number of places of each field, in the order of the wire."""
-        return tuple((self.names[i], self.sizes[i]) for i in self.order)
-
-    @property
     def codes(self) -> tuple[str, ...]:
         """The struct code of each place of the wire; text is one place, with its length, as in `50s`."""
         return _codes(self.packer.format)
 
     def place(self, name: str) -> int:
         """Where a field, or an array's first element, is in the flat tuple. Raises UsageError if there is none."""
-        place = 0
-        for wire_name, size in self.wire_fields:
-            if wire_name == name:
-                return place
-            place += size
-        raise UsageError(f"{self.name} has no field {name}")
+        if name not in self.names:
+            raise UsageError(f"{self.name} has no field {name}")
+        before = self.order[: self.order.index(self.names.index(name))]
+        return sum(self.sizes[index] for index in before)
 
-    def record_dtype(self, columns: Sequence[tuple[str, int]]) -> np.dtype[np.void]:
-        """The payload as a record of some columns. Raises UsageError: no such field, or a column of several types.
+    def offset(self, name: str) -> tuple[int, str]:
+        """At which byte of the payload a field begins, and its struct code. Raises UsageError if there is none."""
+        place = self.place(name)
+        return struct.calcsize("<" + "".join(self.codes[:place])), self.codes[place]
 
-        columns: (field, count); a column of count > 1 takes that many consecutive places from the field on.
+    def record_dtype(self, *columns: tuple[str, int]) -> np.dtype[np.void]:
+        """How numpy reads payloads as records of some columns.
+
+        columns: (field, count); a column of count > 1 takes that many consecutive places from the field on, all of one
+        type. Raises UsageError if there is no such field, or the places differ in type.
         """
-        codes = self.codes
         formats, offsets = [], []
         for name, count in columns:
-            first = self.place(name)
-            kinds = set(codes[first : first + count])
-            if len(kinds) != 1:
+            place, (offset, code) = self.place(name), self.offset(name)
+            if set(self.codes[place : place + count]) != {code}:
                 raise UsageError(f"{self.name}: {count} places from {name} on are not of one type")
-            kind = np.dtype("<" + kinds.pop())
-            formats.append(kind if count == 1 else np.dtype((kind, count)))
-            offsets.append(struct.calcsize("<" + "".join(codes[:first])))
+            formats.append(np.dtype("<" + code) if count == 1 else np.dtype(("<" + code, count)))
+            offsets.append(offset)
         names = [name for name, _ in columns]
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.packer.size})
 
@@ -153,48 +150,46 @@ def cut(text: str, size: int) -> bytes:
     return text.encode()[:size].decode(errors="ignore").encode()
 
 
+_TYPES = {"char": "s", "uint8_t": "B", "int16_t": "h", "uint16_t": "H", "int32_t": "i", "uint32_t": "I"}
+_TYPES |= {"uint64_t": "Q", "float": "f"}
+
+
+def defined(name: str, *fields: str) -> Layout:
+    """The layout of a message by its definition, without extensions.
+
+    Fields travel by falling size of their type; the seed is the checksum of their names and types.
+
+    >>> defined("ESC_STATUS", "uint8_t index", "uint64_t time_usec", "int32_t rpm[4]").order
+    (1, 2, 0)
+    """
+    parts = (re.fullmatch(r"(\w+) (\w+)(?:\[(\d+)\])?", text) for text in fields)
+    declared = [(_TYPES[part[1]], int(part[3] or 0), part[1], part[2]) for part in parts if part]
+    order = sorted(range(len(declared)), key=lambda index: -struct.calcsize(declared[index][0]))
+    crc = mcrf4xx(f"{name} ".encode())
+    for _, count, kind, field in (declared[index] for index in order):
+        crc = mcrf4xx(f"{kind} {field} ".encode() + bytes([count] if count else []), crc)
+    return Layout(
+        name,
+        tuple(field for *_, field in declared),
+        tuple(1 if code == "s" else count or 1 for code, count, *_ in declared),
+        tuple(order),
+        struct.Struct("<" + "".join(f"{declared[index][1] or 1}{declared[index][0]}" for index in order)),
+        bytes([crc & 0xFF ^ crc >> 8]),
+    )
+
+
+_ESC_COUNTS = ("uint8_t index", "uint64_t time_usec", "uint16_t counter", "uint8_t count", "uint8_t connection_type")
+_ESC_STATES = ("uint8_t info", "uint16_t failure_flags[4]", "uint32_t error_count[4]", "int16_t temperature[4]")
+_ROTORS = ("int32_t rpm[4]", "float voltage[4]", "float current[4]")
+_VERSIONS = ("uint16_t version", "uint16_t min_version", "uint16_t max_version")
+_HASHES = ("uint8_t spec_version_hash[8]", "uint8_t library_version_hash[8]")
+_MODES = ("uint8_t number_modes", "uint8_t mode_index", "uint8_t standard_mode")
+_MODE = ("uint32_t custom_mode", "uint32_t properties", "char mode_name[35]")
+
+#: Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out.
 EXTRA_LAYOUTS: Mapping[int, Layout] = {
-    MessageId.ESC_INFO: Layout(
-        "ESC_INFO",
-        (
-            "index",
-            "time_usec",
-            "counter",
-            "count",
-            "connection_type",
-            "info",
-            "failure_flags",
-            "error_count",
-            "temperature",
-        ),
-        (1, 1, 1, 1, 1, 1, 4, 4, 4),
-        (1, 7, 2, 6, 8, 0, 3, 4, 5),
-        struct.Struct("<Q4IH4H4h4B"),
-        bytes([251]),
-    ),
-    MessageId.ESC_STATUS: Layout(
-        "ESC_STATUS",
-        ("index", "time_usec", "rpm", "voltage", "current"),
-        (1, 1, 4, 4, 4),
-        (1, 2, 3, 4, 0),
-        struct.Struct("<Q4i4f4fB"),
-        bytes([10]),
-    ),
-    MessageId.PROTOCOL_VERSION: Layout(
-        "PROTOCOL_VERSION",
-        ("version", "min_version", "max_version", "spec_version_hash", "library_version_hash"),
-        (1, 1, 1, 8, 8),
-        (0, 1, 2, 3, 4),
-        struct.Struct("<3H8B8B"),
-        bytes([217]),
-    ),
-    MessageId.AVAILABLE_MODES: Layout(
-        "AVAILABLE_MODES",
-        ("number_modes", "mode_index", "standard_mode", "custom_mode", "properties", "mode_name"),
-        (1, 1, 1, 1, 1, 1),
-        (3, 4, 0, 1, 2, 5),
-        struct.Struct("<2I3B35s"),
-        bytes([134]),
-    ),
+    MessageId.ESC_INFO: defined("ESC_INFO", *_ESC_COUNTS, *_ESC_STATES),
+    MessageId.ESC_STATUS: defined("ESC_STATUS", *_ESC_COUNTS[:2], *_ROTORS),
+    MessageId.PROTOCOL_VERSION: defined("PROTOCOL_VERSION", *_VERSIONS, *_HASHES),
+    MessageId.AVAILABLE_MODES: defined("AVAILABLE_MODES", *_MODES, *_MODE),
 }
-"""Messages of common.xml that the dialect shipped with pymavlink 2.4 leaves out."""

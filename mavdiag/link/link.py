@@ -30,10 +30,9 @@ PATIENCE_S = 5.0  # how long a vehicle without a clear profile is waited for (ou
 def open_link(address: str, vehicle: int | None = None, profile: str | None = None, key: bytes | None = None) -> "Link":
     """Open one end of a link and follow one vehicle on it.
 
-    address: see `mavdiag.link.ports`.
-    vehicle: its system id; None takes the only one there is.
-    profile: name of its link profile; None finds it by what it sends.
-    key: of MAVLink 2 signing, 32 bytes, as `keys.read_key` has it: only what is signed with it is heard.
+    address: see `mavdiag.link.ports`. vehicle: its system id; None takes the only one there is. profile: name of its
+    link profile; None finds it by what it sends. key: of MAVLink 2 signing, 32 bytes, as `keys.read_key` has it: only
+    what is signed with it is heard.
     Raises UsageError for a malformed address or an unknown profile, LinkError for a port that cannot be opened.
     """
     chosen = None if profile is None else profile_named(profile)
@@ -44,9 +43,8 @@ def open_link(address: str, vehicle: int | None = None, profile: str | None = No
 class Link:
     """One vehicle on a live link. It iterates what came since the last time, for as long as it is open.
 
-    endpoint: an open port; it is closed with the link.
-    vehicle, profile: as in `open_link`. signing: lets only genuine frames pass.
-    acks: what the autopilot answered to our commands so far.
+    endpoint: an open port; it is closed with the link. vehicle, profile: as in `open_link`. signing: lets only genuine
+    frames pass. acks: what the autopilot answered to our commands so far.
     """
 
     def __init__(
@@ -127,7 +125,7 @@ class Link:
         while (left := until - time.monotonic()) > 0:
             each()
             pieces.append(self.poll(min(left, POLL_S)))
-        telemetry = joined([piece for piece in pieces if piece.series])
+        telemetry = joined(pieces)
         if self.stream is None:
             raise InputError(self._absent())
         notes = () if telemetry.series else (SILENT_NOTE,)

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
 
+import numpy as np
+
 from mavdiag.errors import UsageError
-from mavdiag.link.batch import Batch, batch_of
-from mavdiag.link.codec import Frame, message_name
-from mavdiag.link.evidence import Evidence, evidence_of
-from mavdiag.link.messages import Autopilot, Component, MessageId
+from mavdiag.link.codec import AUTOPILOT, Frame, Frames, frames_of, layout_of, message_name
+from mavdiag.link.messages import Autopilot, MavType, MessageId
 from mavdiag.link.scale import CONTRARY, scale_of
 from mavdiag.rows.gate import GateSpec
 from mavdiag.units import DEG, G
@@ -41,6 +41,53 @@ IMU_MESSAGES: Mapping[MessageId, tuple[float, float] | None] = {
 LAST_RESORT = MessageId.ATTITUDE
 
 
+_BEAT = ("type", "autopilot")
+_HEARTBEAT = layout_of(MessageId.HEARTBEAT).record_dtype(*((name, 1) for name in _BEAT))
+_RAW_IMU = layout_of(MessageId.RAW_IMU).record_dtype(("time_usec", 1), ("xacc", 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the frames of one vehicle's autopilot show of its profile.
+
+    autopilots: what its heartbeats name it, MAV_AUTOPILOT. counts: how many frames of each message.
+    weight: median size of RAW_IMU's acceleration, in counts, for a vehicle feels its own weight; period_us: its median
+    period [us]; NaN without RAW_IMU.
+    """
+
+    autopilots: frozenset[int]
+    counts: Mapping[int, int]
+    weight: float
+    period_us: float
+
+    def weighs(self, span: tuple[float, float]) -> bool:
+        """Whether one g is within this span of counts."""
+        return span[0] <= self.weight < span[1]
+
+
+def beats_of(frames: Frames) -> Counter[tuple[int, int]]:
+    """How often each MAV_TYPE and MAV_AUTOPILOT comes in the heartbeats of autopilots, not of stations or computers."""
+    record = frames.of(MessageId.HEARTBEAT, compid=AUTOPILOT).records(_HEARTBEAT)
+    beats = Counter(zip(*(record[name].tolist() for name in _BEAT), strict=True))
+    companions = (MavType.GCS, MavType.ONBOARD_CONTROLLER)
+    return Counter({beat: n for beat, n in beats.items() if beat[0] not in companions and beat[1] != Autopilot.INVALID})
+
+
+def evidence_of(pieces: Iterable[Frames]) -> Evidence:
+    """What the frames of one vehicle show, in several pieces, in order of arrival."""
+    counts, beats, raw = Counter[int](), Counter[tuple[int, int]](), [np.empty(0, _RAW_IMU)]
+    for piece in pieces:
+        counts += piece.counts()
+        beats += beats_of(piece)
+        raw.append(piece.of(MessageId.RAW_IMU, compid=AUTOPILOT).records(_RAW_IMU))
+    record, weight, period_us = np.concatenate(raw), float("nan"), float("nan")
+    if len(record):
+        weight = float(np.median(np.linalg.norm(record["xacc"].astype(np.float64), axis=1)))
+    if len(record) > 1:
+        period_us = float(np.median(np.diff(record["time_usec"].astype(np.int64))))
+    return Evidence(frozenset(autopilot for _, autopilot in beats), counts, weight, period_us)
+
+
 class Stamp(StrEnum):
     """What a message's own time means."""
 
@@ -52,20 +99,16 @@ class Stamp(StrEnum):
 class Profile:
     """How one kind of vehicle sends what the diagnosis needs.
 
-    name: how users and baselines call it.
-    autopilot: MAV_AUTOPILOT of its heartbeat.
+    name: how users and baselines call it. autopilot: MAV_AUTOPILOT of its heartbeat.
     recognise: whether the frames of a vehicle are of this profile.
     setpoint, imu, actuator, rotor_speed: the messages to use.
-    accel_unit: one count of the IMU message's acceleration [m/s^2].
-    gyro_unit: one count of its rate [rad/s].
-    rate_hz: nominal rate of the pair of set-point and IMU message.
+    accel_unit, gyro_unit: one count of the IMU message's acceleration [m/s^2] and rate [rad/s].
+    rate_hz: nominal rate of the pair of set-point and IMU message. stamp: what the IMU message's own time means.
     imu_corner_hz: corner of the low-pass filter in the IMU stream by default, None if vibration passes.
-    stamp: what the IMU message's own time means.
-    vibration: whether its VIBRATION message carries acceleration per axis.
-    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS has no fixed ones,
-        and is told by its values.
-    gate: what counts as flying; the same live and in a .tlog.
     imu_corner_parameter: the autopilot's parameter of that corner [Hz], 0 for none; empty where there is none.
+    vibration: whether its VIBRATION message carries acceleration per axis.
+    actuator_span: the actuator message's values for 0 and for full output; ACTUATOR_OUTPUT_STATUS is told by its own.
+    gate: what counts as flying; the same live and in a .tlog.
     """
 
     name: str
@@ -97,10 +140,6 @@ class Profile:
         return self.imu_corner_hz if told is None else told if told > 0.0 else None
 
 
-def _is_spec(seen: Evidence) -> bool:
-    return seen.weighs(IIM_42652)
-
-
 def _is_ardupilot(seen: Evidence) -> bool:
     """It says so; what sends RAW_IMU faster than its loop allows is another one under its name."""
     raw = seen.counts.get(MessageId.RAW_IMU, 0) > 0
@@ -114,49 +153,50 @@ def _is_px4(seen: Evidence) -> bool:
     return named and not seen.counts.get(MessageId.RAW_IMU, 0)
 
 
-def _is_qdrone2(seen: Evidence) -> bool:
-    return seen.weighs(MILLI_G)
-
-
+# The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
+_QDRONE2 = Profile(
+    name="qdrone2",
+    autopilot=Autopilot.GENERIC,
+    recognise=lambda seen: seen.weighs(MILLI_G),
+    imu=MessageId.RAW_IMU,
+    accel_unit=MILLI * G,
+    gyro_unit=MILLI,
+    rate_hz=1000.0,
+    imu_corner_hz=None,
+    stamp=Stamp.SAMPLE,
+    vibration=False,
+    actuator=MessageId.SERVO_OUTPUT_RAW,
+    actuator_span=(1000.0, 2000.0),
+    rotor_speed=MessageId.ESC_STATUS,
+)
 _ROWS = (
     # RAW_IMU as its definition has it, without unit: the counts of the IIM-42652 at its full scale of 16 g and
     # 2000 deg/s (data sheet: 2048 LSB/g and 16.4 LSB/(deg/s)).
-    Profile(
+    replace(
+        _QDRONE2,
         name="spec",
-        autopilot=Autopilot.GENERIC,
-        recognise=_is_spec,
-        imu=MessageId.RAW_IMU,
+        recognise=lambda seen: seen.weighs(IIM_42652),
         accel_unit=G / 2048,
         gyro_unit=DEG / 16.4,
-        rate_hz=1000.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
-        rotor_speed=MessageId.ESC_STATUS,
     ),
     # ArduPilot Copter: RAW_IMU is low-passed at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) and stamped when sent; 50 to
     # 200 Hz are met exactly.
-    Profile(
+    replace(
+        _QDRONE2,
         name="ardupilot",
         autopilot=Autopilot.ARDUPILOTMEGA,
         recognise=_is_ardupilot,
-        imu=MessageId.RAW_IMU,
-        accel_unit=MILLI * G,
-        gyro_unit=MILLI,
         rate_hz=100.0,
         imu_corner_hz=20.0,
         stamp=Stamp.SEND,
         vibration=True,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
         rotor_speed=MessageId.ESC_TELEMETRY_1_TO_4,
         imu_corner_parameter="INS_GYRO_FILTER",
     ),
     # PX4: no RAW_IMU; HIGHRES_IMU is in SI and comes from the sensors before the controller's filter; its VIBRATION
     # mixes gyro and accelerometer metrics. Asked for 200 Hz it sends 160 to 170.
-    Profile(
+    replace(
+        _QDRONE2,
         name="px4",
         autopilot=Autopilot.PX4,
         recognise=_is_px4,
@@ -164,29 +204,10 @@ _ROWS = (
         accel_unit=1.0,
         gyro_unit=1.0,
         rate_hz=160.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
         actuator=MessageId.ACTUATOR_OUTPUT_STATUS,
         actuator_span=(0.0, 1.0),
-        rotor_speed=MessageId.ESC_STATUS,
     ),
-    # The QDrone 2 behind its bridge: milli-g and mrad/s as ArduPilot fills RAW_IMU, sampled at 1 kHz (T 5.3).
-    Profile(
-        name="qdrone2",
-        autopilot=Autopilot.GENERIC,
-        recognise=_is_qdrone2,
-        imu=MessageId.RAW_IMU,
-        accel_unit=MILLI * G,
-        gyro_unit=MILLI,
-        rate_hz=1000.0,
-        imu_corner_hz=None,
-        stamp=Stamp.SAMPLE,
-        vibration=False,
-        actuator=MessageId.SERVO_OUTPUT_RAW,
-        actuator_span=(1000.0, 2000.0),
-        rotor_speed=MessageId.ESC_STATUS,
-    ),
+    _QDRONE2,
 )
 
 PROFILES: Mapping[str, Profile] = {profile.name: profile for profile in _ROWS}
@@ -201,24 +222,16 @@ def profile_named(name: str) -> Profile:
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """What a vehicle's frames say of its profile.
-
-    profile: None if it cannot be recognised.
-    reason: why not, one sentence; empty otherwise.
-    """
+    """The profile that a vehicle's frames show; None if they show none, and the reason, one sentence."""
 
     profile: Profile | None
     reason: str = ""
 
 
-def detect_profile(frames: Sequence[Frame], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """The first of the profiles that one vehicle's frames fit; never a guess."""
-    return detect_profile_in([batch_of(frames)], profiles)
-
-
-def detect_profile_in(batches: Sequence[Batch], profiles: Iterable[Profile] = _ROWS) -> Recognised:
-    """As `detect_profile`, for frames in several pieces, in order of arrival."""
-    seen = evidence_of(batches)
+def detect_profile(frames: Sequence[Frame] | Sequence[Frames], profiles: Iterable[Profile] = _ROWS) -> Recognised:
+    """The first of the profiles that one vehicle's frames fit; never a guess. They may come in several pieces."""
+    singly = [one for one in frames if isinstance(one, Frame)]
+    seen = evidence_of([one for one in frames if isinstance(one, Frames)] or [frames_of(singly)])
     found = next((profile for profile in profiles if profile.recognise(seen)), None)
     if found is not None:
         return Recognised(found)
@@ -254,17 +267,12 @@ def by_attitude(profile: Profile) -> Profile:
     return replace(profile, imu=LAST_RESORT, accel_unit=1.0, gyro_unit=1.0)
 
 
-def with_imu(profile: Profile, frames: Iterable[Frame], least: int = 1) -> Profile:
-    """The profile with the one IMU message that these frames are best judged by; BODY_RATE never mixes two.
+def with_imu(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:
+    """The profile with the one IMU message that a vehicle is best judged by; BODY_RATE never mixes two.
 
     It is the profile's own, or else the first of `IMU_MESSAGES`, that comes at least `least` times and no fewer than a
-    quarter as often as the most frequent one. Where none does, the profile's own stays.
+    quarter as often as the most frequent one. Where none does, the profile's own stays. counts: frames of each message.
     """
-    return with_imu_of(profile, Counter(frame.msgid for frame in frames if frame.compid == Component.AUTOPILOT1), least)
-
-
-def with_imu_of(profile: Profile, counts: Mapping[int, int], least: int = 1) -> Profile:
-    """As `with_imu`, from how many frames of each message the autopilot sent."""
     choice = (profile.imu, *(message for message, units in IMU_MESSAGES.items() if units and message != profile.imu))
     enough = max(least, max(counts.get(message, 0) for message in choice) / SELDOM)
     chosen = next((message for message in choice if counts.get(message, 0) >= enough), profile.imu)

@@ -1,239 +1,506 @@
-"""Frames of one vehicle to telemetry in SI on one timeline, a block at a time.
+"""Frames to telemetry in SI, by one table: what each message means, and how its fields become signals.
 
-    state = SampleState()
-    state, telemetry = decoder.step(state, frames)
-
-What a message means is in `conversion`, when it was is in `clock`; here they are put together. How the frames are cut
-into blocks does not matter.
+Everything is in the body frame FRD already: MAVLink has it so. A new message is a row of `SOURCES`, and its number in
+`mavdiag.link.messages.MessageId`. When a frame was is in `clock`. One compiled loop takes the frames of a vehicle in
+order of arrival and writes each signal's samples one behind the other; so how the frames are cut into blocks does not
+matter.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mavdiag.link.batch import Batch, batch_of
-from mavdiag.link.clock import NEVER, VehicleTime
-from mavdiag.link.codec import Frame
-from mavdiag.link.conversion import SOURCES, Part, Source, euler_angles, sources
-from mavdiag.link.profiles import Profile
+from mavdiag.jit import allocating, cached, jit, source_digest
+from mavdiag.link.clock import MS_32, NEVER, REBOOT, US_32, US_64, Counter, VehicleTime, stamp
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, ROWS, Decoder, Encoder, Frame, Frames, frames_of, layout_of
+from mavdiag.link.messages import MavType, MessageId, ModeFlag, TargetMask
+from mavdiag.link.profiles import PROFILES, Profile
 from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
-from mavdiag.units import NS_PER_S
+from mavdiag.units import NS_PER_S, RPM
 
+Bytes: TypeAlias = NDArray[np.uint8]
+
+ACTUATORS = 16  # columns of ACTUATOR, always: outputs that are not in use are 0; the rotor layout says which count
+ROTORS = 16  # columns of ROTOR_SPEED, always: rotors that were never reported are NaN
+UNKNOWN_MV = 0xFFFF  # SYS_STATUS.voltage_battery: not sent
+LEAST_US, MOST_US = 1000.0, 2000.0  # PWM for 0 and full output
+PULSE_LEAST_US = 800.0  # no pulse is shorter (our choice: the shortest disarmed one of PX4 is 900)
+DSHOT_FULL = 2047.0  # the largest of its 11 bits
+SQUARED = (1e-2, 1e2)  # length of a quaternion, squared: beyond it is none, but a damaged frame with a right checksum
 DISARMED_NS = 3 * NS_PER_S // 2  # without an armed heartbeat before a disarmed one is believed: they come each second
+LARGE = 10_000  # rows: beyond it signals share times, and none keeps the memory of another alive
+BODY_RATE_BITS = TargetMask.BODY_ROLL_RATE | TargetMask.BODY_PITCH_RATE | TargetMask.BODY_YAW_RATE
+
+
+class Form(IntEnum):
+    """How fields become the columns of a signal."""
+
+    VECTOR = 0  # a number each, times a unit
+    ANGLES = 1  # roll, pitch and yaw of a quaternion
+    PULSES = 2  # shares of the profile's span of pulses, in two groups of eight
+    OUTPUTS = 3  # shares of an output whose unit its values tell
+    ROTORS = 4  # four rotors; what the message leaves out keeps its last value
+    VOLTAGE = 5  # millivolts
+    ARMED = 6  # a flag of a vehicle's heartbeat
 
 
 @dataclass(frozen=True, slots=True)
+class Part:
+    """One signal of a message.
+
+    first: its first field; the others of the same type stand behind it. form: how they become columns.
+    unit: of one count, or the name of that of the profile. unless: (field, bits): a row with any of them is without it.
+    beside: another field that the form needs; of `ROTORS` the number of the first rotor may stand here.
+    """
+
+    signal: Signal
+    first: str
+    form: Form = Form.VECTOR
+    unit: float | str = 1.0
+    unless: tuple[str, int] | None = None
+    beside: str | int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One message that is read, and the signals in it.
+
+    time: the field that counts time, and how; None for a message that has no time.
+    chosen_by: it is read by the profiles that use this message; None for all profiles.
+    """
+
+    message: int
+    parts: tuple[Part, ...]
+    time: tuple[str, Counter] | None = None
+    chosen_by: int | None = None
+
+
+_M, _S = MessageId, Signal
+_BOOT_MS, _USEC, _USEC_32 = ("time_boot_ms", MS_32), ("time_usec", US_64), ("time_usec", US_32)
+_ATTITUDE = Part(_S.ATTITUDE, "roll")
+
+
+def _imu(message: MessageId, time: tuple[str, Counter], *, numbered: bool = False) -> Source:
+    """numbered: the message tells which sensor it is of; the first one is read."""
+    unless = ("id", 0xFF) if numbered else None
+    rate = Part(_S.BODY_RATE, "xgyro", unit="gyro_unit", unless=unless)
+    return Source(
+        message, (rate, Part(_S.SPECIFIC_FORCE, "xacc", unit="accel_unit", unless=unless)), time, chosen_by=message
+    )
+
+
+def _telemetry_of_escs(message: int, first: int) -> Source:
+    part = Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside=first)
+    return Source(message, (part,), chosen_by=_M.ESC_TELEMETRY_1_TO_4)
+
+
+#: Every message that is read, in any profile.
+SOURCES: tuple[Source, ...] = (
+    Source(
+        _M.ATTITUDE_TARGET,
+        (
+            Part(_S.ATTITUDE_SETPOINT, "q", Form.ANGLES, unless=("type_mask", TargetMask.ATTITUDE)),
+            Part(_S.RATE_SETPOINT, "body_roll_rate", unless=("type_mask", BODY_RATE_BITS)),
+            Part(_S.THRUST_SETPOINT, "thrust", unless=("type_mask", TargetMask.THROTTLE)),
+        ),
+        _BOOT_MS,
+        chosen_by=_M.ATTITUDE_TARGET,
+    ),
+    _imu(_M.RAW_IMU, _USEC, numbered=True),
+    _imu(_M.SCALED_IMU, _BOOT_MS),
+    _imu(_M.SCALED_IMU2, _BOOT_MS),
+    _imu(_M.SCALED_IMU3, _BOOT_MS),
+    _imu(_M.HIGHRES_IMU, _USEC, numbered=True),
+    Source(_M.ATTITUDE, (_ATTITUDE,), _BOOT_MS),
+    # In place of the row above, where the gyro is read from it too.
+    Source(_M.ATTITUDE, (_ATTITUDE, Part(_S.BODY_RATE, "rollspeed")), _BOOT_MS, chosen_by=_M.ATTITUDE),
+    Source(_M.LOCAL_POSITION_NED, (Part(_S.HEIGHT, "z", unit=-1.0),), _BOOT_MS),
+    Source(_M.SYS_STATUS, (Part(_S.VOLTAGE, "voltage_battery", Form.VOLTAGE, 1e-3),)),
+    Source(_M.HEARTBEAT, (Part(_S.ARMED, "base_mode", Form.ARMED, beside="type"),)),
+    Source(
+        _M.SERVO_OUTPUT_RAW,
+        (Part(_S.ACTUATOR, "servo1_raw", Form.PULSES, unless=("port", 0xFF), beside="servo9_raw"),),
+        _USEC_32,
+        chosen_by=_M.SERVO_OUTPUT_RAW,
+    ),
+    Source(
+        _M.ACTUATOR_OUTPUT_STATUS,
+        (Part(_S.ACTUATOR, "actuator", Form.OUTPUTS, beside="active"),),
+        _USEC,
+        chosen_by=_M.ACTUATOR_OUTPUT_STATUS,
+    ),
+    Source(_M.VIBRATION, (Part(_S.VIBRATION, "vibration_x"),), _USEC, chosen_by=_M.VIBRATION),
+    Source(
+        _M.ESC_STATUS,
+        (Part(_S.ROTOR_SPEED, "rpm", Form.ROTORS, RPM, beside="index"),),
+        _USEC,
+        chosen_by=_M.ESC_STATUS,
+    ),
+    *(_telemetry_of_escs(message, 4 * k) for k, message in enumerate((11030, 11031, 11032))),
+)
+
+_SIGNALS, _NO_TIMES = tuple(Signal), np.empty(0, np.int64)
+_ONE, _MANY = {_S.THRUST_SETPOINT, _S.HEIGHT, _S.VOLTAGE, _S.ARMED}, {_S.ACTUATOR: ACTUATORS, _S.ROTOR_SPEED: ROTORS}
+_WIDTHS = np.array([1 if one in _ONE else _MANY.get(one, 3) for one in _SIGNALS])  # columns of each signal
+
+
+def sources(profile: Profile, table: Iterable[Source] = SOURCES) -> tuple[Source, ...]:
+    """The rows of the table that a profile reads; of two for one message the later one counts."""
+    read = (row for row in table if row.chosen_by is None or row.chosen_by in profile.messages)
+    return tuple({row.message: row for row in read}.values())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SampleState:
     """What one vehicle's conversion carries from block to block.
 
     timeline: where its time stands.
-    held: last known row of the signals whose messages carry only some of the columns.
-    dropped: rows with NaN, infinity or a zero quaternion so far.
+    speeds: (16,) the rotors' latest known speeds [rad/s], NaN for unknown.
+    dropped: rows with NaN, infinity or no quaternion so far.
     armed_ns: when the latest armed heartbeat was received [ns].
     contrary: disarmed heartbeats amid armed ones, left out so far.
     """
 
     timeline: VehicleTime = field(default_factory=VehicleTime)
-    held: Mapping[Signal, FloatArray] = field(default_factory=dict, compare=False)
+    speeds: FloatArray = field(default_factory=lambda: np.full(ROTORS, np.nan))
     dropped: int = 0
     armed_ns: int = NEVER
     contrary: int = 0
 
-    @property
-    def leaps(self) -> int:
-        """Samples left out because their stamps leap, so far."""
-        return self.timeline.leaps
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SampleState) and self._key() == other._key()
 
+    def __hash__(self) -> int:
+        return hash(self._key())
 
-def warm() -> None:
-    """Compile what converts frames, or load it from disk, before the first of them comes: seconds, or half of one."""
-    none = np.empty(0, np.int64)
-    VehicleTime().stamped(np.zeros((1, 3), np.int64), none, none, none)
-    euler_angles(np.empty((0, 4)))
-
-
-def by_vehicle(frames: Sequence[Frame]) -> dict[int, list[Frame]]:
-    """The frames of each system id, in order of arrival."""
-    vehicles: dict[int, list[Frame]] = {}
-    for frame in frames:
-        vehicles.setdefault(frame.sysid, []).append(frame)
-    return vehicles
-
-
-def joined(pieces: Sequence[Telemetry]) -> Telemetry:
-    """One telemetry from consecutive pieces: each signal's rows, end to end."""
-    if len(pieces) == 1:
-        return pieces[0]
-    runs = Runs()
-    for piece in pieces:
-        runs.add(piece)
-    return runs.joined()
-
-
-class Runs:
-    """Telemetry that comes in consecutive pieces."""
-
-    def __init__(self) -> None:
-        self._runs: dict[Signal, list[Series]] = {}
-
-    def add(self, piece: Telemetry) -> None:
-        """Take the next piece."""
-        for series in piece.series:
-            self._runs.setdefault(series.signal, []).append(series)
-
-    def joined(self) -> Telemetry:
-        """Each signal's rows, end to end. The pieces are given up one by one, so that memory does not hold all twice.
-
-        Signals of one message share their times, as they do in each piece.
-        """
-        times: dict[tuple[int, ...], IntArray] = {}
-
-        def whole(parts: list[IntArray]) -> IntArray:
-            known = tuple(map(id, parts))
-            if known not in times:
-                times[known] = np.concatenate(parts)
-            return times[known]
-
-        series = []
-        while self._runs:
-            signal = next(iter(self._runs))
-            run = self._runs.pop(signal)
-            t_ns, host_ns = whole([one.t_ns for one in run]), whole([one.host_ns for one in run])
-            series.append(Series(signal, t_ns, host_ns, np.concatenate([one.values for one in run])))
-        return Telemetry(tuple(series))
+    def _key(self) -> tuple[object, ...]:
+        return self.timeline, self.speeds.tobytes(), self.dropped, self.armed_ns, self.contrary
 
 
 class SampleDecoder:
     """Turns one vehicle's frames into telemetry, by its profile. Holds nothing but the profile; the state is passed.
 
     profile: how the vehicle sends.
-    signals: those of interest; messages without any of them are passed over.
     table: the messages that are known.
     wanted: the message ids that it reads, for the decoder of frames.
     Only the autopilot's own frames (component 1) count. Frames of SERVO_OUTPUT_RAW are left out until another message
-    has given the time since boot. A block costs some 50 us however short it is.
+    has given the time since boot. Raises UsageError for a row whose message has no such fields.
     """
 
-    def __init__(
-        self, profile: Profile, signals: Collection[Signal] = tuple(Signal), table: Iterable[Source] = SOURCES
-    ) -> None:
+    def __init__(self, profile: Profile, table: Iterable[Source] = SOURCES) -> None:
         self.profile = profile
-        self._sources: dict[int, Source] = {row.message: row for row in sources(profile, signals, table)}
-        self.wanted = frozenset(self._sources)
-        counters = [(msgid, row.counter) for msgid, row in self._sources.items()]
-        self._messages = np.array(
-            [(msgid, c.tick_ns, c.turn) if c else (msgid, 0, 0) for msgid, c in counters], np.int64
-        ).reshape(-1, 3)
-        self._rows = {msgid: number for number, msgid in enumerate(self._sources)}
+        read = sources(profile, table)
+        self.wanted = frozenset(row.message for row in read)
+        self._lookup = np.full(len(MSGIDS), -1, np.int16)
+        self._lookup[[ROWS[row.message] for row in read]] = np.arange(len(read))
+        ends = np.cumsum([0, *(len(row.parts) for row in read)]).tolist()
+        counted = [_counted(row, *ends[k : k + 2]) for k, row in enumerate(read)]
+        self._sources = np.array(counted, np.int64).reshape(-1, 7)
+        laid = [_laid(profile, row.message, part) for row in read for part in row.parts]
+        self._parts = np.array([places for places, _ in laid], np.int64).reshape(-1, 8)
+        self._scales = np.array([scale for _, scale in laid], np.float64).reshape(-1, 2)
 
-    def step(self, state: SampleState, frames: Sequence[Frame]) -> tuple[SampleState, Telemetry]:
-        """Take the next frames of one vehicle, in order of arrival."""
-        return self.step_batch(state, batch_of(frames, self.wanted))
-
-    def step_batch(self, state: SampleState, batch: Batch) -> tuple[SampleState, Telemetry]:
-        """As `step`, for frames that are laid out message by message."""
-        frames, done, pieces = self._stamps(batch), 0, []
-        while done < batch.size:
-            timeline, t_ns, taken = state.timeline.stamped(self._messages, *frames[:, done:])
-            stretch = batch if taken == batch.size else batch.part(done, done + taken)
-            state, piece = self._converted(state, timeline, stretch, t_ns)
-            pieces.append(piece)
-            done += taken
-            if done < batch.size:  # the vehicle started anew
-                state = replace(state, held={}, armed_ns=NEVER)
-        return state, joined(pieces)
-
-    def _stamps(self, batch: Batch) -> IntArray:
-        """(3, n): message, count and time of arrival of each frame, as `VehicleTime.stamped` takes them."""
-        frames = np.empty((3, batch.size), np.int64)
-        rows, raw, host_ns = frames
-        rows.fill(-1)
-        for msgid, column in batch.columns.items():
-            source = self._sources.get(msgid)
-            if source is not None:
-                rows[column.places], host_ns[column.places] = self._rows[msgid], column.host_ns
-                if source.counter:
-                    raw[column.places] = column.record(source.dtype)[source.time]
-        return frames
-
-    def _converted(
-        self, state: SampleState, timeline: VehicleTime, batch: Batch, times_ns: IntArray
+    def step(
+        self, state: SampleState, frames: Sequence[Frame] | Frames, given_ns: IntArray = _NO_TIMES
     ) -> tuple[SampleState, Telemetry]:
-        found: dict[Signal, list[tuple[Part, Series, IntArray]]] = {}
-        dropped, all_timed = state.dropped, bool(times_ns.min(initial=0) > NEVER)
-        with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity are dropped, not warned of
-            for msgid, column in batch.columns.items():
-                source = self._sources.get(msgid)
-                if source is None:
-                    continue
-                places, host_ns, record = column.places, column.host_ns, column.record(source.dtype)
-                t_ns = times_ns[places]
-                if not all_timed:
-                    timed = t_ns > NEVER
-                    places, host_ns, record, t_ns = places[timed], host_ns[timed], record[timed], t_ns[timed]
-                for part in source.convert(self.profile, record) if len(record) else ():
-                    rows, unsound = _sound(part)
-                    dropped += unsound
-                    if rows is None:
-                        made = Series(part.signal, t_ns, host_ns, part.values)
-                    else:
-                        made = Series(part.signal, t_ns[rows], host_ns[rows], part.values[rows])
-                    if len(made):
-                        found.setdefault(part.signal, []).append((part, made, places if rows is None else places[rows]))
-        series, held, armed_ns, contrary = [], dict(state.held), state.armed_ns, state.contrary
-        for signal, parts in found.items():
-            part, made, _ = parts[0]
-            if len(parts) > 1:
-                made = merged(signal, [(each, places) for _, each, places in parts])
-            if part.held:
-                made = replace(made, values=filled(made.values, held.get(signal)))
-                held[signal] = made.values[-1]
-            if signal is Signal.ARMED:
-                beats = len(made)
-                made, armed_ns = _steady(made, armed_ns)
-                contrary += beats - len(made)
-            series += [made] if len(made) else []
-        return SampleState(timeline, held, dropped, armed_ns, contrary), Telemetry(tuple(series))
+        """Take the next frames of one vehicle, in order of arrival. given_ns: (n,) their vehicle times, if known."""
+        some = frames if isinstance(frames, Frames) else frames_of(frames)
+        timeline, speeds = VehicleTime(state.timeline.words.copy()), state.speeds.copy()
+        tally = np.array([state.dropped, state.armed_ns, state.contrary])
+        table = (self._lookup, self._sources, self._parts, self._scales, _WIDTHS)
+        t_ns, host_ns, values, filled = _convert(some.data, some.rows, given_ns, table, timeline.records, tally, speeds)
+        series, known, large = [], list[IntArray](), len(some) > LARGE
+        for signal, width, (first, place, count) in zip(_SIGNALS, _COLUMNS, filled.tolist(), strict=True):
+            if count:
+                at_ns, came_ns = t_ns[first : first + count], host_ns[first : first + count]
+                block = values[place : place + count * width].reshape(count, width)
+                if large:
+                    at_ns, came_ns, block = _shared(at_ns.copy(), known), _shared(came_ns.copy(), known), block.copy()
+                series.append(Series(signal, at_ns, came_ns, block))
+        return SampleState(timeline, speeds, *tally.tolist()), Telemetry(tuple(series))
 
 
-def _sound(part: Part) -> tuple[IntArray | None, int]:
-    """The rows of a part that are meant and sound, None for all, and how many are meant and not sound."""
-    keep, unsound = part.meant, 0
-    if not part.finite and not np.isfinite(part.values).all():
-        sound = np.isfinite(part.values).all(axis=1)
-        meant = np.ones_like(sound) if keep is None else keep
-        unsound = int(np.count_nonzero(meant & ~sound))
-        keep = meant & sound
-    return None if keep is None else np.flatnonzero(keep), unsound
+_COLUMNS = _WIDTHS.tolist()
+_SIZES = {"f": 4 | 32, "h": 2 | 16, "H": 2, "i": 4 | 16, "I": 4, "B": 1, "Q": 8}  # bytes; signed: 16; floating: 32
 
 
-def _steady(armed: Series, armed_ns: int) -> tuple[Series, int]:
-    """Without the disarmed heartbeats amid armed ones, which are another sender's; and the time of the last armed one.
+def _counted(row: Source, first: int, last: int) -> tuple[int, ...]:
+    """Of a message: number, `Counter`, place and bytes of its count, and which parts are its."""
+    if row.time is None:
+        return (row.message, 0, 0, 0, 0, first, last)
+    (at, code), counter = layout_of(row.message).offset(row.time[0]), row.time[1]
+    return (row.message, counter.tick_ns, counter.turn, at, _SIZES[code], first, last)
 
-    armed_ns: when an armed one was received before [ns].
+
+def _laid(profile: Profile, msgid: int, part: Part) -> tuple[tuple[int, ...], tuple[float, float]]:
+    """Of a part: signal, form, place and kind of its first field, columns, condition, and what stands beside it; and
+    its unit and the count that stands for zero."""
+    layout = layout_of(msgid)
+    at, code = layout.offset(part.first)
+    hidden, bits = (layout.offset(part.unless[0])[0], part.unless[1]) if part.unless else (0, 0)
+    beside = layout.offset(part.beside)[0] if isinstance(part.beside, str) else -1 - part.beside
+    scale = (getattr(profile, part.unit) if isinstance(part.unit, str) else part.unit, 0.0)
+    if part.form is Form.PULSES:
+        low, high = profile.actuator_span
+        scale = (1.0 / (high - low), low)
+    number, width = _SIGNALS.index(part.signal), _COLUMNS[_SIGNALS.index(part.signal)]
+    return (number, int(part.form), at, _SIZES[code], width, hidden, int(bits), beside), scale
+
+
+def warm() -> None:
+    """Compile what finds and converts frames, or load it from disk, before the first comes: seconds, or half of one."""
+    found = Decoder().feed(Encoder(1, 1).encode(MessageId.HEARTBEAT), 0)
+    SampleDecoder(PROFILES["qdrone2"]).step(SampleState(), found)
+    euler_angles(np.empty((0, 4)))
+
+
+def joined(pieces: Iterable[Telemetry]) -> Telemetry:
+    """One telemetry from consecutive pieces: each signal's rows, end to end.
+
+    Signals that are sampled together share their times. An iterator's pieces are given up one by one, so that memory
+    does not hold all of them twice.
     """
-    flying = armed.values[:, 0] > 0.0
-    latest = np.maximum.accumulate(np.where(flying, armed.host_ns, armed_ns))
-    believed = flying | (armed.host_ns - latest >= DISARMED_NS)
-    if believed.all():
-        return armed, int(latest[-1])
-    steady = Series(armed.signal, armed.t_ns[believed], armed.host_ns[believed], armed.values[believed])
-    return steady, int(latest[-1])
+    runs: dict[Signal, list[Series]] = {}
+    times, whole, piece, count = list[IntArray](), list[Series](), Telemetry(), 0
+    for piece in pieces:
+        count += 1
+        for series in piece.series:
+            runs.setdefault(series.signal, []).append(series)
+    if count == 1:
+        return piece
+    for signal in (one for one in Signal if one in runs):
+        run = runs.pop(signal)
+        columns = [np.concatenate([getattr(series, name) for series in run]) for name in ("t_ns", "host_ns", "values")]
+        whole.append(Series(signal, _shared(columns[0], times), _shared(columns[1], times), columns[2]))
+    return Telemetry(tuple(whole))
 
 
-def merged(signal: Signal, parts: Sequence[tuple[Series, IntArray]]) -> Series:
-    """One series of a signal that several messages carry, in order of arrival. parts: each with its places."""
-    order = np.argsort(np.concatenate([places for _, places in parts]), kind="stable")
-    columns = [
-        np.concatenate([getattr(one, name) for one, _ in parts])[order] for name in ("t_ns", "host_ns", "values")
-    ]
-    return Series(signal, *columns)
+def _shared(t_ns: IntArray, known: list[IntArray]) -> IntArray:
+    """These times, in the array that has them already if one does; few of them are not looked for."""
+    found = next((other for other in known if len(t_ns) > LARGE and np.array_equal(t_ns, other)), t_ns)
+    known += [t_ns] if found is t_ns else []
+    return found
 
 
-def filled(values: FloatArray, before: FloatArray | None) -> FloatArray:
-    """The values with each NaN replaced by the last number in its column. before: the row before them, if any."""
-    stacked = values if before is None else np.vstack((before, values))
-    rows = np.where(np.isnan(stacked), 0, np.arange(len(stacked))[:, None])
-    whole = np.take_along_axis(stacked, np.maximum.accumulate(rows, axis=0), axis=0)
-    return whole if before is None else whole[1:]
+def euler_angles(q: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw [rad], (n, 3), of quaternions w, x, y, z (n, 4); NaN for a length outside of 0.1 to 10.
+
+    Body to world, order z-y-x. Pitch's denominator is the hypotenuse of roll's pair, so that nothing is divided or
+    clipped and the length of q does not matter.
+    """
+    angles = np.empty((len(q), 3))
+    _fill_angles(q, angles)
+    return angles
+
+
+@cached
+def _fill_angles(q: FloatArray, angles: FloatArray) -> None:
+    for k in range(len(q)):
+        angles[k, 0], angles[k, 1], angles[k, 2] = _angles(q[k, 0], q[k, 1], q[k, 2], q[k, 3])
+
+
+@jit
+def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    squared = ww + xx + yy + zz
+    if not (squared > SQUARED[0] and squared < SQUARED[1]):
+        return np.nan, np.nan, np.nan
+    sine, cosine = 2.0 * (w * x + y * z), ww - xx - yy + zz
+    pitch = math.atan2(2.0 * (w * y - x * z), math.hypot(sine, cosine))
+    return math.atan2(sine, cosine), pitch, math.atan2(2.0 * (w * z + x * y), ww + xx - yy - zz)
+
+
+@jit
+def _count(data: Bytes, at: int, stop: int, size: int) -> int:
+    """The whole number at this place. What is behind the end of the payload was trimmed, and is zero."""
+    value = np.int64(0)
+    for k in range(min(size, stop - at)):
+        value |= np.int64(data[at + k]) << 8 * k
+    return int(value)
+
+
+@jit
+def _number(data: Bytes, at: int, stop: int, kind: int, word: Any, real: Any) -> float:
+    value, size = _count(data, at, stop, kind & 15), kind & 15
+    if kind & 32:
+        word[0] = value
+        return np.float64(real[0])
+    return np.float64(value - (1 << 8 * size if kind & 16 and value >= 1 << 8 * size - 1 else 0))
+
+
+@jit
+def _pulses(data: Bytes, body: int, stop: int, part: Any, scale: Any, out: FloatArray) -> None:
+    """Pulses as shares of the full output, 0..1; an output that is not in use (0 us) becomes 0."""
+    for k in range(ACTUATORS):
+        at = body + (part[2] + 2 * k if k < 8 else part[7] + 2 * (k - 8))
+        share = (_count(data, at, stop, 2) - scale[1]) * scale[0]
+        out[k] = min(max(share, 0.0), 1.0)
+
+
+@jit
+def _outputs(data: Bytes, body: int, stop: int, part: Any, word: Any, real: Any, out: FloatArray) -> None:
+    """PX4 sends what its driver gets, and no unit: told by the values of each message (REVIEW H2).
+
+    Nothing above 1: shares, as in simulation. No output below 800: microseconds; an unused one rests at 900 or 1000.
+    Else DShot, where unused ones are 0. PX4 fills `active` with the number of outputs; what is behind them are zeros.
+    """
+    number = _count(data, body + part[7], stop, 4)
+    highest, least, low, span = 0.0, PULSE_LEAST_US, 0.0, DSHOT_FULL
+    for k in range(ACTUATORS):
+        out[k] = _number(data, body + part[2] + 4 * k, stop, 36, word, real)
+        used = np.isfinite(out[k]) and (k < number or number < 1)
+        out[k] = out[k] if np.isfinite(out[k]) else 0.0
+        highest = max(highest, out[k])
+        least = min(least, out[k]) if used else least
+    if highest <= 1.0:
+        span = 1.0
+    elif least >= PULSE_LEAST_US:
+        low, span = LEAST_US, MOST_US - LEAST_US
+    for k in range(ACTUATORS):
+        out[k] = min(max((out[k] - low) / span, 0.0), 1.0)
+
+
+@jit
+def _rotors(
+    data: Bytes, body: int, stop: int, part: Any, unit: float, memory: tuple[IntArray, FloatArray, Any, Any], out: Any
+) -> bool:
+    """Four rotors; returns whether there are such. `ESC_STATUS` tells the first of them by its index."""
+    _, speeds, word, real = memory
+    first = _count(data, body + part[7], stop, 1) if part[7] >= 0 else -1 - part[7]
+    if first >= ROTORS:
+        return False
+    for k in range(min(4, ROTORS - first)):
+        place = body + part[2] + (part[3] & 15) * k
+        speeds[first + k] = unit * abs(_number(data, place, stop, part[3], word, real))
+    for k in range(ROTORS):
+        out[k] = speeds[k]
+    return True
+
+
+@jit
+def _heartbeat(data: Bytes, body: int, stop: int, part: Any, host_ns: int, tally: IntArray, out: FloatArray) -> bool:
+    """Whether a heartbeat is a vehicle's, and is believed: a disarmed one amid armed ones is another sender's."""
+    kind = _count(data, body + part[7], stop, 1)
+    if kind in (_GCS, _COMPUTER):
+        return False
+    armed = _count(data, body + part[2], stop, 1) & _ARMED > 0
+    out[0] = 1.0 if armed else 0.0
+    if armed:
+        tally[1] = max(tally[1], host_ns)
+    elif tally[1] > NEVER and host_ns - tally[1] < DISARMED_NS:
+        tally[2] += 1
+        return False
+    return True
+
+
+@jit
+def _filled(
+    data: Bytes,
+    frame: Any,
+    part: Any,
+    scale: Any,
+    memory: tuple[IntArray, FloatArray, Any, Any],
+    out: FloatArray,
+) -> bool:
+    """Whether a part of a frame is meant and sound; then its values are in `out`."""
+    tally, _, word, real = memory
+    body, stop, form, whole = frame.body, frame.stop, part[1], True
+    if part[6] and _count(data, body + part[5], stop, 1) & part[6]:
+        return False
+    if form == Form.ANGLES:
+        w = _number(data, body + part[2], stop, 36, word, real)
+        x = _number(data, body + part[2] + 4, stop, 36, word, real)
+        y = _number(data, body + part[2] + 8, stop, 36, word, real)
+        z = _number(data, body + part[2] + 12, stop, 36, word, real)
+        out[0], out[1], out[2] = _angles(w, x, y, z)
+    elif form == Form.PULSES:
+        _pulses(data, body, stop, part, scale, out)
+    elif form == Form.OUTPUTS:
+        _outputs(data, body, stop, part, word, real, out)
+    elif form == Form.ROTORS:
+        return _rotors(data, body, stop, part, scale[0], memory, out)
+    elif form == Form.ARMED:
+        return _heartbeat(data, body, stop, part, frame.host_ns, tally, out)
+    else:
+        for k in range(len(out)):
+            out[k] = scale[0] * _number(data, body + part[2] + (part[3] & 15) * k, stop, part[3], word, real)
+        if form == Form.VOLTAGE and _count(data, body + part[2], stop, 2) == UNKNOWN_MV:
+            return False
+    for k in range(len(out)):
+        whole = whole and math.isfinite(out[k])
+    tally[0] += int(not whole)
+    return whole
+
+
+_GCS, _COMPUTER, _ARMED = int(MavType.GCS), int(MavType.ONBOARD_CONTROLLER), int(ModeFlag.SAFETY_ARMED)
+
+
+@allocating
+def _room(
+    rows: NDArray[Any], lookup: NDArray[np.int16], sources: IntArray, parts: IntArray, widths: IntArray
+) -> IntArray:
+    """Where the rows and the values of each signal begin, and how many there may be."""
+    filled = np.zeros((len(widths), 3), np.int64)
+    for k in range(len(rows)):
+        source = lookup[rows[k].row]
+        if source >= 0 and rows[k].sender & 0xFF == AUTOPILOT:
+            for p in range(sources[source, 5], sources[source, 6]):
+                filled[parts[p, 0], 2] += 1
+    for signal in range(1, len(widths)):
+        filled[signal, 0] = filled[signal - 1, 0] + filled[signal - 1, 2]
+        filled[signal, 1] = filled[signal - 1, 1] + filled[signal - 1, 2] * widths[signal - 1]
+    return filled
+
+
+def _compiled(digest: int) -> Callable[..., tuple[IntArray, IntArray, FloatArray, IntArray]]:
+    @cached
+    def convert(
+        data: Bytes,
+        rows: NDArray[Any],
+        given_ns: IntArray,
+        table: tuple[NDArray[np.int16], IntArray, IntArray, FloatArray, IntArray],
+        time: tuple[Any, Any, Any, Any],
+        tally: IntArray,
+        speeds: FloatArray,
+    ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+        """Times, times of arrival and values of all signals, one behind the other; and of each signal where its rows
+        and its values begin, and how many rows there are."""
+        lookup, sources, parts, scales, widths = table
+        filled = _room(rows if digest else rows[:0], lookup, sources, parts, widths)
+        room = filled[-1, 0] + filled[-1, 2]
+        t_ns, host_ns = np.empty(room, np.int64), np.empty(room, np.int64)
+        values = np.empty(filled[-1, 1] + filled[-1, 2] * widths[-1])
+        filled[:, 2] = 0
+        word = np.zeros(1, np.uint32)
+        memory = (tally, speeds, word, word.view(np.float32))
+        k = 0
+        while k < len(rows):
+            frame = rows[k]
+            source, k = lookup[frame.row], k + 1
+            if source < 0 or frame.sender & 0xFF != AUTOPILOT:
+                continue
+            row = sources[source]
+            if len(given_ns):
+                at_ns, tally[1] = given_ns[k - 1], NEVER  # of one sender: no heartbeat is doubted
+            else:
+                count = _count(data, frame.body + row[3], frame.stop, row[4])
+                at_ns = stamp(time, row[0], row[1], row[2], count, frame.host_ns)
+            if at_ns == REBOOT:
+                speeds[:], tally[1], k = np.nan, NEVER, k - 1
+            for p in range(row[5], row[6] if at_ns > NEVER else row[5]):
+                done = filled[parts[p, 0]]
+                place = done[1] + done[2] * parts[p, 4]
+                if _filled(data, frame, parts[p], scales[p], memory, values[place : place + parts[p, 4]]):
+                    t_ns[done[0] + done[2]], host_ns[done[0] + done[2]] = at_ns, frame.host_ns
+                    done[2] += 1
+        return t_ns, host_ns, values, filled
+
+    return convert
+
+
+_convert = _compiled(source_digest())

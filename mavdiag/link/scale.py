@@ -58,13 +58,11 @@ def gravity_of(force: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AxisCheck:
-    """The gyro about one axis beside the slope of the attitude.
+    """The gyro about one axis (roll, pitch or yaw) beside the slope of the attitude.
 
-    axis: roll, pitch or yaw.
     scale: gyro over slope, with its sign; None where the axis hardly moved or both do not belong together.
-    delay_s: how much later the gyro is stamped; None likewise.
-    correlation: of both at that delay; 0 where the axis hardly moved.
-    verdict: one phrase.
+    delay_s: how much later the gyro is stamped; None likewise. correlation: of both at that delay; 0 where the axis
+    hardly moved. verdict: one phrase.
     """
 
     axis: str

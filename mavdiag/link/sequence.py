@@ -9,19 +9,16 @@ running number, one right after the other, show it: neither is believed. Made-up
 that sent least make room.
 """
 
-from collections import defaultdict
-from collections.abc import Container, Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mavdiag.jit import cached, jit
 from mavdiag.telemetry import IntArray
 from mavdiag.units import NS_PER_S
-
-__all__ = ["PINNED_S", "DecoderCount", "Intruder", "LinkCount", "Senders", "SequenceTracker", "Source"]
 
 Source: TypeAlias = Hashable | None
 """Where bytes came from: an address, or None on a link that has one end only."""
@@ -31,19 +28,37 @@ NEAR = 32  # places: a line that swaps frames moves them by less; of random numb
 SENDERS_MAX = 512  # senders that are followed at a time (our choice)
 CLASH = 8  # places: so near behind a frame another one with its number is another sender's, not a late one (our choice)
 PINNED_S = 3.0  # a sender must be silent for so long before it may come from elsewhere: as a link is lost (our choice)
+SOURCES_MAX = 4 * SENDERS_MAX  # sources that have a number at a time
+_PINNED_NS = round(PINNED_S * NS_PER_S)
+
+REFUSED, HEARD, IMPOSTOR = 0, 1, 2  # what becomes of a frame
+_KEPT, _OURS = 1, 2  # flags of a sender
+
+#: A frame as it lies in a buffer: when it was received; the places of its marker, its payload, its checksum and behind
+#: it; the number of its source; the row of its message (`codec.ROWS`); its sender (system id << 8 | component id) and
+#: running number; and what became of it.
+_PLACES = [(name, "i4") for name in ("begin", "body", "stop", "after", "source")]
+FRAME = np.dtype(
+    [("host_ns", "i8"), *_PLACES, ("row", "i2"), ("sender", "u2"), ("seq", "u1"), ("heard", "u1")], align=True
+)
+
+# One sender. sums: checksum of the latest frame of each number, plus 1; missed: how many frames had been received when
+# a number was missed, plus 1; contested: numbers of clashes that nobody has looked at yet.
+_SENDER = np.dtype(
+    [
+        *((name, "i8") for name in ("key", "source", "heard_ns", "next", "received", "lost", "reordered")),
+        *((name, "i8") for name in ("duplicated", "restarts", "jumps", "far", "clashes", "intruder", "refused")),
+        *(("missed", "i8", 256), ("sums", "i4", 256), ("contested", "i4", 256)),
+    ]
+)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkCount:
-    """What came from one sender so far.
+    """What came from one sender so far, in frames.
 
-    received: frames.
-    lost: net of those that came late after all.
-    reordered: frames that came late.
-    duplicated: frames that came twice.
-    restarts: how often it began its count again.
-    clashes: frames whose number another, different frame had just had.
-    by_message: frames of each message id.
+    lost: net of those that came late after all (reordered). duplicated: that came twice. restarts: how often it began
+    its count again. by_message: of each message id. clashes: whose number another, different frame had just had.
     """
 
     received: int
@@ -59,10 +74,8 @@ class LinkCount:
 class DecoderCount:
     """What a decoder made of its input so far, besides the frames themselves.
 
-    garbage_bytes: bytes outside any accepted frame.
-    bad_crc: seeming frames with a wrong checksum.
-    incompatible: seeming frames with incompatibility flags that we do not know.
-    unknown: frames outside the dialect.
+    garbage_bytes: outside any accepted frame. bad_crc, incompatible: seeming frames with a wrong checksum, or with
+    incompatibility flags that we do not know. unknown: frames outside the dialect.
     """
 
     garbage_bytes: int
@@ -73,213 +86,233 @@ class DecoderCount:
 
 @dataclass(frozen=True, slots=True)
 class Intruder:
-    """Another source that sends in a sender's name.
-
-    source: the latest one.
-    frames: refused so far.
-    """
+    """Another source (the latest one) that sends in a sender's name, and how many frames of it were refused."""
 
     source: Source
     frames: int
 
 
-class SequenceTracker:
-    """Follows one sender's sequence numbers. `step` is on the hot path: all but the next number is left to `_jump`.
+@dataclass(frozen=True, slots=True)
+class Sender:
+    """One sender as it stands.
 
-    source: where the sender is heard from.
-    heard_ns: when its last frame was received [ns].
-    intruder: who else uses its name, if anybody does.
-    clashes: frames whose number another, different frame had just had.
-    contested: numbers of clashes that nobody has looked at yet.
+    source: where it is heard from. intruder: who else uses its name, if anybody does.
+    sound: whether its numbers are those of one sender: of eight frames or more most follow on, or of three all; or of
+        32 frames three quarters are no farther off than a line moves them that swaps frames.
     """
 
-    __slots__ = (
-        "_duplicated",
-        "_far",
-        "_jumps",
-        "_lost",
-        "_missing",
-        "_next",
-        "_reordered",
-        "_restarts",
-        "_seen",
-        "_sums",
-        "clashes",
-        "contested",
-        "heard_ns",
-        "intruder",
-        "source",
-    )
-
-    def __init__(self, first: int, source: Source = None, heard_ns: int = 0) -> None:
-        self.source, self.heard_ns = source, heard_ns
-        self.intruder: Intruder | None = None
-        self.contested = set[int]()
-        self._sums = [-1] * 256  # checksum of the latest frame of each number
-        self._next = first
-        self._seen: defaultdict[int, int] = defaultdict(int)
-        self._missing: dict[int, int] = {}  # number -> frames received when it was missed
-        self._lost = self._reordered = self._duplicated = self._restarts = self._jumps = self._far = self.clashes = 0
-
-    def step(self, seq: int, msgid: int, checksum: int = -1) -> None:
-        """Count a frame with this sequence number, message id and checksum."""
-        if seq == self._next:
-            self._next = (seq + 1) & 0xFF
-        else:
-            if (self._next - seq) & 0xFF <= CLASH and self._sums[seq] not in (-1, checksum):
-                self._clash(seq)
-            self._jump(seq, self.received)
-        self._sums[seq] = checksum
-        self._seen[msgid] += 1
-
-    def _clash(self, seq: int) -> None:
-        if seq not in self._missing:
-            self.clashes += 1
-            self.contested.add(seq)
-
-    def run(self, seqs: NDArray[np.uint8], msgids: IntArray) -> None:
-        """As `step` for each of these frames in turn, (n,) each; a stretch that goes on regularly is one step."""
-        count, received = len(seqs), self.received
-        odd = np.flatnonzero(seqs[1:] - seqs[:-1] != 1) + 1  # modulo 256, as the numbers are
-        after = iter([*odd.tolist(), count])
-        at = stretch_end = 0
-        while at < count:
-            seq = int(seqs[at])
-            if seq == self._next:
-                self._next = (seq + 1) & 0xFF
-            else:
-                self._jump(seq, received + at)
-            at += 1
-            while stretch_end < at:
-                stretch_end = next(after)
-            if at < stretch_end and self._next == (seq + 1) & 0xFF:
-                at = stretch_end
-                self._next = (int(seqs[at - 1]) + 1) & 0xFF
-        times = np.bincount(msgids + 1)  # UNKNOWN is -1
-        for place in np.flatnonzero(times).tolist():
-            self._seen[place - 1] += int(times[place])
-
-    def _jump(self, seq: int, received: int) -> None:
-        distance = (seq - self._next + 128) % 256 - 128  # signed, modulo 256
-        self._jumps += 1
-        self._far += abs(distance) > NEAR
-        if -WINDOW <= distance < 0:
-            missed_at = self._missing.pop(seq, None)
-            if missed_at is not None and received - missed_at <= WINDOW:
-                self._reordered += 1
-                self._lost -= 1
-            else:
-                self._duplicated += 1
-            return
-        if distance > 0:
-            self._lost += distance
-            self._missing = {number: at for number, at in self._missing.items() if received - at <= WINDOW}
-            self._missing |= {number % 256: received for number in range(seq + 256 - min(distance, WINDOW), seq + 256)}
-        else:
-            self._restarts += 1
-            self._missing = {}
-        self._next = (seq + 1) & 0xFF
-
-    @property
-    def received(self) -> int:
-        """Frames so far."""
-        return sum(self._seen.values())
-
-    @property
-    def sound(self) -> bool:
-        """Whether its numbers are those of one sender.
-
-        Of eight frames or more most follow on, or of three all; or of 32 frames three quarters are no farther off than
-        a line moves them that swaps frames.
-        """
-        received, jumps = self.received, self._jumps
-        in_order = received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
-        return in_order or (received >= NEAR and 4 * self._far <= received)
-
-    def count(self) -> LinkCount:
-        """The figures so far, as a value that later frames do not change."""
-        seen = dict(self._seen)
-        return LinkCount(
-            self.received, self._lost, self._reordered, self._duplicated, self._restarts, seen, self.clashes
-        )
+    source: Source
+    intruder: Intruder | None
+    sound: bool
+    count: LinkCount
 
 
 class Senders:
     """All senders of one link, at most `SENDERS_MAX`, by system and component id.
 
-    kept: keys (system id << 8 | component id) that never make room.
-    ours: keys in whose name nobody else is heard.
-    impostors: who used them all the same, by key.
+    msgids: message of each row; the last one stands for all that are unknown.
+    impostors: who sent in a name that is ours, by key (system id << 8 | component id).
     """
 
-    def __init__(self, kept: Container[int] = (), ours: Container[int] = ()) -> None:
-        self.kept, self.ours = kept, ours
+    def __init__(self, msgids: Sequence[int] = (0,)) -> None:
+        self._msgids = msgids
         self.impostors: dict[int, Intruder] = {}
-        self._trackers: dict[int, SequenceTracker] = {}
+        # Most of these pages are never touched, and cost nothing.
+        self._senders, self._seen = np.zeros(SENDERS_MAX, _SENDER), np.zeros((SENDERS_MAX, len(msgids)), np.int64)
+        self._places, self._flags = np.zeros(1 << 16, np.uint16), np.zeros(1 << 16, np.uint8)
+        self._used = 0
+        self._numbers: dict[Source, int] = {None: 0}
+        self._sources: dict[int, Source] = {0: None}
+        self._latest = 0  # number of a source
 
-    def note(self, key: int, seq: int, msgid: int, host_ns: int, source: Source, checksum: int = -1) -> bool:
-        """Count a frame of a sender. False if it is not heard, because the sender is alive at another source."""
-        tracker = self._trackers.get(key)
-        if tracker is None or tracker.source != source:
-            if not self.admits(key, host_ns, source):
-                return False
-            if tracker is None:
-                tracker = self._added(key, SequenceTracker(seq, source, host_ns))
-            tracker.source = source
-        tracker.heard_ns = host_ns
-        tracker.step(seq, msgid, checksum)
-        return True
+    def keep(self, key: int) -> None:
+        """Let a sender never make room."""
+        self._flags[key] |= _KEPT
 
-    def admits(self, key: int, host_ns: int, source: Source) -> bool:
-        """Whether a frame of a sender may come from there; if not, it is counted as an intruder's."""
-        tracker = self._trackers.get(key)
-        if tracker is None:
-            if key not in self.ours:
-                return True
+    def claim(self, keys: Iterable[int]) -> None:
+        """Hear nobody else in these names: they are ours."""
+        for key in keys:
+            self._flags[key] |= _OURS
+
+    def give_up(self, key: int) -> None:
+        """Let others use a name that was ours."""
+        self._flags[key] &= ~_OURS & 0xFF
+
+    def number(self, source: Source) -> int:
+        """The number that stands for a source in `FRAME`."""
+        found = self._numbers.get(source)
+        if found is None:
+            if len(self._numbers) >= SOURCES_MAX:
+                used = self._senders[: self._used]
+                held = {0, *used["source"].tolist(), *used["intruder"].tolist()}
+                self._numbers = {one: number for one, number in self._numbers.items() if number in held}
+                self._sources = {number: one for one, number in self._numbers.items()}
+            found = self._latest = self._latest + 1
+            self._numbers[source], self._sources[found] = found, source
+        return found
+
+    def hear(self, data: NDArray[np.uint8], rows: NDArray[np.void]) -> None:
+        """Count these frames, in order of arrival, and note in `heard` what becomes of each.
+
+        data: the bytes that they lie in.
+        """
+        done, memory = 0, (self._senders, self._seen, self._places, self._flags)
+        while True:
+            done, self._used, odd = _hear(data, rows, done, *memory, self._used)
+            if done >= len(rows):
+                break
+            self._make_room()
+        for row in rows[rows["heard"] == IMPOSTOR] if odd else ():
+            key, source = int(row["sender"]), self._sources[int(row["source"])]
             before = self.impostors.get(key)
             self.impostors[key] = Intruder(source, 1 if before is None else before.frames + 1)
-            return False
-        if tracker.source == source or host_ns - tracker.heard_ns >= PINNED_S * NS_PER_S:
-            return True
-        before = tracker.intruder
-        tracker.intruder = Intruder(source, 1 if before is None else before.frames + 1)
-        return False
 
-    def note_all(self, keys: NDArray[np.uint16], seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
-        """As `note` for each of these frames in turn, (n,) each, on a link that has one end only."""
-        found = np.flatnonzero(np.bincount(keys)).tolist()
-        if len(self._trackers.keys() | set(found)) > SENDERS_MAX:  # some must make room: the order matters
-            for each in zip(keys.tolist(), seqs.tolist(), msgids.tolist(), host_ns.tolist(), strict=True):
-                self.note(*each, source=None)
-            return
-        if len(found) == 1:
-            self._note_run(found[0], seqs, msgids, host_ns)
-            return
-        rows = [(key, np.flatnonzero(keys == key)) for key in found]
-        for key, own in sorted(rows, key=lambda one: int(one[1][0])):
-            self._note_run(key, seqs[own], msgids[own], host_ns[own])
+    def admits(self, row: np.void) -> bool:
+        """Whether the sender of a frame may come from where it came."""
+        key, place = row["sender"], int(self._places[row["sender"]])
+        if not place:
+            return not self._flags[key] & _OURS
+        sender = self._senders[place - 1]
+        return bool(sender["source"] == row["source"] or row["host_ns"] - sender["heard_ns"] >= _PINNED_NS)
 
-    def _note_run(self, key: int, seqs: NDArray[np.uint8], msgids: IntArray, host_ns: IntArray) -> None:
-        tracker = self._trackers.get(key)
-        if tracker is None:
-            tracker = self._added(key, SequenceTracker(int(seqs[0])))
-        tracker.heard_ns = int(host_ns[-1])
-        tracker.run(seqs, msgids)
+    def _make_room(self) -> None:
+        """Drop the half that sent least."""
+        received = self._senders["received"]
+        kept = (received > np.sort(received)[-1 - SENDERS_MAX // 2]) | (self._flags[self._senders["key"]] & _KEPT > 0)
+        self._used = int(np.count_nonzero(kept))
+        for memory in (self._senders, self._seen):
+            memory[: self._used] = memory[kept]
+            memory[self._used :] = 0
+        self._places[:] = 0
+        self._places[self._senders["key"][: self._used]] = 1 + np.arange(self._used)
 
-    def get(self, sysid: int, compid: int) -> SequenceTracker | None:
+    def __len__(self) -> int:
+        return self._used
+
+    def get(self, sysid: int, compid: int) -> Sender | None:
         """One sender; None if it is not followed."""
-        return self._trackers.get(sysid << 8 | compid)
+        place = int(self._places[sysid << 8 | compid]) - 1
+        if place < 0:
+            return None
+        row = self._senders[place]
+        received, jumps, far = int(row["received"]), int(row["jumps"]), int(row["far"])
+        in_order = received >= 3 and 2 * jumps < received - 1 and (received >= 8 or jumps == 0)
+        sound = in_order or (received >= NEAR and 4 * far <= received)
+        refused = int(row["refused"])
+        intruder = Intruder(self._sources[int(row["intruder"])], refused) if refused else None
+        return Sender(self._sources[int(row["source"])], intruder, sound, self._count(place))
+
+    def heard_from(self, sysid: int, compid: int) -> tuple[Source, int]:
+        """Where a sender is heard from, and when it was last [ns]; (None, -1) if it is not followed."""
+        place = int(self._places[sysid << 8 | compid])
+        row = self._senders[place - 1]
+        return (self._sources[int(row["source"])], int(row["heard_ns"])) if place else (None, -1)
+
+    def contested(self, sysid: int, compid: int) -> IntArray | None:
+        """The numbers that two senders claimed since the last call; None if that has never happened."""
+        place = int(self._places[sysid << 8 | compid])
+        if not place or not self._senders["clashes"][place - 1]:
+            return None
+        numbers = self._senders["contested"][place - 1]
+        found = np.flatnonzero(numbers)
+        numbers[:] = 0
+        return found
 
     def counts(self) -> dict[tuple[int, int], LinkCount]:
         """Figures of each sender, by (system id, component id)."""
-        return {(key >> 8, key & 0xFF): tracker.count() for key, tracker in self._trackers.items()}
+        keys = self._senders["key"][: self._used].tolist()
+        return {(key >> 8, key & 0xFF): self._count(place) for place, key in enumerate(keys)}
 
-    def _added(self, key: int, tracker: SequenceTracker) -> SequenceTracker:
-        if len(self._trackers) >= SENDERS_MAX:
-            ranked = sorted(self._trackers.values(), key=attrgetter("received"), reverse=True)
-            floor = ranked[SENDERS_MAX // 2].received
-            self._trackers = {
-                other: one for other, one in self._trackers.items() if other in self.kept or one.received > floor
-            }
-        self._trackers[key] = tracker
-        return tracker
+    def _count(self, place: int) -> LinkCount:
+        row, seen = self._senders[place], self._seen[place]
+        by_message = {self._msgids[at]: int(seen[at]) for at in np.flatnonzero(seen).tolist()}
+        names = ("received", "lost", "reordered", "duplicated", "restarts", "clashes")
+        return LinkCount(by_message=by_message, **{name: int(row[name]) for name in names})
+
+
+Fields: TypeAlias = Any  # one record, as numba has it
+
+
+@jit
+def _jump(sender: Fields, seq: int) -> None:
+    """Take a number that is not the next one."""
+    received = sender.received
+    distance = (seq - sender.next + 128) % 256 - 128  # signed, modulo 256
+    sender.jumps += 1
+    sender.far += int(abs(distance) > NEAR)
+    if -WINDOW <= distance < 0:
+        if sender.missed[seq] and received + 1 - sender.missed[seq] <= WINDOW:
+            sender.reordered += 1
+            sender.lost -= 1
+        else:
+            sender.duplicated += 1
+        sender.missed[seq] = 0
+        return
+    if distance > 0:
+        sender.lost += distance
+        for back in range(1, min(distance, WINDOW) + 1):
+            sender.missed[(seq - back) % 256] = received + 1
+    else:
+        sender.restarts += 1
+        for number in range(256):
+            sender.missed[number] = 0
+    sender.next = (seq + 1) % 256
+
+
+@jit
+def _admit(sender: Fields, frame: Fields) -> bool:
+    """Whether a sender may come from there; if not, it is counted as an intruder's frame."""
+    if sender.source != frame.source:
+        if frame.host_ns - sender.heard_ns < _PINNED_NS:
+            sender.intruder = frame.source
+            sender.refused += 1
+            return False
+        sender.source = frame.source
+    sender.heard_ns = frame.host_ns
+    return True
+
+
+@cached
+def _hear(
+    data: NDArray[np.uint8],
+    rows: NDArray[Any],
+    first: int,
+    senders: NDArray[Any],
+    seen: IntArray,
+    places: NDArray[np.uint16],
+    flags: NDArray[np.uint8],
+    used: int,
+) -> tuple[int, int, bool]:
+    """See `Senders.hear`. Returns how many frames are done, for there may be no room for one more sender; how many
+    senders there are; and whether anybody sent in a name that is ours."""
+    odd = False
+    for k in range(first, len(rows)):
+        frame = rows[k]
+        frame.heard = REFUSED
+        if places[frame.sender] == 0:
+            if flags[frame.sender] & _OURS:
+                frame.heard, odd = IMPOSTOR, True
+                continue
+            if used == len(senders):
+                return k, used, odd
+            senders[used].key, senders[used].source, senders[used].next = frame.sender, frame.source, frame.seq
+            used += 1
+            places[frame.sender] = used
+        sender, seq = senders[places[frame.sender] - 1], 0 + frame.seq
+        if sender.received and not _admit(sender, frame):
+            continue
+        sender.heard_ns = frame.host_ns
+        checksum = (np.int64(data[frame.stop]) | np.int64(data[frame.stop + 1]) << 8) + 1
+        if seq == sender.next:
+            sender.next = (seq + 1) % 256
+        else:
+            near = (sender.next - seq) % 256 <= CLASH and sender.sums[seq] != 0 and sender.sums[seq] != checksum
+            if near and not (sender.missed[seq] and sender.received + 1 - sender.missed[seq] <= WINDOW):
+                sender.clashes += 1
+                sender.contested[seq] = 1
+            _jump(sender, seq)
+        sender.sums[seq] = checksum
+        sender.received += 1
+        seen[places[frame.sender] - 1, frame.row] += 1
+        frame.heard = HEARD
+    return len(rows), used, odd

@@ -1,9 +1,5 @@
 """A bad link in a box: what a radio, a router or a noisy cable does to messages, on a virtual clock and from a seed.
 
-    shim = Shim(Impairment(loss=0.05, jitter_s=0.010, reorder=3), seed=1)
-    shim.offer(message, now_ns)
-    for message in shim.due(now_ns): ...
-
 In this order: a message is lost, changed in one bit, sent twice, overtaken by the next ones, queued for a line of so
 many bytes a second, and delayed. Jitter is drawn for each message by itself, as the network emulator of Linux does, so
 messages that follow each other faster than it overtake each other as well. What happens to a message depends on the
@@ -52,14 +48,12 @@ class Impairment:
             raise UsageError(f"--rate {self.rate:g}: write bytes a second, at least 1 (57600 baud are 5760)")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ShimCount:
     """What became of the messages so far.
 
-    offered, passed: that came in, and went out (second copies included).
-    lost: by chance. overflowed: because the line was too slow.
-    duplicated: sent twice. corrupted: changed in a bit.
-    reordered: that went out after one that had come in later.
+    offered, passed: that came in, and went out (second copies included). lost: by chance; overflowed: because the line
+    was too slow. duplicated: sent twice. corrupted: changed in a bit. reordered: that went out after a later one.
     """
 
     offered: int = 0
@@ -72,7 +66,7 @@ class ShimCount:
 
 
 class Shim:
-    """One direction of a bad link. `offer` messages as they come, send what is `due`."""
+    """One direction of a bad link. `offer` messages as they come, send what is `due`. count: the figures so far."""
 
     def __init__(self, impairment: Impairment, seed: int = 0) -> None:
         self._does, self._random = impairment, random.Random(seed)
@@ -82,48 +76,32 @@ class Shim:
         self._free_ns = 0  # when the line is free
         self._copies = self._released = 0
         self._highest = -1  # number of the latest message that went out, in the order that they came in
-        self._offered = self._passed = self._lost = self._overflowed = 0
-        self._duplicated = self._corrupted = self._reordered = 0
-
-    @property
-    def count(self) -> ShimCount:
-        """The figures so far."""
-        return ShimCount(
-            self._offered,
-            self._passed,
-            self._lost,
-            self._overflowed,
-            self._duplicated,
-            self._corrupted,
-            self._reordered,
-        )
+        self.count = ShimCount()
 
     def offer(self, data: bytes, now_ns: int) -> None:
         """A message comes in. now_ns: never before that of an earlier call."""
         does, draw = self._does, self._random.random
-        self._offered += 1
+        self.count.offered += 1
         lost, changed, twice = draw() < does.loss, draw() < does.corrupt, draw() < does.duplicate
         if lost:
-            self._lost += 1
+            self.count.lost += 1
             return
         if changed and data:
-            self._corrupted += 1
+            self.count.corrupted += 1
             bit = self._random.randrange(8 * len(data))
             data = data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
-        self._duplicated += twice
+        self.count.duplicated += twice
         for _ in range(1 + twice):
             self._hold(data, now_ns)
 
     def due(self, now_ns: int) -> list[bytes]:
         """The messages that go out by now, in their order."""
-        for entry in [one for one in self._held if one[1] <= now_ns]:
-            self._held.remove(entry)
-            self._send(entry[3], entry[2], entry[1])
+        self._release([message for message in self._held if message[1] <= now_ns])
         found = []
         while self._waiting and self._waiting[0][0] <= now_ns:
             _, _, number, data = heapq.heappop(self._waiting)
-            self._passed += 1
-            self._reordered += number < self._highest
+            self.count.passed += 1
+            self.count.reordered += number < self._highest
             self._highest = max(self._highest, number)
             found.append(data)
         return found
@@ -137,11 +115,12 @@ class Shim:
             self._held.append((number + places, now_ns + HOLD_NS, number, data))
         else:
             self._send(data, number, now_ns)
-        if self._held:
-            overtaken = [one for one in self._held if one[0] <= number]
-            self._held = [one for one in self._held if one[0] > number]
-            for one in overtaken:
-                self._send(one[3], one[2], now_ns)
+        self._release([message for message in self._held if message[0] <= number], now_ns)
+
+    def _release(self, messages: list[tuple[int, int, int, bytes]], now_ns: int | None = None) -> None:
+        for message in messages:
+            self._held.remove(message)
+            self._send(message[3], message[2], message[1] if now_ns is None else now_ns)
 
     def _send(self, data: bytes, number: int, now_ns: int) -> None:
         """Onto the line, and through it."""
@@ -149,7 +128,7 @@ class Shim:
         if does.rate is not None:
             start_ns = max(now_ns, self._free_ns)
             if start_ns - now_ns > QUEUE_NS:
-                self._overflowed += 1
+                self.count.overflowed += 1
                 return
             now_ns = self._free_ns = start_ns + round(len(data) / does.rate * NS_PER_S)
         jitter_ns = (2.0 * self._random.random() - 1.0) * does.jitter_s * NS_PER_S if does.jitter_s else 0.0

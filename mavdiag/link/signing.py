@@ -11,13 +11,10 @@ compared the signature: one forged frame stops a genuine stream for good.
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping
 from enum import StrEnum
 from hmac import compare_digest
 
 from mavdiag.errors import UsageError
-
-__all__ = ["KEY_BYTES", "SEAL_BYTES", "SIGNED_FLAG", "Refusal", "Signing", "stamp_at"]
 
 KEY_BYTES = 32
 SEAL_BYTES = 13
@@ -54,9 +51,9 @@ def stamp_at(unix_ns: int) -> int:
 class Signing:
     """One holder of a key, for all frames that it sends and receives.
 
-    key: 32 bytes.
-    link_id: of what it sends.
-    stamp: time stamp that nothing older than may be sent any more; kept from an earlier run.
+    key: 32 bytes. link_id: of what it sends.
+    stamp: the newest time stamp, sent or accepted [10 us]; nothing older is sent any more. Kept from an earlier run.
+    accepted: frames that were genuine so far. refused: those that were not, by the cause.
     Raises UsageError for a key or link id of another size.
     """
 
@@ -65,42 +62,23 @@ class Signing:
             raise UsageError(f"a signing key has {KEY_BYTES} bytes and a link id is 0 to 255")
         self._keyed = hashlib.sha256(key)
         self._link_id = link_id.to_bytes(1, "little")
-        self._stamp = stamp
+        self.stamp = stamp
         self._streams: dict[bytes, int] = {}
-        self._refused: Counter[Refusal] = Counter()
-        self._accepted = 0
-
-    @property
-    def stamp(self) -> int:
-        """The newest time stamp, sent or accepted [10 us]."""
-        return self._stamp
-
-    @property
-    def accepted(self) -> int:
-        """Frames that were genuine so far."""
-        return self._accepted
-
-    @property
-    def refused(self) -> Mapping[Refusal, int]:
-        """Frames that were not, by the cause."""
-        return dict(self._refused)
+        self.refused: Counter[Refusal] = Counter()
+        self.accepted = 0
 
     def advance(self, unix_ns: int) -> None:
         """Let the stamp follow the wall clock [ns]; it never goes back."""
-        self._stamp = max(self._stamp, stamp_at(unix_ns))
+        self.stamp = max(self.stamp, stamp_at(unix_ns))
 
     def seal(self, frame: bytes) -> bytes:
         """The 13 bytes that complete a frame, which has the flag set. Every call takes the next stamp."""
-        self._stamp = min(self._stamp + 1, _HIGHEST)
-        tail = self._link_id + self._stamp.to_bytes(6, "little")
+        self.stamp = min(self.stamp + 1, _HIGHEST)
+        tail = self._link_id + self.stamp.to_bytes(6, "little")
         return tail + self._digest(frame + tail)
 
-    def admit(self, frame: bytes) -> bool:
-        """Whether a received frame, whole and with its checksum right, is genuine and new; else it is counted."""
-        return self.genuine(frame) and self.fresh(frame)
-
     def genuine(self, frame: bytes) -> bool:
-        """Whether a frame is signed with the key; else it is counted. Nothing of it is kept."""
+        """Whether a received frame, whole and with its checksum right, is signed with the key; else it is counted."""
         if frame[0] == _MARKER_V1:
             return self._refuse(Refusal.MAVLINK_1)
         if not frame[2] & SIGNED_FLAG:
@@ -115,11 +93,11 @@ class Signing:
         last = self._streams.get(stream)
         if last is not None and stamp <= last:
             return self._refuse(Refusal.REPLAYED)
-        if last is None and (stamp + STALE < self._stamp or len(self._streams) >= STREAMS_MAX):
+        if last is None and (stamp + STALE < self.stamp or len(self._streams) >= STREAMS_MAX):
             return self._refuse(Refusal.STALE)
         self._streams[stream] = stamp
-        self._stamp = max(self._stamp, stamp)
-        self._accepted += 1
+        self.stamp = max(self.stamp, stamp)
+        self.accepted += 1
         return True
 
     def _digest(self, data: bytes) -> bytes:
@@ -128,5 +106,5 @@ class Signing:
         return hashing.digest()[:_DIGEST_BYTES]
 
     def _refuse(self, why: Refusal) -> bool:
-        self._refused[why] += 1
+        self.refused[why] += 1
         return False

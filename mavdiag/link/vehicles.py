@@ -9,56 +9,224 @@ all together. A careful decoder lets a vehicle enter only with two like heartbea
 seconds apart, and running numbers that are one sender's; and at most so many as it is told.
 """
 
+import math
+import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
-from typing import TypeVar
+
+import numpy as np
 
 from mavdiag.airframe.vehicle_type import refusal
-from mavdiag.link.addressed import (
-    COMMANDS,
-    PARAMETER_REQUESTS,
-    Ack,
-    Command,
-    acks_in,
-    commands_in,
-    parameters_asked_in,
-)
-from mavdiag.link.codec import Decoder, Frame
-from mavdiag.link.evidence import mav_type_of
-from mavdiag.link.messages import Component, MessageId
+from mavdiag.link.codec import AUTOPILOT, MSGIDS, NO_FRAMES, Decoder, Frame, Frames, field_index, frames_of, layout_of
+from mavdiag.link.messages import Autopilot, Component, MavType, MessageId
 from mavdiag.link.profiles import (
     IMU_MESSAGES,
+    LAST_RESORT,
     PROFILES,
     Profile,
+    by_attitude,
     detect_profile,
+    with_imu,
 )
-from mavdiag.link.samples import SampleDecoder, by_vehicle, warm
+from mavdiag.link.samples import SampleDecoder, SampleState, joined, warm
 from mavdiag.link.sequence import Intruder, LinkCount, Source
 from mavdiag.link.signing import Signing
-from mavdiag.link.stream import CLEAR_FRAMES, VehicleStream
-from mavdiag.link.waiting import Waiting
 from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_S
-
-__all__ = ["WATCH_S", "Ack", "Command", "LinkDecoder", "Received", "VehicleStream"]
 
 WATCH_S = 1.0  # how long a new vehicle's frames are watched for its profile (our choice)
 WAITING_FRAMES = 4096  # of a vehicle that has not entered that are kept (our choice)
 WAITING_IN_ALL = 32_768  # of all vehicles that have not entered (our choice)
 VEHICLES_MAX = 128  # on one link, unless told otherwise (our choice)
 RECHECK_S = 0.5  # how often a vehicle that waits is looked at again (our choice)
+BEATS_S = (0.2, 10.0)  # how far two heartbeats are apart that show a vehicle: it sends one a second (our choice)
+CLEAR_FRAMES = 512  # of a vehicle that are enough to see its profile (our choice)
+LAST_RESORT_S = 30.0  # without any IMU message, before the rates of ATTITUDE are read instead (our choice)
+USEFUL_FRAMES = 20  # of an IMU message, before it is taken at once (our choice)
+CHOICE_S = 1.0  # for which the choice stays open otherwise, from the first IMU message of any kind on (our choice)
+# Commands and parameter requests for one vehicle's computer that are handed out at a time, so that a flood is not
+# answered (our choice).
+REQUESTS_MAX = 16
+MOST_PARAMETERS = 8192  # names that are kept of one vehicle, so that made-up ones cost little (our choice)
 
-_T = TypeVar("_T")
+#: Messages that carry a command.
+COMMANDS = frozenset({MessageId.COMMAND_LONG, MessageId.COMMAND_INT})
+#: Messages that ask for parameters, or set one.
+PARAMETER_REQUESTS = frozenset({MessageId.PARAM_REQUEST_LIST, MessageId.PARAM_REQUEST_READ, MessageId.PARAM_SET})
+_TALK = COMMANDS | PARAMETER_REQUESTS | {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
+_TALKS = np.isin(MSGIDS, list(_TALK))  # by row of a message
+
+_KIND = slice(field_index(MessageId.HEARTBEAT, "type"), field_index(MessageId.HEARTBEAT, "autopilot") + 1)
+_TARGETS = ("target_system", "target_component")
+_ACK = tuple(field_index(MessageId.COMMAND_ACK, name) for name in ("command", "result", "target_component"))
+_TARGETS_OF: Mapping[int, list[int]] = {
+    msgid: [field_index(msgid, name) for name in _TARGETS] for msgid in COMMANDS | PARAMETER_REQUESTS
+}
+_PARAM_NAME = field_index(MessageId.PARAM_VALUE, "param_id")
+_PARAM_VALUE, _PARAM_TYPE = (layout_of(MessageId.PARAM_VALUE).offset(name)[0] for name in ("param_value", "param_type"))
+_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE, in the bytes of the float
+_COMMAND_OF: Mapping[int, int] = {msgid: field_index(msgid, "command") for msgid in COMMANDS}
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """What an autopilot answered to a command of ours: MAV_CMD and MAV_RESULT."""
+
+    command: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command (MAV_CMD) that was addressed to a vehicle's on-board computer, and who sent it."""
+
+    command: int
+    sysid: int
+    compid: int
+
+
+def acks_in(frames: Iterable[Frame]) -> tuple[Ack, ...]:
+    """The autopilot's acknowledgements to us (or to nobody in particular, as MAVLink 1 has it)."""
+    told = (frame.fields for frame in frames if frame.msgid == MessageId.COMMAND_ACK and frame.compid == AUTOPILOT)
+    found = ([int(fields[place]) for place in _ACK] for fields in told)
+    ours = (Component.ALL, Component.ONBOARD_COMPUTER)
+    return tuple(Ack(command, result) for command, result, component in found if component in ours)
+
+
+def command_in(frame: Frame) -> tuple[int, Command] | None:
+    """A command to a vehicle's on-board computer, with the vehicle's system id; None for any other frame."""
+    if frame.msgid not in COMMANDS:
+        return None
+    fields = frame.fields
+    system, component = (int(fields[place]) for place in _TARGETS_OF[frame.msgid])
+    command = Command(int(fields[_COMMAND_OF[frame.msgid]]), frame.sysid, frame.compid)
+    return (system, command) if component == Component.ONBOARD_COMPUTER else None
+
+
+def parameters_asked(frame: Frame) -> int | None:
+    """The vehicle about whose on-board computer's parameters a frame asks; None if it does not.
+
+    PARAM_REQUEST_LIST may be addressed to all components.
+    """
+    if frame.msgid not in PARAMETER_REQUESTS:
+        return None
+    system, component = (int(frame.fields[place]) for place in _TARGETS_OF[frame.msgid])
+    everybody = frame.msgid == MessageId.PARAM_REQUEST_LIST and component == Component.ALL
+    return system if component == Component.ONBOARD_COMPUTER or everybody else None
+
+
+def parameters_in(frames: Iterable[Frame], autopilot: int) -> dict[str, float]:
+    """The latest value of each parameter in the frames of one vehicle's autopilot (component 1), by name.
+
+    PARAM_VALUE carries every value in a float field. PX4 puts the bytes of an integer there; ArduPilot, and what else
+    is not PX4, casts the integer to a float (MAVLink parameter protocol, "parameter encoding"). Values that are not
+    finite are left out. autopilot: MAV_AUTOPILOT.
+    """
+    found: dict[str, float] = {}
+    for frame in frames:
+        if frame.msgid == MessageId.PARAM_VALUE and frame.compid == AUTOPILOT:
+            name, (kind,) = frame.fields[_PARAM_NAME], struct.unpack_from("B", frame.payload, _PARAM_TYPE)
+            form = _INTEGERS.get(kind, "<f") if autopilot == Autopilot.PX4 else "<f"
+            (value,) = struct.unpack_from(form, frame.payload, _PARAM_VALUE)
+            text = name.partition(b"\0")[0].decode("latin-1") if isinstance(name, bytes) else ""
+            if text and math.isfinite(value):
+                found[text] = float(value)
+    return found
+
+
+class VehicleStream:
+    """One vehicle's frames to telemetry, on one clock.
+
+    profile: how it sends; while no gyro sample has come, its IMU message is replaced by another that does come.
+    state: of its conversion.
+    parameters: of its autopilot that passed by so far, by name.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self._decoder, self.state = SampleDecoder(profile), SampleState()
+        self._own, self._since_ns = profile, 0
+        self._imu = NO_FRAMES.rows
+        self._settled = False  # whether the IMU message is chosen for good
+        self.parameters: Mapping[str, float] = {}
+
+    @property
+    def profile(self) -> Profile:
+        """The profile, with the IMU message that is read."""
+        return self._decoder.profile
+
+    def step(self, frames: Frames | Sequence[Frame]) -> Telemetry:
+        """Take the vehicle's next frames, in order of arrival."""
+        some = frames if isinstance(frames, Frames) else frames_of(frames)
+        if not self._settled and len(some):
+            self._choose_imu(some)
+        if told := parameters_in(some.of(MessageId.PARAM_VALUE), self.profile.autopilot):
+            merged = {**self.parameters, **told}
+            self.parameters = merged if len(merged) <= MOST_PARAMETERS else self.parameters
+        self.state, telemetry = self._decoder.step(self.state, some)
+        return telemetry
+
+    def _choose_imu(self, frames: Frames) -> None:
+        self._imu = np.concatenate((self._imu, frames.of(*IMU_MESSAGES, compid=AUTOPILOT).rows))[-CLEAR_FRAMES:]
+        seen = Frames(frames.data, self._imu)
+        counts, times_ns = seen.counts(), self._imu["host_ns"]
+        chosen = with_imu(self._own, counts, USEFUL_FRAMES)
+        host_ns = frames.rows["host_ns"]
+        self._since_ns = self._since_ns or int(host_ns[0])
+        waited_ns = int(host_ns[-1]) - self._since_ns
+        if not counts and (waited_ns > LAST_RESORT_S * NS_PER_S or self.profile.imu == LAST_RESORT):
+            chosen = by_attitude(self._own)
+        if chosen.imu != self.profile.imu:
+            self._decoder = SampleDecoder(chosen)
+        told_s = int(times_ns[-1] - times_ns[0]) / NS_PER_S if counts else 0.0
+        self._settled = counts[chosen.imu] >= USEFUL_FRAMES or (counts[chosen.imu] > 0 and told_s >= CHOICE_S)
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A system id that has not entered."""
+
+    since_ns: int  # it is watched
+    frames: list[Frame] = field(default_factory=list)  # its autopilot's latest
+    beat: Frame | None = None  # its autopilot's latest heartbeat
+    beats: int = 0  # how many like it came, each at its time after the one before
+    checked_ns: int | None = None  # when its profile was looked for last
+    reason: str = ""  # why it waits though its autopilot was received
+
+    def note(self, frames: Iterable[Frame]) -> None:
+        """Take in heartbeats."""
+        for frame in frames:
+            if frame.msgid == MessageId.HEARTBEAT:
+                kind, autopilot = frame.fields[_KIND]
+                if autopilot != Autopilot.INVALID and kind not in (MavType.GCS, MavType.ONBOARD_CONTROLLER):
+                    self._count(frame)
+
+    def _count(self, beat: Frame) -> None:
+        before, (least_s, most_s) = self.beat, BEATS_S
+        like = before is not None and beat.fields[_KIND] == before.fields[_KIND]
+        span_s = 0.0 if before is None else (beat.host_ns - before.host_ns) / NS_PER_S
+        if before is None or not like or span_s > most_s:
+            self.beat, self.beats = beat, 1
+        elif span_s >= least_s:
+            self.beat, self.beats = beat, self.beats + 1
+
+
+@dataclass(slots=True)
+class _Unread:
+    """What came from, or for, a vehicle that has entered, until it is asked for."""
+
+    pieces: list[Frames] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    parameter_requests: list[Frame] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Received:
     """What came from, or for, one vehicle since the last call.
 
-    frames: the frames of its system id, any component, in order of arrival.
+    frames: the frames of its system id, any component, that are no measurements, in order of arrival.
     telemetry: what its autopilot measured.
-    present: whether its autopilot sent any of the frames.
+    present: whether its autopilot sent any frames.
     acks: its autopilot's answers to our commands.
     commands: commands of others to its on-board computer.
     parameters: of its autopilot that passed by since the vehicle entered, by name.
@@ -81,12 +249,12 @@ class LinkDecoder:
     only: the one system id to follow, None for all.
     datagrams: whether a chunk of bytes holds whole frames; what a datagram leaves unfinished is never joined to the
     next one, which may be of another sender.
-    profiles: the profiles to choose from.
     careful: whether a vehicle must show that it is one before it enters; else one heartbeat will do.
     signing: lets only genuine frames pass; None passes all.
     passed: gets the bytes of every frame that passes, with its time of arrival; None for nobody.
     ours: keys (system id << 8 | component id) that are ours, in whose name nobody else is heard.
     most: how many vehicles may enter.
+    decoder: of the link's frames, for its counts.
     vehicles: the stream of each vehicle that has entered, by system id.
     """
 
@@ -95,7 +263,6 @@ class LinkDecoder:
         profile: Profile | None = None,
         only: int | None = None,
         datagrams: bool = True,
-        profiles: Collection[Profile] = tuple(PROFILES.values()),
         *,
         careful: bool = False,
         most: int = VEHICLES_MAX,
@@ -104,60 +271,47 @@ class LinkDecoder:
         ours: Collection[int] = (),
     ) -> None:
         warm()
-        everyone = profiles if profile is None else (profile,)
-        wanted = {msgid for one in everyone for msgid in SampleDecoder(one).wanted}
-        others = {MessageId.COMMAND_ACK, MessageId.PARAM_VALUE, MessageId.TIMESYNC}
-        wanted |= IMU_MESSAGES.keys() | others | COMMANDS | PARAMETER_REQUESTS
-        self._decoder = Decoder(wanted, signing=signing, passed=passed)
-        self._decoder.heard.kept = self._kept = set[int]()
-        self._decoder.heard.ours = self._ours = set(ours)
-        self._decode = self._decoder.feed_datagram if datagrams else self._decoder.feed
-        self._profile, self._only, self._profiles, self._careful = profile, only, profiles, careful
-        self._most = most
-        self._pending: dict[int, Waiting] = {}
-        self._frames: dict[int, list[Frame]] = {}
-        self._commanded: dict[int, list[Command]] = {}
-        self._asked: dict[int, list[Frame]] = {}
-        self._latest: dict[int, list[Frame]] = {}
+        chosen = PROFILES.values() if profile is None else (profile,)
+        wanted = {msgid for one in chosen for msgid in SampleDecoder(one).wanted}
+        self.decoder = Decoder(wanted | IMU_MESSAGES.keys() | _TALK, signing, passed)
+        self.decoder.heard.claim(ours)
+        self._profile, self._only, self._careful = profile, only, careful
+        self._most, self._datagrams = most, datagrams
+        self._waiting: dict[int, _Waiting] = {}
+        self._unread: dict[int, _Unread] = {}
+        self._latest: dict[int, Frames] = {}
         self.vehicles: dict[int, VehicleStream] = {}
-
-    @property
-    def decoder(self) -> Decoder:
-        """The decoder of the link's frames, for its counts."""
-        return self._decoder
 
     @property
     def waiting(self) -> Mapping[int, str]:
         """Why a vehicle has not entered, by system id, one sentence each; of those whose autopilot was received."""
-        return {sysid: pending.reason for sysid, pending in self._pending.items() if pending.reason}
+        return {sysid: waiting.reason for sysid, waiting in self._waiting.items() if waiting.reason}
 
     def count(self, sysid: int) -> LinkCount | None:
         """What came from one vehicle's autopilot so far; None if nothing did."""
-        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-        return None if sender is None else sender.count()
+        sender = self.decoder.heard.get(sysid, AUTOPILOT)
+        return None if sender is None else sender.count
 
     def heard_since(self, host_ns: int) -> list[int]:
         """The vehicles whose autopilots were heard at this time or later [ns]."""
-        senders = ((sysid, self._decoder.heard.get(sysid, Component.AUTOPILOT1)) for sysid in self.vehicles)
-        return [sysid for sysid, sender in senders if sender is not None and sender.heard_ns >= host_ns]
+        return [sysid for sysid in self.vehicles if self.decoder.heard.heard_from(sysid, AUTOPILOT)[1] >= host_ns]
 
-    def source(self, sysid: int, compid: int = Component.AUTOPILOT1) -> Source:
+    def source(self, sysid: int, compid: int = AUTOPILOT) -> Source:
         """Where a vehicle's autopilot, or another sender, is heard from; None on a link with one other end."""
-        sender = self._decoder.heard.get(sysid, compid)
-        return None if sender is None else sender.source
+        return self.decoder.heard.heard_from(sysid, compid)[0]
 
     def intruder(self, sysid: int) -> Intruder | None:
         """Who else sends as a vehicle's autopilot; None if nobody does."""
-        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
+        sender = self.decoder.heard.get(sysid, AUTOPILOT)
         return None if sender is None else sender.intruder
 
     def impostor(self, sysid: int) -> Intruder | None:
         """Who sends in our name as a vehicle's on-board computer; None if nobody does."""
-        return self._decoder.heard.impostors.get(sysid << 8 | Component.ONBOARD_COMPUTER)
+        return self.decoder.heard.impostors.get(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def give_up(self, sysid: int) -> None:
         """Let others be a vehicle's on-board computer."""
-        self._ours.discard(sysid << 8 | Component.ONBOARD_COMPUTER)
+        self.decoder.heard.give_up(sysid << 8 | Component.ONBOARD_COMPUTER)
 
     def feed(
         self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()
@@ -168,99 +322,102 @@ class LinkDecoder:
         sources: where each of the chunks comes from; empty for a link with one other end.
         """
         self.take(chunks, now_ns, sources)
-        return {sysid: self.received(sysid) for sysid in sorted(self._waiting())}
+        return {sysid: self.received(sysid) for sysid in sorted(self._unread)}
 
     def take(self, chunks: Iterable[tuple[bytes, int]], now_ns: int, sources: Sequence[Source] = ()) -> None:
         """Take bytes as `feed` does; what is for or from vehicles that have entered waits for `received`, which need
         not be called after each `take`."""
-        frames: list[Frame] = []
-        decoder, decode = self._decoder, self._decode
-        pairs = zip(chunks, sources, strict=True) if sources else zip(chunks, repeat(None), strict=False)
-        for (data, host_ns), source in pairs:
-            decoder.source = source
-            frames += decode(data, host_ns)
-        own = {sysid: some for sysid, some in by_vehicle(frames).items() if self._only in (None, sysid)}
-        for sysid, some in own.items():
-            own[sysid] = self._uncontested(sysid, some)
-        for sysid in [sysid for sysid in own if sysid and sysid not in self.vehicles]:
-            own[sysid] = self._enter(sysid, own[sysid], now_ns)
-        self._wait(self._frames, own)
-        self._wait(self._commanded, commands_in(frames))
-        self._wait(self._asked, parameters_asked_in(frames))
+        if self._datagrams:
+            taken = [self.decoder.take_datagrams(chunks, sources)]
+        else:
+            ends = sources or repeat(None)
+            taken = [self.decoder.take_stream(*chunk, end) for chunk, end in zip(chunks, ends, strict=False)]
+        for frames in taken:
+            for sysid, own in frames.by_sysid().items() if len(frames) else ():
+                if sysid and self._only in (None, sysid):
+                    self._take_own(sysid, own, now_ns)
+            self._take_talk(frames.where(_TALKS[frames.rows["row"]]))
+
+    def _take_own(self, sysid: int, frames: Frames, now_ns: int) -> None:
+        pieces = self._uncontested(sysid, frames)
+        if sysid not in self.vehicles:
+            pieces = self._enter(sysid, pieces, now_ns)
+        if sysid in self.vehicles:
+            self._unread.setdefault(sysid, _Unread()).pieces += pieces
+
+    def _take_talk(self, frames: Iterable[Frame]) -> None:
+        """Hand out what is addressed to on-board computers; at most `REQUESTS_MAX` of a kind to each."""
+        for frame in frames:
+            if (found := command_in(frame)) and found[0] in self.vehicles:
+                commands = self._unread.setdefault(found[0], _Unread()).commands
+                commands += [found[1]] if len(commands) < REQUESTS_MAX else []
+            elif (sysid := parameters_asked(frame)) in self.vehicles and sysid is not None:
+                requests = self._unread.setdefault(sysid, _Unread()).parameter_requests
+                requests += [frame] if len(requests) < REQUESTS_MAX else []
 
     def received(self, sysid: int) -> Received:
         """What waits of a vehicle that has entered."""
-        some = self._frames.pop(sysid, [])
-        return Received(
-            tuple(some),
-            self.vehicles[sysid].step(some),
-            any(frame.compid == Component.AUTOPILOT1 for frame in some),
-            acks_in(some),
-            tuple(self._commanded.pop(sysid, ())),
-            self.vehicles[sysid].parameters,
-            tuple(self._asked.pop(sysid, ())),
-        )
+        unread, stream = self._unread.pop(sysid, _Unread()), self.vehicles[sysid]
+        talk = tuple(frame for piece in unread.pieces for frame in piece.where(_TALKS[piece.rows["row"]]))
+        telemetry = joined(stream.step(piece) for piece in unread.pieces)
+        present = any(bool((piece.rows["sender"] & 0xFF == AUTOPILOT).any()) for piece in unread.pieces)
+        requests = tuple(unread.parameter_requests)
+        return Received(talk, telemetry, present, acks_in(talk), tuple(unread.commands), stream.parameters, requests)
 
     def leave(self, sysid: int) -> None:
         """Drop what waits of a vehicle that nobody asks for."""
-        for waiting in (self._frames, self._commanded, self._asked):
-            waiting.pop(sysid, None)
+        self._unread.pop(sysid, None)
 
-    def _wait(self, waiting: dict[int, list[_T]], found: Mapping[int, list[_T]]) -> None:
-        for sysid in found.keys() & self.vehicles.keys():
-            waiting.setdefault(sysid, []).extend(found[sysid])
-
-    def _waiting(self) -> set[int]:
-        return self._frames.keys() | self._commanded.keys() | self._asked.keys()
-
-    def _uncontested(self, sysid: int, frames: list[Frame]) -> list[Frame]:
+    def _uncontested(self, sysid: int, frames: Frames) -> list[Frames]:
         """Without the autopilot's frames that two senders claim by one running number.
 
         Once that has happened, the latest frame waits for the one that may contest it.
         """
-        sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-        if sender is None or not sender.clashes:
-            return frames
-        contested, sender.contested = sender.contested, set()
-        frames = [*self._latest.pop(sysid, ()), *frames]
-        sound = [frame for frame in frames if frame.compid != Component.AUTOPILOT1 or frame.seq not in contested]
-        self._latest[sysid] = sound[-1:]
-        return sound[:-1]
+        contested = self.decoder.heard.contested(sysid, AUTOPILOT)
+        if contested is None:
+            return [frames]
+        sound = []
+        for piece in (self._latest.pop(sysid, NO_FRAMES), frames):
+            rows = piece.rows
+            sound.append(piece.where((rows["sender"] & 0xFF != AUTOPILOT) | ~np.isin(rows["seq"], contested)))
+        last = sound[-1] if len(sound[-1]) else sound[0]
+        self._latest[sysid] = last.where(slice(-1, None))
+        return [piece.where(slice(None, -1)) if piece is last else piece for piece in sound]
 
-    def _enter(self, sysid: int, frames: list[Frame], now_ns: int) -> list[Frame]:
+    def _enter(self, sysid: int, pieces: Iterable[Frames], now_ns: int) -> list[Frames]:
         """Let a vehicle enter if its profile is clear; return the frames that it brings along then."""
-        pending = self._pending.setdefault(sysid, Waiting(now_ns))
-        kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._pending))
-        frames = [frame for frame in frames if frame.compid == Component.AUTOPILOT1]
-        pending.frames = [*pending.frames, *frames][-kept:]
-        pending.note(frames)
-        watched = now_ns - pending.since_ns >= WATCH_S * NS_PER_S or len(pending.frames) >= min(kept, CLEAR_FRAMES)
-        if pending.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, pending):
+        waiting = self._waiting.setdefault(sysid, _Waiting(now_ns))
+        kept = min(WAITING_FRAMES, WAITING_IN_ALL // len(self._waiting))
+        frames = [frame for piece in pieces for frame in piece if frame.compid == AUTOPILOT]
+        waiting.frames = [*waiting.frames, *frames][-kept:]
+        waiting.note(frames)
+        watched = now_ns - waiting.since_ns >= WATCH_S * NS_PER_S or len(waiting.frames) >= min(kept, CLEAR_FRAMES)
+        if waiting.beat is None or (self._profile is None and not watched) or not self._may_enter(sysid, waiting):
             return []
-        if pending.checked_ns is not None and now_ns - pending.checked_ns < RECHECK_S * NS_PER_S:
+        if waiting.checked_ns is not None and now_ns - waiting.checked_ns < RECHECK_S * NS_PER_S:
             return []
-        pending.checked_ns = now_ns
-        if refused := refusal(mav_type_of(pending.beat)):
-            pending.reason, pending.frames = refused, []
+        waiting.checked_ns = now_ns
+        if refused := refusal(int(waiting.beat.fields[_KIND][0])):
+            waiting.reason, waiting.frames = refused, []
             return []
         profile = self._profile
         if profile is None:
-            recognised = detect_profile([pending.beat, *pending.frames], self._profiles)
-            profile, pending.reason = recognised.profile, recognised.reason
+            recognised = detect_profile([waiting.beat, *waiting.frames])
+            profile, waiting.reason = recognised.profile, recognised.reason
         if profile is None:
             return []
         self.vehicles[sysid] = VehicleStream(profile)
-        self._kept.add(sysid << 8 | Component.AUTOPILOT1)
-        del self._pending[sysid]
-        return pending.frames
+        self.decoder.heard.keep(sysid << 8 | AUTOPILOT)
+        del self._waiting[sysid]
+        return [frames_of(waiting.frames)]
 
-    def _may_enter(self, sysid: int, pending: Waiting) -> bool:
+    def _may_enter(self, sysid: int, waiting: _Waiting) -> bool:
         """Whether one that sends a vehicle's heartbeat is taken for a vehicle, and there is room for it."""
         if self._careful:
-            sender = self._decoder.heard.get(sysid, Component.AUTOPILOT1)
-            if pending.beats < 2 or sender is None or not sender.sound:
+            sender = self.decoder.heard.get(sysid, AUTOPILOT)
+            if waiting.beats < 2 or sender is None or not sender.sound:
                 return False
         if len(self.vehicles) >= self._most:
-            pending.reason, pending.frames = f"there are {self._most} vehicles already (max_vehicles)", []
+            waiting.reason, waiting.frames = f"there are {self._most} vehicles already (max_vehicles)", []
             return False
         return True

@@ -1,16 +1,21 @@
-"""The streams that a diagnosis needs: which messages carry them, how fast, and which parameter gives them.
+"""What a diagnosis asks of a vehicle: streams and parameters, by which messages, how fast, and what gives them unasked.
 
-Messages are asked for by MAV_CMD_SET_MESSAGE_INTERVAL; a request changes no parameter. What gives a message without a
-request is `remedy`, from the stream groups of ArduPilot (GCS_MAVLink_Copter.cpp, `STREAM_...`), the MAVLink modes of
-PX4 (mavlink_main.cpp, `configure_streams_to_default`) and the logging masks of both (LOG_BITMASK, SDLOG_PROFILE).
+Messages are asked for by MAV_CMD_SET_MESSAGE_INTERVAL, which changes no parameter; parameters are read by
+PARAM_REQUEST_READ, a few at a time, and never set: an autopilot need not know them, or answer. Rates that were asked
+for stay until the autopilot starts anew or somebody else sets them. What gives a message without a request is `remedy`,
+from the stream groups of ArduPilot (GCS_MAVLink_Copter.cpp, `STREAM_...`), the MAVLink modes of PX4 (mavlink_main.cpp,
+`configure_streams_to_default`) and the logging masks of both (LOG_BITMASK, SDLOG_PROFILE). Sans-I/O: what came and
+`now` in, frames to send out.
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-from mavdiag.link.messages import Autopilot, MessageId
+from mavdiag.link.codec import Encoder
+from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import LAST_RESORT, Profile
-from mavdiag.telemetry import Signal
+from mavdiag.link.signing import Signing
+from mavdiag.telemetry import Instant, Signal
 
 # Rates of the slow streams [Hz]: what is asked for, and the least that will do (METHOD section 4; our choices).
 _SLOW: Mapping[Signal, tuple[float, float]] = {
@@ -69,15 +74,13 @@ def wants_of(
     imu_hz: rate to ask for, least and most that will do. setpoint_hz: least rate of the set-points.
     setpoints: whether the set-points are mandatory, as the gyro is.
     """
-    others = tuple(one for one in _GYROS if one != profile.imu)
+    others = tuple(message for message in _GYROS if message != profile.imu)
     messages = messages_of(profile)
-    wants = [Want(Signal.BODY_RATE, profile.imu, *imu_hz, mandatory=True, others=others)]
-    if Signal.ATTITUDE_SETPOINT in needs:
-        target = Want(Signal.ATTITUDE_SETPOINT, profile.setpoint, imu_hz[0], setpoint_hz, mandatory=setpoints)
-        wants.insert(0, target)
+    target = Want(Signal.ATTITUDE_SETPOINT, profile.setpoint, imu_hz[0], setpoint_hz, mandatory=setpoints)
+    gyro = Want(Signal.BODY_RATE, profile.imu, *imu_hz, mandatory=True, others=others)
     slow = (signal for signal in _SLOW if signal in messages and signal in needs)
-    wants += [Want(signal, messages[signal], *_SLOW[signal]) for signal in slow]
-    return tuple(wants)
+    targets = (target,) if Signal.ATTITUDE_SETPOINT in needs else ()
+    return (*targets, gyro, *(Want(signal, messages[signal], *_SLOW[signal]) for signal in slow))
 
 
 def messages_of(profile: Profile) -> dict[Signal, MessageId]:
@@ -101,7 +104,7 @@ _ON_REQUEST = "a request only: mavdiag-detector asks, and so does `mavdiag inspe
 _PX4_ONBOARD = "MAV_0_MODE 2 (Onboard) with enough MAV_0_RATE, or a request"
 
 #: What makes an autopilot send a message without being asked; SRn is of the serial port n, 0 for USB.
-_GIVES: Mapping[Autopilot, Mapping[int, str]] = {
+_GIVES: Mapping[int, Mapping[int, str]] = {
     Autopilot.ARDUPILOTMEGA: {
         MessageId.ATTITUDE_TARGET: _ON_REQUEST,
         MessageId.HIGHRES_IMU: _ON_REQUEST,
@@ -147,10 +150,99 @@ def remedy(autopilot: int, msgid: int) -> str:
     >>> remedy(Autopilot.ARDUPILOTMEGA, MessageId.VIBRATION)
     'SRn_EXTRA3'
     """
-    rows = next((rows for known, rows in _GIVES.items() if known == autopilot), None)
-    return "" if rows is None else rows.get(msgid, "")
+    return _GIVES.get(autopilot, {}).get(msgid, "")
 
 
 def log_remedy(profile: str, signal: Signal) -> str:
     """Which parameter makes an autopilot log a signal, by the profile of the log; empty where none is known."""
     return _LOGS.get(profile, {}).get(signal, "")
+
+
+BEAT_S = 1.0
+AGAIN_S, TRIES = 1.5, 2  # a stream that has not come by then is asked for once more (our choice)
+STANDBY, MAVLINK_VERSION = 3, 3  # MAV_STATE; of a heartbeat
+_BATCH, _PAUSE_S, _NAME_TRIES = 4, 0.2, 3  # parameters at a time, how far apart, and tries of each (our choices)
+_ROTORS_MAX = 12
+_OUTPUTS = tuple(f"SERVO{n}_FUNCTION" for n in range(1, 15))
+_PX4_OUTPUTS = tuple(f"PWM_{group}_FUNC{n}" for group in ("MAIN", "AUX") for n in range(1, 9))
+
+
+def telling(autopilot: int, known: Mapping[str, float]) -> tuple[str, ...]:
+    """The parameters that tell rotors, outputs and gyro filter, by MAV_AUTOPILOT. known: what is known already.
+
+    >>> telling(Autopilot.GENERIC, {})
+    ('FRAME_CLASS', 'FRAME_TYPE')
+    """
+    if autopilot == Autopilot.PX4:
+        rotors = range(min(_ROTORS_MAX, int(known.get("CA_ROTOR_COUNT", 0.0))))
+        places = (f"CA_ROTOR{n}_{part}" for part in ("PX", "PY", "KM", "AX", "AY", "AZ", "CT") for n in rotors)
+        return ("CA_AIRFRAME", "CA_ROTOR_COUNT", *places, *_PX4_OUTPUTS)
+    more = ("INS_GYRO_FILTER", *_OUTPUTS) if autopilot == Autopilot.ARDUPILOTMEGA else ()
+    return ("FRAME_CLASS", "FRAME_TYPE", *more)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Which parameters were asked for so far: how often each name, and when some were last."""
+
+    tries: Mapping[str, int] = field(default_factory=dict)
+    at: Instant | None = None
+
+    def step(self, autopilot: int, known: Mapping[str, float], now: Instant) -> tuple["Reading", tuple[str, ...]]:
+        """The names to ask for now, those with the fewest tries first. known: the parameters that came so far."""
+        if self.at is not None and now - self.at < _PAUSE_S:
+            return self, ()
+        tries = {name: self.tries.get(name, 0) for name in telling(autopilot, known) if name not in known}
+        due = [name for name in sorted(tries, key=lambda name: tries[name]) if tries[name] < _NAME_TRIES][:_BATCH]
+        if not due:
+            return self, ()
+        return Reading({**self.tries, **{name: tries[name] + 1 for name in due}}, now), tuple(due)
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What was asked so far.
+
+    beat: when the last heartbeat went out.
+    reading: the parameters.
+    streams: tries and the time of the last one, by message.
+    """
+
+    beat: Instant | None = None
+    reading: Reading = field(default_factory=Reading)
+    streams: Mapping[int, tuple[int, Instant]] = field(default_factory=dict)
+
+
+class Asker:
+    """Asks one vehicle. vehicle: its system id, whose on-board computer we are. signing: signs what is sent."""
+
+    def __init__(self, vehicle: int, signing: Signing | None = None) -> None:
+        self._encoder = Encoder(vehicle, Component.ONBOARD_COMPUTER, signing)
+        self._target = (vehicle, Component.AUTOPILOT1)
+
+    def beat(self, asked: Asked, now: Instant) -> tuple[Asked, list[bytes]]:
+        """A heartbeat each second."""
+        if asked.beat is not None and now - asked.beat < BEAT_S:
+            return asked, []
+        kind = (MavType.ONBOARD_CONTROLLER, Autopilot.INVALID, 0, 0, STANDBY, MAVLINK_VERSION)
+        return replace(asked, beat=now), [self._encoder.encode(MessageId.HEARTBEAT, *kind)]
+
+    def read(self, asked: Asked, autopilot: int, known: Mapping[str, float], now: Instant) -> tuple[Asked, list[bytes]]:
+        """The parameters that tell rotors and filter, until they are known. known: those that came."""
+        reading, names = asked.reading.step(autopilot, known, now)
+        request = (MessageId.PARAM_REQUEST_READ, *self._target)
+        return replace(asked, reading=reading), [self._encoder.encode(*request, name, -1) for name in names]
+
+    def stream(
+        self, asked: Asked, wants: Sequence[Want], rates_hz: Mapping[int, float], now: Instant
+    ) -> tuple[Asked, list[bytes]]:
+        """The streams that do not come, or too slowly. rates_hz: of what comes, by message."""
+        frames, streams = [], dict(asked.streams)
+        for want in wants:
+            tries, at = streams.get(want.msgid, (0, now))
+            due = tries == 0 or (tries < TRIES and now - at >= AGAIN_S)
+            if rates_hz.get(want.msgid, 0.0) < want.least_hz and due:
+                streams[want.msgid] = (tries + 1, now)
+                interval = (MavCmd.SET_MESSAGE_INTERVAL, 0, want.msgid, round(1e6 / want.ask_hz))
+                frames.append(self._encoder.encode(MessageId.COMMAND_LONG, *self._target, *interval))
+        return replace(asked, streams=streams), frames

@@ -3,8 +3,7 @@
 A record is the time in microseconds since 1970, 8 bytes, most significant first, and one MAVLink frame. There is no
 header and no checksum of the whole: damage is skipped, frame by frame, and counted.
 
-A file is read in windows, and each window decoded as a whole (`link.recording`): what comes out is what
-`link.codec.Decoder` finds frame by frame.
+A file is read in windows, and each window decoded as a whole by the decoder of live links.
 """
 
 import hashlib
@@ -16,15 +15,12 @@ from typing import NamedTuple
 
 from mavdiag.airframe.vehicle_type import refusal
 from mavdiag.errors import InputError
-from mavdiag.link.batch import Batch, total
-from mavdiag.link.codec import Frame
-from mavdiag.link.evidence import mav_types_of
+from mavdiag.link.codec import STAMP_BYTES, Decoder, Frame, Frames
 from mavdiag.link.messages import MessageId
-from mavdiag.link.parameters import parameters_in
-from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, detect_profile_in, profile_named, with_imu_of
-from mavdiag.link.recording import STAMP_BYTES, LogDecoder, Window
-from mavdiag.link.samples import Runs, SampleDecoder, SampleState
+from mavdiag.link.profiles import IMU_MESSAGES, PROFILES, Profile, beats_of, detect_profile, profile_named, with_imu
+from mavdiag.link.samples import SampleDecoder, SampleState, joined
 from mavdiag.link.sequence import LinkCount
+from mavdiag.link.vehicles import parameters_in
 from mavdiag.logs.log import TLOG_BYTES, WINDOW_BYTES, LogKind, windows_of
 from mavdiag.telemetry import Log, Telemetry
 
@@ -48,7 +44,7 @@ class TlogContent:
     trailing_bytes: how many of those stand behind the last sound record.
     """
 
-    pieces: tuple[Window, ...]
+    pieces: tuple[Frames, ...]
     size: int
     sha256: str
     records: int
@@ -59,22 +55,25 @@ class TlogContent:
     @property
     def frames(self) -> list[Frame]:
         """The frames one by one; Frame.host_ns is unix time."""
-        return [frame for piece in self.pieces for frame in piece.frames()]
+        return [frame for piece in self.pieces for frame in piece]
 
     @property
     def heard(self) -> dict[int, int]:
         """When the first frame of each system id came [ns]."""
         first: dict[int, int] = {}
         for piece in self.pieces:
-            first = {**piece.heard(), **first}
+            for sysid, own in piece.by_sysid().items():
+                first.setdefault(sysid, int(own.rows["host_ns"][0]))
         return first
 
     @property
     def mav_types(self) -> dict[int, int]:
         """MAV_TYPE of each system id that has an autopilot, by most of its heartbeats."""
-        told = {
-            sysid: sum((mav_types_of(piece.vehicle(sysid)) for piece in self.pieces), Counter()) for sysid in self.heard
-        }
+        told: dict[int, Counter[int]] = {}
+        for piece in self.pieces:
+            for sysid, own in piece.of(MessageId.HEARTBEAT).by_sysid().items():
+                for (kind, _), count in beats_of(own).items():
+                    told.setdefault(sysid, Counter())[kind] += count
         return {sysid: types.most_common(1)[0][0] for sysid, types in told.items() if types}
 
     @property
@@ -86,7 +85,7 @@ class TlogContent:
     @property
     def span_ns(self) -> int:
         """Time from the earliest frame to the latest [ns]."""
-        times = [rows.host_ns for piece in self.pieces for rows in piece.rows.values()]
+        times = [piece.rows["host_ns"] for piece in self.pieces if len(piece)]
         return max(int(span.max()) for span in times) - min(int(span.min()) for span in times) if times else 0
 
     @property
@@ -133,15 +132,11 @@ def read_content(path: Path) -> TlogContent:
 
 def decode_windows(windows: Iterable[bytes]) -> TlogContent:
     """As `decode_tlog`, for a log that comes in windows, wherever they cut it."""
-    decoder, pieces = LogDecoder(_WANTED), list[Window]()
-    pending = b""
-    for window in windows:
-        if pending:
-            pieces.append(decoder.feed(pending, last=False))
-        pending = window
-    pieces.append(decoder.feed(pending, last=True))
-    counts, lost = decoder.senders.counts(), decoder.size - decoder.sound_end
-    return TlogContent(tuple(pieces), decoder.size, "", decoder.records, decoder.damaged, counts, lost)
+    decoder = Decoder(_WANTED, stamped=True)
+    pieces = [decoder.take_stream(window) for window in windows]
+    pieces.append(decoder.take_stream(b"", last=True))
+    lost = decoder.size - decoder.sound_end
+    return TlogContent(tuple(pieces), decoder.size, "", decoder.records, decoder.garbage_bytes, decoder.senders, lost)
 
 
 def read_tlog(path: Path, vehicle: int | None = None, profile: str | None = None) -> Log:
@@ -192,19 +187,19 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
     if refused := next((text for sysid in sysids if (text := refusal(types.get(sysid)))), ""):
         raise InputError(f"{path}: {refused}")
     left_out = tuple(f"vehicle {sysid} is left out: {text}" for sysid, kind in types.items() if (text := refusal(kind)))
-    named = [frame for piece in pieces for frame in piece.frames({MessageId.PARAM_VALUE})]
+    named = [frame for piece in pieces for frame in piece.of(MessageId.PARAM_VALUE)]
     content = replace(content, pieces=())
     for sysid in sysids:
-        batches = [piece.vehicle(sysid) for piece in pieces]
+        own = [piece.where(piece.rows["sender"] >> 8 == sysid) for piece in pieces]
         if sysid == sysids[-1]:
             pieces.clear()
-        recognised = detect_profile_in(batches)
+        recognised = detect_profile(own)
         known = recognised.profile if profile is None else profile_named(profile)
         if known is None:
             raise InputError(f"{path}: vehicle {sysid}: {recognised.reason}")
         parameters = parameters_in((frame for frame in named if frame.sysid == sysid), known.autopilot)
         name = path.name if len(sysids) == 1 else f"{path.name} vehicle {sysid}"
-        telemetry = _converted(batches, known)
+        telemetry = _converted(own, known)
         notes, kind = (*content.notes, *left_out), types.get(sysid)
         log = Log(
             name, content.sha256, known.name, telemetry, heard[sysid], notes, parameters, mav_type=kind, vehicle=sysid
@@ -212,14 +207,19 @@ def _flights(path: Path, profile: str | None, choose: Callable[[TlogContent], li
         yield VehicleLog(sysid, log)
 
 
-def _converted(batches: list[Batch], profile: Profile) -> Telemetry:
-    """The telemetry of one vehicle; uses the batches up."""
-    decoder, state, runs = SampleDecoder(with_imu_of(profile, total(batches))), SampleState(), Runs()
-    batches.reverse()
-    while batches:
-        state, telemetry = decoder.step_batch(state, batches.pop())
-        runs.add(telemetry)
-    return runs.joined()
+def _converted(pieces: list[Frames], profile: Profile) -> Telemetry:
+    """The telemetry of one vehicle; uses the pieces up."""
+    counts = sum((piece.counts() for piece in pieces), Counter[int]())
+    decoder = SampleDecoder(with_imu(profile, counts))
+
+    def converted() -> Iterator[Telemetry]:
+        state = SampleState()
+        pieces.reverse()
+        while pieces:
+            state, telemetry = decoder.step(state, pieces.pop())
+            yield telemetry
+
+    return joined(converted())
 
 
 def _usable(path: Path) -> TlogContent:

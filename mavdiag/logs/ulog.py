@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pyulog import ULog, ULogException
 
 from mavdiag.errors import InputError
-from mavdiag.link.conversion import euler_angles
+from mavdiag.link.samples import euler_angles
 from mavdiag.logs.log import RECORDED_GATE, LogKind, read_bytes, sha256_of
 from mavdiag.logs.records import Row, as_floats, read_rows
 from mavdiag.telemetry import FloatArray, IntArray, Log, Series, Signal, Telemetry

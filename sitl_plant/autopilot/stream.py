@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, lfilter_zi
 
-from mavdiag.link.codec import record_dtype
+from mavdiag.link.codec import layout_of
 from mavdiag.link.messages import MavType, MessageId, ModeFlag
 from mavdiag.telemetry import FloatArray, IntArray
 from mavdiag.units import NS_PER_MS, NS_PER_US, RPM, G
@@ -178,7 +178,7 @@ def records(msgid: int, filtered: FilteredSamples, rows: IntArray, dialect: Dial
 
 @cache
 def _dtype(msgid: int, columns: tuple[tuple[str, int], ...]) -> np.dtype[np.void]:
-    return record_dtype(msgid, *columns)
+    return layout_of(msgid).record_dtype(*columns)
 
 
 class _Due:

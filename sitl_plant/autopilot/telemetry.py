@@ -4,14 +4,15 @@ The records are those that the emulator sends, and the receiver's own conversion
 """
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import UsageError
-from mavdiag.link.conversion import sources
-from mavdiag.link.samples import filled, joined, merged
-from mavdiag.telemetry import FloatArray, IntArray, Series, Signal, Telemetry
+from mavdiag.link.codec import AUTOPILOT, ROWS, Frames
+from mavdiag.link.samples import SampleDecoder, SampleState, joined, sources
+from mavdiag.link.sequence import FRAME
+from mavdiag.telemetry import Telemetry
 from mavdiag.units import NS_PER_MS
 from sitl_plant.autopilot.dialect import dialect_named
 from sitl_plant.autopilot.schedule import Schedule
@@ -43,44 +44,38 @@ class TelemetryStream:
 
     def __init__(self, link: LinkSpec, seed: int, rotors: int = 4) -> None:
         self._dialect, self._loss = dialect_named(link.profile), link.loss
-        self._sources = {int(source.message): source for source in sources(self._dialect.profile)}
+        self._decoder, self._state = SampleDecoder(self._dialect.profile), SampleState()
+        self._times = {int(source.message): source.time for source in sources(self._dialect.profile)}
         rates = self._dialect.rates_hz(link.rate_hz, rotors)
-        self._schedule = Schedule(
-            {m: rate for m, rate in rates.items() if m in self._sources}, self._dialect.ceiling_hz
-        )
+        self._schedule = Schedule({m: rate for m, rate in rates.items() if m in self._times}, self._dialect.ceiling_hz)
         self._filters = ImuFilters(self._dialect, seed)
-        self._held: dict[Signal, FloatArray] = {}
-        self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._sources}
+        self._losses = {msgid: np.random.default_rng([seed, msgid]) for msgid in self._times}
 
     def step(self, samples: PlantSamples) -> Telemetry:
         """The next block (n >= 1)."""
         filtered = self._filters.step(samples)
-        found: dict[Signal, list[tuple[Series, IntArray]]] = {}
-        held = set()
-        for order, (msgid, due) in enumerate(self._schedule.due(samples.t_ns)):
-            source = self._sources[msgid]
-            rows, record = records(msgid, filtered, due, self._dialect)
-            seen = record.view(source.dtype)
+        payloads, found, times = [b""], [np.empty(0, FRAME)], [np.empty(0, np.int64)]
+        for msgid, due in self._schedule.due(samples.t_ns):
+            at, record = records(msgid, filtered, due, self._dialect)
+            size, time = record.itemsize, self._times[msgid]
             if self._loss:
-                kept = self._losses[msgid].random(len(rows)) >= self._loss
-                rows, seen = rows[kept], seen[kept]
-            if source.counter is None:  # a message without a time of its own
-                t_ns = filtered.stamp_ns[rows] // NS_PER_MS * NS_PER_MS
+                kept = np.flatnonzero(self._losses[msgid].random(len(at)) >= self._loss)
+                at, record = at[kept], record.view(f"V{size}")[kept].view(record.dtype)
+            rows = np.zeros(len(at), FRAME)
+            rows["row"], rows["sender"], rows["host_ns"] = ROWS[msgid], 1 << 8 | AUTOPILOT, samples.t_ns[at]
+            rows["body"] = sum(map(len, payloads)) + size * np.arange(len(at))
+            rows["stop"] = rows["body"] + size
+            if time is None:  # a message without a time of its own
+                times.append(filtered.stamp_ns[at] // NS_PER_MS * NS_PER_MS)
             else:
-                t_ns = seen[source.time].astype(np.int64) * source.counter.tick_ns
-            for part in source.convert(self._dialect.profile, seen):
-                at = np.arange(len(rows)) if part.meant is None else np.flatnonzero(part.meant)
-                series = Series(part.signal, t_ns[at], samples.t_ns[rows[at]], part.values[at])
-                found.setdefault(part.signal, []).append((series, rows[at] * len(self._sources) + order))
-                held |= {part.signal} if part.held else set()
-        return Telemetry(tuple(self._whole(signal, parts, signal in held) for signal, parts in found.items()))
-
-    def _whole(self, signal: Signal, parts: list[tuple[Series, IntArray]], held: bool) -> Series:
-        series = parts[0][0] if len(parts) == 1 else merged(signal, parts)
-        if held and len(series):
-            series = replace(series, values=filled(series.values, self._held.get(signal)))
-            self._held[signal] = series.values[-1]
-        return series
+                times.append(record[time[0]].astype(np.int64) * time[1].tick_ns)
+            payloads.append(record.tobytes())
+            found.append(rows)
+        rows, t_ns = np.concatenate(found), np.concatenate(times)
+        order = np.argsort(rows["host_ns"], kind="stable")
+        frames = Frames(np.frombuffer(b"".join(payloads), np.uint8), rows[order])
+        self._state, telemetry = self._decoder.step(self._state, frames, t_ns[order])
+        return telemetry
 
 
 def until_ground(samples: PlantSamples) -> int:

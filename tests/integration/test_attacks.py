@@ -173,7 +173,7 @@ def test_the_genuine_stream_is_judged_all_along(name: str, calm_s: float, tmp_pa
     (figures,) = bench.daemon.fleet.figures()
     assert bench.judged_s == calm_s
     assert (figures.vehicle, figures.state, figures.lost, figures.events) == (1, State.MONITORING, 0, 0)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     behind = Decoder()
     for data, _ in bench.behind[0].receive(0.0):
         behind.feed_datagram(data, 0)
@@ -209,7 +209,7 @@ def test_two_senders_on_one_wire_are_told_once() -> None:
         bench.run(TICK_S)
     texts = [text for text in bench.host.lines if "running numbers keep jumping back" in text]
     assert len(texts) == 1
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     bench.close()
 
 
@@ -290,7 +290,7 @@ def test_forged_frames_from_the_vehicles_own_address_do_not_blind(name: str, jud
     bench = Attacked(Settings(connect=UDP_IN, baseline=Path("b.json")), baseline=baseline_for(), vehicles=[vehicle])
     bench.fly(20.0)
     assert bench.judged_s >= 0.9 * judged_alone_s
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert told in "\n".join([*bench.host.lines, *(cause for cause, _ in bench.daemon.figures().refused)])
     vehicle.turning = 0.5
     bench.fly(3.0)

@@ -70,7 +70,7 @@ def test_a_vehicle_that_reboots_is_watched_again(watching: Callable[..., Bench])
     unheard(bench, 4.0)
     bench.vehicles[0].sent = 0
     bench.run(8.0)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 1
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 1
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
 
@@ -81,7 +81,7 @@ def test_a_link_that_was_cut_is_judged_again(watching: Callable[..., Bench], cut
     unheard(bench, cut_s)
     assert (bench.daemon.fleet.vehicles[1].session.state is State.LOST) == (cut_s > 3.0)
     bench.run(6.0)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
 
@@ -93,7 +93,7 @@ def test_a_flapping_link_ends_in_judging(watching: Callable[..., Bench], half_s:
         unheard(bench, half_s)
         bench.run(half_s)
     bench.run(6.0)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert bench.daemon.fleet.vehicles[1].session.state is State.MONITORING
     assert finds_a_fault(bench)
 
@@ -139,7 +139,7 @@ def test_a_step_of_the_wall_clock_changes_nothing(watching: Callable[..., Bench]
     bench.run(5.0)
     after = bench.daemon.fleet.figures()
     assert after[0].judged_s == pytest.approx(before[0].judged_s + 5.0, abs=0.1)
-    assert bench.daemon.fleet.link.vehicles[1].reboots == 0
+    assert bench.daemon.fleet.link.vehicles[1].state.timeline.reboots == 0
     assert finds_a_fault(bench)
 
 

@@ -28,14 +28,6 @@ def test_byte_at_a_time_equals_one_chunk(data: bytes) -> None:
     assert single.senders == whole.senders
 
 
-@given(bytes_like_frames)
-def test_every_byte_of_a_datagram_is_frame_or_garbage(data: bytes) -> None:
-    decoder = Decoder()
-    decoder.feed_datagram(data, 0)
-    assert decoder.count.garbage_bytes <= len(data)
-    assert len(Decoder().feed(data, 0)) <= sum(sender.received for sender in decoder.senders.values())
-
-
 @given(st.lists(st.binary(max_size=300), max_size=8), st.integers(0, 2**31))
 def test_frames_in_garbage_are_found(garbage: list[bytes], stamp: int) -> None:
     encoder = Encoder(1, 1)

@@ -16,11 +16,11 @@ from detector.fleet import Fleet
 from detector.requests import GUARDED, PARAMETERS, Requests
 from detector.sender import MavlinkSender
 from detector.values import SendText, SessionSpec
-from mavdiag.link.addressed import PARAMETER_REQUESTS
 from mavdiag.link.codec import Decoder
-from mavdiag.link.conversion import sources
 from mavdiag.link.messages import MessageId
 from mavdiag.link.profiles import PROFILES, Profile
+from mavdiag.link.samples import sources
+from mavdiag.link.vehicles import PARAMETER_REQUESTS
 from mavdiag.telemetry import Instant
 
 TICK_NS = 40_000_000

@@ -9,7 +9,7 @@ from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.layout import Argument
 from mavdiag.link.messages import Autopilot as Maker
 from mavdiag.link.messages import MessageId
-from mavdiag.link.parameters import parameters_in
+from mavdiag.link.vehicles import parameters_in
 from sitl_plant.autopilot.dialect import Encoding, Kind, Parameter, Parameters, dialect_named
 from sitl_plant.autopilot.wire import Reply
 from sitl_plant.vehicle import airframe_of, shipped_vehicles, vehicle_named

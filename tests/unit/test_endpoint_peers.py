@@ -12,7 +12,7 @@ import pytest
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId
 from mavdiag.link.ports import Endpoint, open_endpoint
-from mavdiag.link.ports.stream import CLIENTS_MAX, GARBAGE_BYTES, IDLE_S, whole_frames
+from mavdiag.link.ports.stream import CLIENTS_MAX, IDLE_S
 from mavdiag.link.ports.udp import PEERS_MAX
 
 V1 = bytes.fromhex("fe09000101000000000002035104037ddd")
@@ -171,23 +171,6 @@ def test_a_tcp_server_turns_the_seventeenth_client_away() -> None:
 SIGNED = bytes([0xFD, 1, 1, 0, 0, 1, 1, 0, 0, 0, 7, 0xAA, 0xBB]) + bytes(13)
 
 
-@pytest.mark.parametrize(
-    ("data", "whole"),
-    [
-        (b"", 0),
-        (b"\x00\x01", 2),
-        (V1, len(V1)),
-        (V1 + V2 + SIGNED, len(V1 + V2 + SIGNED)),
-        (V1 + SIGNED[:-1], len(V1)),
-        (V1 + b"\xfd", len(V1)),
-        (V1 + b"\xfd\x01", len(V1)),
-        (b"\x55" + V2 + b"\xfe\x02\x00", 1 + len(V2)),
-    ],
-)
-def test_whole_frames_ends_between_frames(data: bytes, whole: int) -> None:
-    assert whole_frames(data) == whole
-
-
 GARBAGE = {
     "random": np.random.default_rng(3).bytes(200_000),
     "markers": b"\xfd" * 200_000,
@@ -222,18 +205,6 @@ def test_a_client_that_sends_only_garbage_is_hung_up_on_and_hides_nobody(name: s
             server.receive(0.01)
         assert server.traffic.turned_away == len(strangers)
         assert vehicle.connected
-
-
-def test_garbage_before_a_frame_costs_only_itself() -> None:
-    with open_endpoint("tcpin:127.0.0.1:0") as server:
-        with open_endpoint(server.address.replace("tcpin", "tcp")) as client:
-            while not client.connected:
-                client.receive(0.001)
-            for _ in range(2 * GARBAGE_BYTES // 4096):  # a noisy line, which brings frames now and then
-                noise = b"\x55" * 4000 + V2
-                client.send(noise)
-                assert receive_all(server, len(noise)) == noise
-        assert server.traffic.turned_away == 0
 
 
 def test_idle_strangers_make_room_for_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,9 @@ import pytest
 from detector.negotiate import HELD_S, Negotiation
 from detector.values import AskInterval, Note
 from mavdiag.link.messages import Autopilot, MavCmd, MavResult, MessageId
-from mavdiag.link.parameters import Reading, telling
 from mavdiag.link.profiles import LAST_RESORT, PROFILES
 from mavdiag.link.vehicles import Ack
-from mavdiag.link.wants import Want, messages_of, remedy
+from mavdiag.link.wants import Reading, Want, messages_of, remedy, telling
 from mavdiag.monitors import MONITORS
 from mavdiag.telemetry import Instant, Signal
 

@@ -15,8 +15,8 @@ from mavdiag.airframe.layout import LAYOUTS, Place, layout_at, layout_named
 from mavdiag.airframe.parameters import layout_from_parameters
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import Autopilot, MavType, MessageId
-from mavdiag.link.parameters import MOST_PARAMETERS, parameters_in, with_parameters
-from mavdiag.link.vehicles import LinkDecoder
+from mavdiag.link.profiles import PROFILES
+from mavdiag.link.vehicles import MOST_PARAMETERS, LinkDecoder, VehicleStream, parameters_in
 from mavdiag.logs import read_log
 from mavdiag.logs.tlog import decode_tlog, tlog_record
 from mavdiag.telemetry import Signal
@@ -328,10 +328,10 @@ def test_made_up_parameters_cost_a_bounded_amount() -> None:
     frames = decode_tlog(
         b"".join(tlog_record(1, value(encoder, f"P{n}", 1.0, REAL32)) for n in range(MOST_PARAMETERS + 1))
     ).frames
-    full = with_parameters({}, frames[:-1], Autopilot.ARDUPILOTMEGA)
-    assert len(full) == MOST_PARAMETERS
-    assert with_parameters(full, frames[-1:], Autopilot.ARDUPILOTMEGA) is full
-    assert with_parameters(full, frames[:0], Autopilot.ARDUPILOTMEGA) is full
+    stream = VehicleStream(PROFILES["ardupilot"])
+    for some in (frames[:-1], frames[-1:]):
+        stream.step(some)
+        assert len(stream.parameters) == MOST_PARAMETERS
 
 
 def test_parameter_layouts_have_names_of_their_own() -> None:

@@ -5,16 +5,23 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mavdiag.link.addressed import REQUESTS_MAX
 from mavdiag.link.codec import Decoder, Encoder
 from mavdiag.link.messages import Autopilot, Component, MavCmd, MavType, MessageId
 from mavdiag.link.profiles import PROFILES
-from mavdiag.link.sequence import PINNED_S, SENDERS_MAX, Intruder, Senders, SequenceTracker
-from mavdiag.link.vehicles import VEHICLES_MAX, LinkDecoder
+from mavdiag.link.sequence import FRAME, HEARD, PINNED_S, SENDERS_MAX, Intruder, Senders, Source
+from mavdiag.link.vehicles import REQUESTS_MAX, VEHICLES_MAX, LinkDecoder
 
 S = 1_000_000_000
 HERE, THERE = ("10.0.0.1", 14550), ("10.0.0.66", 4444)
 KEY = 1 << 8 | 1
+
+
+def heard(senders: Senders, key: int, seq: int, host_ns: int, source: Source) -> bool:
+    """Whether a frame of a sender is heard."""
+    row = np.zeros(1, FRAME)
+    row["sender"], row["seq"], row["host_ns"], row["source"] = key, seq, host_ns, senders.number(source)
+    senders.hear(np.frombuffer(bytes(2), np.uint8), row)
+    return bool(row["heard"][0] == HEARD)
 
 
 def beat(encoder: Encoder, kind: MavType = MavType.QUADROTOR) -> bytes:
@@ -32,42 +39,37 @@ def second(encoder: Encoder, k: int) -> list[tuple[bytes, int]]:
 
 def test_a_second_source_is_not_heard_while_the_first_is_alive() -> None:
     senders = Senders()
-    assert senders.note(KEY, 0, 0, 0, HERE)
-    assert not senders.note(KEY, 1, 0, S, THERE)
-    assert senders.note(KEY, 1, 0, 2 * S, HERE)
-    assert not senders.note(KEY, 2, 0, 4 * S, THERE)
+    assert heard(senders, KEY, 0, 0, HERE)
+    assert not heard(senders, KEY, 1, S, THERE)
+    assert heard(senders, KEY, 1, 2 * S, HERE)
+    assert not heard(senders, KEY, 2, 4 * S, THERE)
     one = senders.get(1, 1)
     assert one is not None
-    assert (one.source, one.intruder, one.received) == (HERE, Intruder(THERE, 2), 2)
+    assert (one.source, one.intruder, one.count.received) == (HERE, Intruder(THERE, 2), 2)
 
 
 def test_a_sender_may_move_after_silence_and_then_the_old_source_is_the_second() -> None:
     senders = Senders()
-    senders.note(KEY, 0, 0, 0, HERE)
-    assert not senders.note(KEY, 1, 0, round(PINNED_S * S) - 1, THERE)
-    assert senders.note(KEY, 1, 0, round(PINNED_S * S), THERE)
-    assert not senders.note(KEY, 2, 0, round(PINNED_S * S) + 1, HERE)
-
-
-def test_other_components_of_the_vehicle_may_be_elsewhere() -> None:
-    senders = Senders()
-    assert senders.note(KEY, 0, 0, 0, HERE)
-    assert senders.note(1 << 8 | 100, 0, 0, 0, THERE)
+    heard(senders, KEY, 0, 0, HERE)
+    assert not heard(senders, KEY, 1, round(PINNED_S * S) - 1, THERE)
+    assert heard(senders, KEY, 1, round(PINNED_S * S), THERE)
+    assert not heard(senders, KEY, 2, round(PINNED_S * S) + 1, HERE)
 
 
 def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
-    senders = Senders(kept={7 << 8 | 1})
-    senders.note(7 << 8 | 1, 0, 0, 0, HERE)
+    senders = Senders()
+    senders.keep(7 << 8 | 1)
+    heard(senders, 7 << 8 | 1, 0, 0, HERE)
     for k in range(50):
-        senders.note(KEY, k, 0, k, HERE)
+        heard(senders, KEY, k, k, HERE)
     for key in range(65_536):
         if key != KEY:
-            senders.note(key, 0, 0, 0, THERE)
-        assert len(senders._trackers) <= SENDERS_MAX
+            heard(senders, key, 0, 0, THERE)
+        assert len(senders) <= SENDERS_MAX
     genuine, kept = senders.get(1, 1), senders.get(7, 1)
     assert genuine is not None
     assert kept is not None
-    assert (genuine.received, kept.source) == (50, HERE)
+    assert (genuine.count.received, kept.source) == (50, HERE)
 
 
 @pytest.mark.parametrize(
@@ -83,10 +85,11 @@ def test_senders_are_bounded_and_those_that_sent_most_stay() -> None:
     ],
 )
 def test_running_numbers_of_one_sender_follow_on(numbers: list[int], sound: bool) -> None:
-    tracker = SequenceTracker(numbers[0])
-    for seq in numbers:
-        tracker.step(seq, 0)
-    assert tracker.sound is sound
+    senders = Senders()
+    assert all(heard(senders, KEY, seq, 0, HERE) for seq in numbers)
+    sender = senders.get(1, 1)
+    assert sender is not None
+    assert sender.sound is sound
 
 
 def test_made_up_senders_and_unknown_ids_cost_bounded_memory() -> None:
@@ -145,7 +148,7 @@ def test_a_link_takes_so_many_vehicles_and_says_so() -> None:
         link.feed(data, k * S, [HERE] * len(data))
     assert len(link.vehicles) == VEHICLES_MAX
     assert set(link.waiting.values()) == {"there are 128 vehicles already (max_vehicles)"}
-    assert all(not one.frames for one in link._pending.values())
+    assert all(not one.frames for one in link._waiting.values())
 
 
 def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
@@ -153,14 +156,3 @@ def test_a_flood_of_commands_is_not_answered_one_by_one() -> None:
     link.feed(second(encoder, 0), 0)
     ask = [(station.encode(MessageId.COMMAND_LONG, 1, Component.ONBOARD_COMPUTER, MavCmd.REQUEST_MESSAGE), S)] * 5000
     assert len(link.feed(ask, S)[1].commands) == REQUESTS_MAX
-
-
-def test_only_the_chosen_vehicle_is_heard() -> None:
-    link = LinkDecoder(only=7, careful=True)
-    one, other = Encoder(7, 1), Encoder(8, 1)
-    for k in range(3):
-        chunks = [*second(one, k), *second(other, k)]
-        received = link.feed(chunks, chunks[-1][1])
-        assert set(received) <= {7}
-    assert list(link.vehicles) == [7]
-    assert set(link._pending) == set()

@@ -54,12 +54,6 @@ def test_a_heartbeat_is_sealed_as_the_specification_has_it() -> None:
     assert frame.hex() == body + link + stamp + signature
 
 
-def test_the_stamp_counts_ten_microseconds_since_2015() -> None:
-    assert stamp_at(0) == 0
-    assert stamp_at(1_420_070_400 * 1_000_000_000 + 1_000_000_000) == 100_000
-    assert stamp_at(1 << 63) == (1 << 48) - 1
-
-
 def test_what_we_sign_pymavlink_accepts() -> None:
     signing, mav = Signing(KEY, stamp=NOW), peer()
     for frame in beats(300, signing):
@@ -72,14 +66,6 @@ def test_what_pymavlink_signs_we_accept() -> None:
     (signing, decoder), mav = verifier(), peer(link_id=9)
     assert [frame.seq for frame in heard(decoder, *(beat(mav) for _ in range(300)))] == [k % 256 for k in range(300)]
     assert (signing.accepted, signing.refused) == (300, {})
-
-
-def test_pymavlink_with_another_key_is_refused_in_both_directions() -> None:
-    (signing, decoder), mav = verifier(), peer(b"x" * 32)
-    assert heard(decoder, beat(mav)) == []
-    assert signing.refused == {Refusal.FORGED: 1}
-    (parsed,) = mav.parse_buffer(beats(1, Signing(KEY, stamp=NOW + 1))[0]) or []
-    assert parsed.get_type() == "BAD_DATA"
 
 
 def test_a_forged_frame_with_a_huge_stamp_does_not_stop_the_genuine_stream() -> None:
@@ -101,7 +87,7 @@ def test_every_bit_of_a_signed_frame_is_protected() -> None:
         signing, _ = verifier()
         changed = bytearray(frame)
         changed[place] ^= 1
-        assert not signing.admit(bytes(changed)), place
+        assert not signing.genuine(bytes(changed)), place
         assert signing.refused == {Refusal.FORGED: 1}
 
 
@@ -159,12 +145,6 @@ def test_stamps_rise_with_every_frame_and_with_the_clock() -> None:
     assert signing.stamp == NOW + 50
     signing.advance(NOW_NS + 10**9)
     assert signing.stamp == NOW + 100_000
-
-
-def test_our_stamp_follows_the_newest_that_was_accepted() -> None:
-    signing, decoder = verifier()
-    heard(decoder, *beats(1, Signing(KEY, stamp=NOW + 1000)))
-    assert signing.stamp == NOW + 1001
 
 
 def test_holders_of_the_key_cannot_fill_the_memory_either(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,9 +2,9 @@
 
 import pytest
 
+from mavdiag.link.clock import Timesync, TimesyncMessage, exchanged
 from mavdiag.link.codec import Decoder, Encoder, Frame
 from mavdiag.link.messages import MessageId
-from mavdiag.link.timesync import Timesync, TimesyncMessage, exchanged
 
 S = 1_000_000_000
 

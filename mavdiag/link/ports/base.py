@@ -8,13 +8,11 @@ import select
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self, TypeAlias
 
 from mavdiag.errors import LinkError
-
-__all__ = ["RETRY_MAX_S", "RETRY_S", "Chunk", "Clock", "Endpoint", "SocketAddress", "Traffic", "link_error", "wait"]
 
 Chunk: TypeAlias = tuple[bytes, int]  # the bytes as they came, and the host clock [ns] when they were read
 Clock: TypeAlias = Callable[[], int]  # the host clock [ns]
@@ -24,18 +22,16 @@ SocketAddress: TypeAlias = tuple[str | int | bytes, ...]  # as the socket module
 # long each time, up to the second (our choices). It begins anew when a connection has lasted longer than that.
 RETRY_S, RETRY_MAX_S = 0.25, 4.0
 
+_NO_DEVICE = "no such device: plug it in, or look for its name with `ls /dev/tty*`"
 _ADVICE = {
     errno.EADDRINUSE: "the port is busy: stop the program that holds it, or name another port",
     errno.EADDRNOTAVAIL: "this machine has no such address: use 127.0.0.1, or 0.0.0.0 for every network",
     errno.EACCES: "permission denied: use a port above 1023, or add yourself to the device's group (dialout)",
     errno.EPERM: "permission denied: a firewall or a sandbox forbids it",
-    errno.ENOENT: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
-    errno.ENXIO: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
-    errno.ENODEV: "no such device: plug it in, or look for its name with `ls /dev/tty*`",
-    errno.EBUSY: "the device is busy: stop the program that holds it",
-    errno.EAGAIN: "the device is busy: stop the program that holds it",
     errno.ENETUNREACH: "no route to that network: check the host and this machine's network",
     errno.EMFILE: "too many open files: close some, or raise `ulimit -n`",
+    **dict.fromkeys((errno.ENOENT, errno.ENXIO, errno.ENODEV), _NO_DEVICE),
+    **dict.fromkeys((errno.EBUSY, errno.EAGAIN), "the device is busy: stop the program that holds it"),
 }
 
 
@@ -45,15 +41,14 @@ def link_error(address: str, error: OSError) -> LinkError:
     return LinkError(f"{address}: {advice}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Traffic:
     """What an endpoint did since it was opened.
 
-    received: chunks handed to the caller (datagrams, or reads of a byte stream).
-    sent: messages handed to the system, one count per peer.
-    dropped: messages that did not get that far, or that the peer's host refused.
-    overflowed: datagrams that the system threw away because nobody read them in time.
-    turned_away: clients of a server that were turned away or hung up on: too many, idle, or nothing but garbage.
+    received: chunks handed to the caller (datagrams, or reads of a byte stream). sent: messages handed to the system,
+    one count per peer; dropped: those that did not get that far, or that the peer's host refused. overflowed: datagrams
+    that the system threw away because nobody read them in time. turned_away: clients of a server that were turned away
+    or hung up on: too many, idle, or nothing but garbage.
     """
 
     received: int = 0
@@ -76,7 +71,7 @@ class Endpoint(ABC):
     def __init__(self, address: str, clock: Clock) -> None:
         self._address = address
         self._clock = clock
-        self._received = self._sent = self._dropped = self._overflowed = self._turned_away = 0
+        self._count = Traffic()
         self._trust: Sequence[SocketAddress] = ()
         self._alone = False
 
@@ -88,7 +83,7 @@ class Endpoint(ABC):
     @property
     def traffic(self) -> Traffic:
         """The counts so far."""
-        return Traffic(self._received, self._sent, self._dropped, self._overflowed, self._turned_away)
+        return replace(self._count)
 
     @property
     @abstractmethod
@@ -104,7 +99,7 @@ class Endpoint(ABC):
         until = time.monotonic() + timeout_s
         while not (chunks := self._drain()) and (left := until - time.monotonic()) > 0:
             wait([self], min(left, RETRY_S))
-        self._received += len(chunks)
+        self._count.received += len(chunks)
         return chunks
 
     def trust(self, sources: Collection[SocketAddress], *, alone: bool) -> None:

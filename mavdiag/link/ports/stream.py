@@ -10,8 +10,6 @@ import serial
 from mavdiag.link.codec import Decoder, next_marker
 from mavdiag.link.ports.base import RETRY_MAX_S, RETRY_S, Chunk, Clock, Endpoint, SocketAddress, link_error
 
-__all__ = ["CLIENTS_MAX", "Serial", "TcpClient", "TcpServer", "frame_length", "whole_frames"]
-
 CLIENTS_MAX = 16  # of a TCP server: for a further one an idle one makes room, else that one is turned away
 IDLE_S = 5.0  # without a frame, before a client may have to make room (our choice)
 GARBAGE_BYTES = 16_384  # of a client in a row, without a frame, before it is hung up on (our choice)
@@ -88,9 +86,9 @@ class _Reconnecting(Endpoint, ABC):
     def send(self, data: bytes) -> None:
         """Send one message whole, or drop and count it."""
         if self._stream is not None and self._stream.write(data):
-            self._sent += 1
+            self._count.sent += 1
         else:
-            self._dropped += 1
+            self._count.dropped += 1
 
     def close(self) -> None:
         """Close the stream for good."""
@@ -239,15 +237,16 @@ class TcpServer(Endpoint):
 
     def send(self, data: bytes) -> None:
         """Send to every client; with none, the message is dropped and counted."""
-        taken = [client.write(data) for client in self._clients]
-        self._sent += taken.count(True)
-        self._dropped += taken.count(False) if taken else 1
+        self._write(data, self._clients)
 
     def answer(self, data: bytes, source: object) -> None:
         """Send to one client; without it, the message is dropped and counted."""
-        taken = [client.write(data) for client in self._clients if client.name == source]
-        self._sent += taken.count(True)
-        self._dropped += taken.count(False) if taken else 1
+        self._write(data, [client for client in self._clients if client.name == source])
+
+    def _write(self, data: bytes, clients: list[_Client]) -> None:
+        taken = [client.write(data) for client in clients]
+        self._count.sent += taken.count(True)
+        self._count.dropped += taken.count(False) if taken else 1
 
     def close(self) -> None:
         """Stop listening and hang up on every client."""
@@ -263,7 +262,7 @@ class TcpServer(Endpoint):
         for client in list(self._clients):
             data = client.take(_SHARED_BYTES // len(self._clients))
             if data is None:
-                self._turned_away += client.stuffed
+                self._count.turned_away += client.stuffed
                 self._hang_up(client)
             elif data:
                 chunks.append((data, self._clock()))
@@ -279,7 +278,7 @@ class TcpServer(Endpoint):
                 return
             if len(self._clients) >= CLIENTS_MAX:
                 idle = min(self._clients, key=lambda one: (one.name in self._trust, one.heard_s))
-                self._turned_away += 1
+                self._count.turned_away += 1
                 if idle.name in self._trust or time.monotonic() - idle.heard_s < IDLE_S:
                     link.close()
                     continue

@@ -3,15 +3,21 @@
 A flood hides nobody that `udpin` trusts: a trusted peer gets a socket of its own, connected to it, and with it a buffer
 of its own, for the kernel prefers a connected socket. The strangers share what is left: so many datagrams a second are
 read, and the rest overflows in the kernel, unread.
+
+Datagrams are read many at a time, by recvmmsg(2): a call for each one of them takes most of a receiver's time.
 """
 
+import ctypes
+import os
 import socket
+import sys
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from itertools import repeat
+
+import numpy as np
 
 from mavdiag.link.ports.base import Chunk, Clock, Endpoint, SocketAddress, link_error
-
-__all__ = ["PEERS_MAX", "PEER_FRESH_S", "UdpIn", "UdpOut"]
 
 PEERS_MAX = 32  # peers that udpin answers; a further one is received but not answered while all of these are fresh
 PEER_FRESH_S = 10.0  # a peer that was silent for so long is forgotten
@@ -25,7 +31,73 @@ _DRAIN_MAX = 1024  # datagrams per call, so that a flood cannot hold the caller
 _BUFFER_BYTES = 8 << 20  # seconds of 2000 datagrams/s; Linux accounts for several hundred bytes each
 _SO_RCVBUFFORCE = 33  # <asm-generic/socket.h>: beyond net.core.rmem_max, for the privileged
 _SO_RXQ_OVFL = 40  # <asm-generic/socket.h>: datagrams dropped so far, given with the next one that is read
-_OVFL_SPACE = socket.CMSG_SPACE(4)
+AT_ONCE = 64  # datagrams in one call
+PEERS_KNOWN = 1024  # addresses that are kept taken apart
+_NAME_BYTES, _CONTROL_BYTES = 28, socket.CMSG_SPACE(4)  # of a sockaddr_in6; of the overflow count
+# <sys/socket.h>, struct mmsghdr: where a message goes, and how long it is.
+_HEADER = np.dtype(
+    [
+        *(("name", "P"), ("name_bytes", "u4"), ("places", "P"), ("place_count", "P"), ("control", "P")),
+        *(("control_bytes", "P"), ("flags", "P"), ("size", "u4")),
+    ],
+    align=True,
+)
+_receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
+
+
+class _Mailbag:
+    """Room for the datagrams of one call."""
+
+    def __init__(self) -> None:
+        self._data = np.empty((AT_ONCE, _DATAGRAM_MAX + 1), np.uint8)  # what is not touched costs nothing
+        self._names, self._control = np.zeros((AT_ONCE, _NAME_BYTES), np.uint8), np.zeros(_CONTROL_BYTES, np.uint8)
+        self._places = np.array([(row.ctypes.data, _DATAGRAM_MAX) for row in self._data], np.uintp)
+        self._headers = np.zeros(AT_ONCE, _HEADER)
+        self._headers["name"] = [row.ctypes.data for row in self._names]
+        self._headers["places"] = [row.ctypes.data for row in self._places]
+        self._headers["place_count"] = 1
+        self._headers["control"][0] = self._control.ctypes.data
+        self._peers: dict[bytes, SocketAddress] = {}
+
+    def take(self, fileno: int, most: int) -> tuple[list[bytes], list[SocketAddress]]:
+        """What is there, at most so many, and the sender of each. Raises OSError."""
+        headers = self._headers
+        headers["name_bytes"], headers["control_bytes"][0] = _NAME_BYTES, _CONTROL_BYTES
+        place, flags = ctypes.c_void_p(headers.ctypes.data), socket.MSG_DONTWAIT
+        count = _receive_many(fileno, place, min(most, AT_ONCE), flags, None)
+        if count < 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+        sizes = headers["size"][:count].tolist()
+        longest = max(1, *sizes)
+        data, names = self._data[:count, :longest].tobytes(), self._names[:count].tobytes()
+        places = range(0, count * longest, longest)
+        pieces = [data[at : at + size] for at, size in zip(places, sizes, strict=True)]
+        own = names[:_NAME_BYTES]
+        if names == own * count:
+            return pieces, [self._peer(own)] * count
+        return pieces, [self._peer(names[at : at + _NAME_BYTES]) for at in range(0, len(names), _NAME_BYTES)]
+
+    @property
+    def overflowed(self) -> int | None:
+        """How many datagrams the system has thrown away at the socket of the latest call; None if it did not say."""
+        told = int(self._headers["control_bytes"][0]) >= socket.CMSG_LEN(4)
+        kind = self._control[8:16].view("i4").tolist()
+        return int(self._control[16:20].view("u4")[0]) if told and kind == [socket.SOL_SOCKET, _SO_RXQ_OVFL] else None
+
+    def _peer(self, name: bytes) -> SocketAddress:
+        """An address as the socket module has it."""
+        found = self._peers.get(name)
+        if found is None:
+            if len(self._peers) >= PEERS_KNOWN:
+                self._peers.clear()
+            family, port = int.from_bytes(name[:2], sys.byteorder), int.from_bytes(name[2:4], "big")
+            if family == socket.AF_INET:
+                found = (socket.inet_ntop(socket.AF_INET, name[4:8]), port)
+            else:
+                flow, scope = int.from_bytes(name[4:8], "big"), int.from_bytes(name[24:28], sys.byteorder)
+                found = (socket.inet_ntop(socket.AF_INET6, name[8:24]), port, flow, scope)
+            self._peers[name] = found
+        return found
 
 
 class _Udp(Endpoint):
@@ -35,13 +107,13 @@ class _Udp(Endpoint):
 
     def __init__(self, address: str, family: socket.AddressFamily, clock: Clock) -> None:
         super().__init__(address, clock)
-        self._socket = _udp_socket(family)
+        self._socket, self._mail = _udp_socket(family), _Mailbag()
         self._lost: dict[int, int] = {}  # datagrams that the system threw away, by descriptor of an open socket
         self._lost_before = 0  # by closed ones
 
     def filenos(self) -> tuple[int, ...]:
         """The socket's descriptor."""
-        return () if self._socket.fileno() < 0 else (self._socket.fileno(),)
+        return (self._socket.fileno(),) if self._socket.fileno() >= 0 else ()
 
     def close(self) -> None:
         """Close the socket."""
@@ -56,29 +128,26 @@ class _Udp(Endpoint):
     def _read(self, link: socket.socket, chunks: list[Chunk], sources: list[SocketAddress], units: float) -> float:
         """Take what is there, as far as so many units allow; returns how many are left."""
         try:
-            # The first read asks for the overflow count, which costs more; the others only for the data.
-            data, ancillary, _, peer = link.recvmsg(_DATAGRAM_MAX, _OVFL_SPACE)
-            for level, kind, value in ancillary:
-                if (level, kind) == (socket.SOL_SOCKET, _SO_RXQ_OVFL):
-                    self._lost[link.fileno()] = int.from_bytes(value, "little")
-                    self._overflowed = self._lost_before + sum(self._lost.values())
-            while True:
+            while units >= 1.0:
+                taken, peers = self._mail.take(link.fileno(), int(units))
                 now_ns = self._clock()
-                self._note_sender(peer)
-                chunks.append((data, now_ns))
-                sources.append(peer)
-                units -= 1 + len(data) // UNIT_BYTES
-                if units < 1.0:
+                if (lost := self._mail.overflowed) is not None:
+                    self._lost[link.fileno()] = lost
+                    self._count.overflowed = self._lost_before + sum(self._lost.values())
+                self._note_senders(dict.fromkeys(peers))
+                chunks += zip(taken, repeat(now_ns))
+                sources += peers
+                units -= len(taken) + sum(map(len, taken)) // UNIT_BYTES
+                if len(taken) < AT_ONCE:
                     break
-                data, peer = link.recvfrom(_DATAGRAM_MAX)
         except BlockingIOError:
             pass
         except OSError:  # an earlier datagram came back refused, or the network is down: nothing was received
             self._refused()
         return units
 
-    def _note_sender(self, peer: SocketAddress) -> None:
-        """Note the sender of a datagram."""
+    def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
+        """Note the senders of datagrams."""
 
     def _refused(self) -> None:
         """Note that the peer's host sent a datagram back."""
@@ -86,9 +155,9 @@ class _Udp(Endpoint):
     def _send_to(self, data: bytes, peer: SocketAddress) -> None:
         try:
             self._socket.sendto(data, peer)
-            self._sent += 1
+            self._count.sent += 1
         except OSError:  # a full buffer, no route, too long, closed: the datagram is gone either way
-            self._dropped += 1
+            self._count.dropped += 1
 
 
 class UdpIn(_Udp):
@@ -128,14 +197,14 @@ class UdpIn(_Udp):
         if self._alone:
             peers = [peer for peer in peers if peer in self._trusted]
         if not peers:
-            self._dropped += 1
+            self._count.dropped += 1
         for peer in peers:
             self._send_to(data, peer)
 
     def answer(self, data: bytes, source: object) -> None:
         """Send to one fresh peer; without it, the message is dropped and counted."""
         peers = [peer for peer in self._fresh_peers() if peer == source and (not self._alone or peer in self._trusted)]
-        self._dropped += not peers
+        self._count.dropped += not peers
         for peer in peers:
             self._send_to(data, peer)
 
@@ -178,10 +247,11 @@ class UdpIn(_Udp):
         self._filled_s = now_s
         return self._units
 
-    def _note_sender(self, peer: SocketAddress) -> None:
-        strangers = len(self._peers) - len(self._trusted)
-        if peer in self._peers or strangers < PEERS_MAX or len(self._fresh_peers()) - len(self._trusted) < PEERS_MAX:
-            self._peers[peer] = time.monotonic()
+    def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
+        for peer in peers:
+            others = len(self._peers) - len(self._trusted)
+            if peer in self._peers or others < PEERS_MAX or len(self._fresh_peers()) - len(self._trusted) < PEERS_MAX:
+                self._peers[peer] = time.monotonic()
 
     def _fresh_peers(self) -> list[SocketAddress]:
         horizon = time.monotonic() - self._fresh_s
@@ -212,22 +282,22 @@ class UdpOut(_Udp):
         for _ in range(2):
             try:
                 self._socket.send(data)
-                self._sent += 1
+                self._count.sent += 1
                 return
             except ConnectionRefusedError:
                 self._refused()
             except OSError:  # a full buffer, no route, too long, closed
                 break
-        self._dropped += 1
+        self._count.dropped += 1
 
-    def _note_sender(self, peer: SocketAddress) -> None:
+    def _note_senders(self, peers: Iterable[SocketAddress]) -> None:
         self._answered = True
 
     def _refused(self) -> None:
         self._answered = False
-        if self._sent:
-            self._sent -= 1
-            self._dropped += 1
+        if self._count.sent:
+            self._count.sent -= 1
+            self._count.dropped += 1
 
 
 def _udp_socket(family: socket.AddressFamily) -> socket.socket:
