@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.data import Records
+from mavdiag.identify.arx import Records
 from mavdiag.telemetry import FloatArray
 
 
