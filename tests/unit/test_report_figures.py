@@ -21,11 +21,10 @@ from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.look.inspection import summary
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.evidence import ratio_of
-from mavdiag.report.residuals import moment_of, runs_of, unbalance_of
+from mavdiag.report.residuals import moment_of, ratio_of, runs_of, unbalance_of
 from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import folded, sweep_of
-from mavdiag.report.thinned import envelope, highest
+from mavdiag.report.style import envelope, highest
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Axis, FloatArray, Series, Signal
 from mavdiag.traces import RateTrace, SlotTrace, rate_traces, slot_traces

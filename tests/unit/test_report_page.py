@@ -9,7 +9,6 @@ import pytest
 from flying_telemetry import flying, without
 from made_baselines import FRAME, healthy, logged, plain, whole
 from made_telemetry import flight
-from matplotlib.figure import Figure
 from page_reading import Page, check
 
 from mavdiag.airframe.airframe import Airframe
@@ -23,7 +22,7 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.report.campaign import Campaign, parse_campaign, read_campaign
 from mavdiag.report.flight import FlightReport, flight_report
 from mavdiag.report.page import Made, campaign_page, flights_page
-from mavdiag.report.style import drawn, embedded
+from mavdiag.report.style import Drawn, embedded, picture, sheet
 from mavdiag.telemetry import Log, Signal
 
 MADE = Made("2026-01-01T00:00:00+00:00", "baseline.json")
@@ -123,7 +122,7 @@ def test_several_logs_begin_with_a_table_that_leads_to_each() -> None:
 
 
 def test_the_same_values_give_the_same_page() -> None:
-    assert drawn("a", "b", dots) == drawn("a", "b", dots)
+    assert dots() == dots()
     assert flights_page([weak()], whole(), MADE) == flights_page([weak()], whole(), MADE)
 
 
@@ -148,17 +147,20 @@ def test_each_verdict_has_its_sentence_and_advice() -> None:
     )
 
 
-def dots(figure: Figure) -> None:
+@picture("link")
+def dots() -> Drawn:
+    figure = sheet(2.0)
     figure.subplots().plot([1, 2], [3, 4], "o")
+    return figure, "words & <more>", ""
 
 
 def test_a_drawing_has_its_own_ids_in_a_page() -> None:
-    svg = drawn("A <title>", "words & more", dots)
+    svg = dots().svg
     first, second = embedded(svg, "a"), embedded(svg, "b")
     ids = Page(first + second).ids
     assert len(ids) == len(set(ids)) > 2
     assert "<metadata" not in svg
-    assert "A &lt;title&gt;" in svg
+    assert "words &amp; &lt;more&gt;" in svg
 
 
 RESULT = {
