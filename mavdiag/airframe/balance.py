@@ -18,29 +18,12 @@ from enum import StrEnum
 from mavdiag.errors import UsageError
 from mavdiag.units import G_MM_PER_KG_M, RPM
 
-__all__ = [
-    "BalanceReport",
-    "Grade",
-    "Piece",
-    "assess_unbalance",
-    "grade_met",
-    "grade_named",
-    "permissible_specific_um",
-    "permissible_unbalance_g_mm",
-    "resultant_unbalance_g_mm",
-    "unbalance_force_n",
-    "unbalance_g_mm",
-]
-
 BORDER = 1e-9  # share of a limit that rounding may add without breaking it
 FASTEST_RPM = 1e6  # no rotor turns faster: such a number is in another unit (our choice)
 
 
 class Grade(StrEnum):
-    """Balance quality grades of ISO 1940-1:2003, coarse to fine. The number is e Omega, in mm/s.
-
-    T 3.2.2 takes G6.3 for the QDrone 2's rotors.
-    """
+    """Balance quality grades of ISO 1940-1:2003, coarse to fine. T 3.2.2 takes G6.3 for the QDrone 2's rotors."""
 
     G4000 = "G4000"
     G1600 = "G1600"
@@ -66,20 +49,16 @@ def grade_named(text: str) -> Grade:
     >>> grade_named("6.3")
     <Grade.G6_3: 'G6.3'>
     """
-    wanted = "G" + text.strip().upper().removeprefix("G").strip()
-    for grade in Grade:
-        if grade.value == wanted:
-            return grade
-    raise UsageError(f"no balance grade {text!r}: use one of {', '.join(Grade)}")
+    try:
+        return Grade("G" + text.strip().upper().removeprefix("G").strip())
+    except ValueError:
+        raise UsageError(f"no balance grade {text!r}: use one of {', '.join(Grade)}") from None
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A mass that is missing from a rotor, or added to it.
+    """A mass that is missing from a rotor or added to it: without sign, its distance from the axis, its direction.
 
-    mass_g: without sign.
-    radius_mm: its distance from the axis.
-    angle_deg: its direction in the rotor plane.
     Raises UsageError unless mass and radius are finite and not negative and the angle is finite.
     """
 
@@ -88,8 +67,8 @@ class Piece:
     angle_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        _not_negative("mass", self.mass_g, "g")
-        _not_negative("radius", self.radius_mm, "mm")
+        _check("mass", self.mass_g, "g", zero=True)
+        _check("radius", self.radius_mm, "mm", zero=True)
         if not math.isfinite(self.angle_deg):
             raise UsageError(f"angle must be a number of degrees, not {self.angle_deg}")
 
@@ -97,11 +76,6 @@ class Piece:
     def unbalance_g_mm(self) -> float:
         """m r of this piece alone [g mm] (T Eq 3.1)."""
         return self.mass_g * self.radius_mm
-
-
-def unbalance_g_mm(mass_g: float, radius_mm: float) -> float:
-    """Unbalance [g mm] of one mass at one radius (T Eq 3.1). Raises UsageError on negative or infinite values."""
-    return Piece(mass_g, radius_mm).unbalance_g_mm
 
 
 def resultant_unbalance_g_mm(pieces: Iterable[Piece]) -> float:
@@ -119,10 +93,7 @@ def resultant_unbalance_g_mm(pieces: Iterable[Piece]) -> float:
 
 
 def permissible_specific_um(grade: Grade, speed_rpm: float) -> float:
-    """e_per = 9549 G / n [um, or g mm/kg] (T Eq 3.3 with its slip removed).
-
-    Raises UsageError unless the speed is positive.
-    """
+    """e_per = 9549 G / n [um, or g mm/kg] (T Eq 3.3 with its slip removed). Raises UsageError on nonsense."""
     return 1e3 * grade.mm_s / _angular_speed(speed_rpm)
 
 
@@ -134,7 +105,7 @@ def permissible_unbalance_g_mm(grade: Grade, speed_rpm: float, rotor_mass_g: flo
 
     Raises UsageError unless speed and mass are positive.
     """
-    _positive("rotor mass", rotor_mass_g, "g")
+    _check("rotor mass", rotor_mass_g, "g")
     return permissible_specific_um(grade, speed_rpm) * rotor_mass_g * 1e-3  # g mm/kg x kg
 
 
@@ -144,31 +115,14 @@ def unbalance_force_n(unbalance_g_mm: float, speed_rpm: float) -> float:
     >>> round(unbalance_force_n(5.1, 10_000), 2)                                    # T Table 3.2, F1/SV2
     5.59
     """
-    _not_negative("unbalance", unbalance_g_mm, "g mm")
-    omega = _angular_speed(speed_rpm)
-    return unbalance_g_mm / G_MM_PER_KG_M * omega * omega
-
-
-def grade_met(unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float) -> Grade | None:
-    """The finest grade that an unbalance satisfies; None if it is beyond even G4000. Raises UsageError on nonsense."""
-    level = _level_mm_s(unbalance_g_mm, rotor_mass_g, speed_rpm)
-    met = [grade for grade in Grade if _within(level, grade)]
-    return min(met, key=lambda grade: grade.mm_s, default=None)
+    _check("unbalance", unbalance_g_mm, "g mm", zero=True)
+    return unbalance_g_mm / G_MM_PER_KG_M * _angular_speed(speed_rpm) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class BalanceReport:
-    """An unbalance held against a grade.
-
-    unbalance_g_mm: U.
-    permissible_g_mm: U_per.
-    specific_um: e, U over the rotor's mass.
-    permissible_um: e_per.
-    level_mm_s: e Omega, to be compared with the number of a grade.
-    grade: the one asked for.
-    met: the finest one satisfied; None beyond G4000.
-    ratio: U / U_per.
-    force_n: U Omega^2.
+    """An unbalance held against a grade: U, U_per, e, e_per, e Omega, G; the finest grade that it satisfies (None
+    beyond G4000), U / U_per, and U Omega^2.
     """
 
     unbalance_g_mm: float
@@ -200,7 +154,7 @@ class BalanceReport:
 def assess_unbalance(
     unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float, grade: Grade = Grade.G6_3
 ) -> BalanceReport:
-    """Hold an unbalance against a grade, whether it was weighed (`unbalance_g_mm`) or estimated from vibration.
+    """Hold an unbalance against a grade, whether it was weighed (`Piece`) or estimated from vibration.
 
     >>> report = assess_unbalance(0.22, rotor_mass_g=30.0, speed_rpm=10_000)        # T Table 3.2, F2/SV1
     >>> report.sentence
@@ -208,28 +162,22 @@ def assess_unbalance(
 
     Raises UsageError unless the unbalance is zero or more and mass and speed are positive.
     """
-    level = _level_mm_s(unbalance_g_mm, rotor_mass_g, speed_rpm)
+    force_n = unbalance_force_n(unbalance_g_mm, speed_rpm)
+    permissible_g_mm = permissible_unbalance_g_mm(grade, speed_rpm, rotor_mass_g)
+    level = unbalance_g_mm / rotor_mass_g * _angular_speed(speed_rpm)  # g mm over g is mm
+    if not math.isfinite(level):
+        raise UsageError(f"{unbalance_g_mm:g} g mm on a rotor of {rotor_mass_g:g} g is no rotor: check the units")
     return BalanceReport(
         unbalance_g_mm=unbalance_g_mm,
-        permissible_g_mm=permissible_unbalance_g_mm(grade, speed_rpm, rotor_mass_g),
+        permissible_g_mm=permissible_g_mm,
         specific_um=1e3 * unbalance_g_mm / rotor_mass_g,
         permissible_um=permissible_specific_um(grade, speed_rpm),
         level_mm_s=level,
         grade=grade,
-        met=grade_met(unbalance_g_mm, rotor_mass_g=rotor_mass_g, speed_rpm=speed_rpm),
+        met=min((one for one in Grade if _within(level, one)), key=lambda one: one.mm_s, default=None),
         ratio=level / grade.mm_s,
-        force_n=unbalance_force_n(unbalance_g_mm, speed_rpm),
+        force_n=force_n,
     )
-
-
-def _level_mm_s(unbalance_g_mm: float, rotor_mass_g: float, speed_rpm: float) -> float:
-    """e Omega [mm/s]; g mm over g is mm."""
-    _not_negative("unbalance", unbalance_g_mm, "g mm")
-    _positive("rotor mass", rotor_mass_g, "g")
-    level = unbalance_g_mm / rotor_mass_g * _angular_speed(speed_rpm)
-    if not math.isfinite(level):
-        raise UsageError(f"{unbalance_g_mm:g} g mm on a rotor of {rotor_mass_g:g} g is no rotor: check the units")
-    return level
 
 
 def _within(level_mm_s: float, grade: Grade) -> bool:
@@ -237,17 +185,12 @@ def _within(level_mm_s: float, grade: Grade) -> bool:
 
 
 def _angular_speed(speed_rpm: float) -> float:
-    _positive("speed", speed_rpm, "rpm")
+    _check("speed", speed_rpm, "rpm")
     if speed_rpm > FASTEST_RPM:
         raise UsageError(f"speed must be at most {FASTEST_RPM:.0e} rpm, not {speed_rpm:g}")
     return speed_rpm * RPM
 
 
-def _positive(name: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise UsageError(f"{name} must be above 0 {unit}, not {value:g}")
-
-
-def _not_negative(name: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value >= 0.0):
-        raise UsageError(f"{name} must be 0 {unit} or more, not {value:g}")
+def _check(name: str, value: float, unit: str, *, zero: bool = False) -> None:
+    if not (math.isfinite(value) and (value > 0.0 or (zero and value == 0.0))):
+        raise UsageError(f"{name} must be {f'0 {unit} or more' if zero else f'above 0 {unit}'}, not {value:g}")

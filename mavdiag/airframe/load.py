@@ -42,8 +42,6 @@ from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import parse_toml, read_toml
 from mavdiag.units import RPM
 
-__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe", "with_layout"]
-
 #: Names of the airframes that are shipped.
 BUILTIN = ("crazyflie", "qdrone2", "qdrone2-recorded")
 
@@ -146,38 +144,18 @@ def _parse(table: dict[str, Any], file: str) -> Airframe:
         key = ".".join(str(step + 1) if isinstance(step, int) else step for step in steps)  # rotors count from 1
         reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
         raise InputError(f"{file}: {key}: {reason}") from error
+    about = "rotors" if found.rotors else "layout"
     try:
         layout = _layout(found)
+        about = "outputs"
+        return Airframe(
+            **found.model_dump(include={"name", "scope", "outputs", "mass_kg", "imu_corner_hz", "classifier"}),
+            layout=layout,
+            hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
+            gate=None if found.gate is None else GateSpec(**found.gate.model_dump()),
+        )
     except UsageError as error:
-        raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
-    try:
-        return _airframe(found, layout)
-    except UsageError as error:
-        raise InputError(f"{file}: outputs: {error}") from error
-
-
-def _airframe(found: _File, layout: RotorLayout | None) -> Airframe:
-    return Airframe(
-        name=found.name,
-        scope=found.scope,
-        layout=layout,
-        outputs=found.outputs,
-        mass_kg=found.mass_kg,
-        hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
-        imu_corner_hz=found.imu_corner_hz,
-        gate=None if found.gate is None else _gate_spec(found.gate),
-        classifier=found.classifier,
-    )
-
-
-def _gate_spec(gate: _Gate) -> GateSpec:
-    return GateSpec(
-        min_height_m=gate.min_height_m,
-        min_thrust=gate.min_thrust,
-        need_armed=gate.need_armed,
-        trim_start_s=gate.trim_start_s,
-        trim_end_s=gate.trim_end_s,
-    )
+        raise InputError(f"{file}: {about}: {error}") from error
 
 
 def _layout(found: _File) -> RotorLayout | None:

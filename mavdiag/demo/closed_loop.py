@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from mavdiag.demo.subprocesses import POLL_S as POLL_S
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
@@ -14,7 +15,6 @@ from mavdiag.terminal.ground_station import GroundStation, ReceivedText
 from mavdiag.terminal.live_judge import LiveJudge
 
 READY_S = 120.0  # the emulator compiles its loop at its first start
-POLL_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)

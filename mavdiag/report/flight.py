@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.traits import joined
+from mavdiag.airframe.fingerprint import joined
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict
 from mavdiag.link.profiles import PROFILES

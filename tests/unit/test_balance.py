@@ -8,13 +8,11 @@ from mavdiag.airframe.balance import (
     Grade,
     Piece,
     assess_unbalance,
-    grade_met,
     grade_named,
     permissible_specific_um,
     permissible_unbalance_g_mm,
     resultant_unbalance_g_mm,
     unbalance_force_n,
-    unbalance_g_mm,
 )
 from mavdiag.airframe.propellers import (
     PROPELLERS,
@@ -57,7 +55,7 @@ def test_an_unknown_grade_is_refused_with_the_choice(text: str) -> None:
 
 
 def test_a_report_says_what_was_asked_and_what_is_met() -> None:
-    report = assess_unbalance(unbalance_g_mm(0.085, 60.0), rotor_mass_g=ROTOR_G, speed_rpm=SPEED_RPM)
+    report = assess_unbalance(Piece(0.085, 60.0).unbalance_g_mm, rotor_mass_g=ROTOR_G, speed_rpm=SPEED_RPM)
     assert not report.within
     assert (report.grade, report.met) == (Grade.G6_3, Grade.G250)
     assert report.ratio == pytest.approx(5.1 / 0.18048, rel=1e-4)
@@ -76,7 +74,7 @@ def test_the_limit_itself_is_within() -> None:
 
 
 def test_no_unbalance_meets_the_finest_grade_and_a_huge_one_none() -> None:
-    assert grade_met(0.0, rotor_mass_g=1.0, speed_rpm=1.0) is Grade.G0_4
+    assert assess_unbalance(0.0, rotor_mass_g=1.0, speed_rpm=1.0).met is Grade.G0_4
     huge = assess_unbalance(1e6, rotor_mass_g=30.0, speed_rpm=SPEED_RPM)
     assert huge.met is None
     assert huge.sentence.endswith("beyond G4000")
@@ -85,9 +83,9 @@ def test_no_unbalance_meets_the_finest_grade_and_a_huge_one_none() -> None:
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
 def test_nonsense_is_refused_by_name(bad: float) -> None:
     with pytest.raises(UsageError, match="mass must be"):
-        unbalance_g_mm(bad, 1.0)
+        Piece(bad, 1.0)
     with pytest.raises(UsageError, match="radius must be"):
-        unbalance_g_mm(1.0, bad)
+        Piece(1.0, bad)
     with pytest.raises(UsageError, match="unbalance must be"):
         unbalance_force_n(bad, SPEED_RPM)
     with pytest.raises(UsageError, match="rotor mass must be"):
@@ -112,7 +110,7 @@ def test_zero_speed_zero_rotor_and_absurd_numbers_are_refused() -> None:
 def test_table_3_2_recomputed(found: DamagedPropeller) -> None:
     assert found.mass_g + found.lost_g == pytest.approx(HEALTHY_MASS_G, abs=1e-9)
     # The split masses are rounded to a milligram.
-    assert sum(piece.mass_g for piece in found.pieces) == pytest.approx(found.lost_g, abs=0.00101)
+    assert len(found.radii_mm) * found.each_g == pytest.approx(found.lost_g, abs=0.00101)
     if found.code == "F2/SV3":
         assert (round(found.unbalance_g_mm, 3), found.printed_g_mm) == (2.970, 2.640)
     else:
@@ -127,7 +125,7 @@ def test_every_fault_exceeds_g6_3_but_the_small_crack_only_just() -> None:
     assert min(ratios.values()) == ratios["F2/SV1"] == pytest.approx(1.22, abs=0.01)
     smallest = propeller(FaultType.CRACK, 1)
     permissible = permissible_unbalance_g_mm(Grade.G6_3, SPEED_RPM, ROTOR_G)
-    error = 2 * WEIGHING_ERROR_G * smallest.pieces[0].radius_mm  # of two weighings
+    error = 2 * WEIGHING_ERROR_G * smallest.radii_mm[0]  # of two weighings
     assert smallest.unbalance_g_mm - error < permissible  # T Eq 3.6 cannot be sure of it
 
 

@@ -11,9 +11,18 @@ from made_telemetry import cut
 from shared_data import shared
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.fingerprint import Figure, Fingerprint, Likeness, Outcome, compare, fingerprint_of
+from mavdiag.airframe.fingerprint import (
+    TRAITS,
+    Figure,
+    Fingerprint,
+    Likeness,
+    Outcome,
+    beginning,
+    compare,
+    fingerprint_of,
+    traits,
+)
 from mavdiag.airframe.layout import layout_named
-from mavdiag.airframe.traits import TRAITS, beginning, traits
 from mavdiag.baseline import dump, parse
 from mavdiag.errors import InputError
 from mavdiag.judging import Verdict, judge
@@ -150,7 +159,7 @@ def test_chunks_change_nothing() -> None:
     assert len(pieces) > 50
     assert traits(pieces, X) == pytest.approx(traits(flight, X), nan_ok=True)
     assert compare(learnt(), pieces, X) == compare(learnt(), flight, X)
-    seconds = sum(int(rows.block.valid.sum()) for rows in beginning(pieces, 8.0)) * 0.01
+    seconds = sum(int(block.valid.sum()) for block in beginning(pieces, 8.0)[0]) * 0.01
     assert seconds == pytest.approx(8.0, abs=0.02)
 
 

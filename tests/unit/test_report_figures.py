@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from made_report import DOCS, ONSET_S, RATE_HZ, ROTOR, cracked, emulated_baseline, script
 from scipy.signal import welch
 
+from mavdiag.airframe.fingerprint import joined
 from mavdiag.airframe.layout import layout_named
 from mavdiag.airframe.propellers import FaultType, propeller
-from mavdiag.airframe.traits import joined
 from mavdiag.face import rates
 from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate

@@ -14,21 +14,24 @@ from rich.console import Console, ConsoleDimensions
 from mavdiag.errors import InputError
 from mavdiag.link.codec import Encoder
 from mavdiag.link.messages import MessageId, Severity
+from mavdiag.telemetry import FloatArray
 from mavdiag.terminal.ground_station import GroundStation
-from mavdiag.terminal.journal import Journal
-from mavdiag.terminal.strips import Curve, Frame, strip
-from mavdiag.terminal.view import Level, Line, StripView, View, picture
-from mavdiag.terminal.watching import Screen
+from mavdiag.terminal.view import Curve, Level, Line, StripView, View, picture, strip
+from mavdiag.terminal.watching import Journal, Screen
 
 LEVEL = Level("unbalance", 0.5, 1.0, "g mm")
-FRAME = Frame(from_s=0.0, to_s=10.0, low=-1.0, high=1.0, width=40, height=4)
+
+
+def drawn(t_s: FloatArray, values: FloatArray, to_s: float = 10.0, rows: int = 4) -> list[str]:
+    """Of a strip from 0 s on, from -1 to 1, 40 characters wide."""
+    return [line.plain for line in strip(StripView("", "", (Curve(t_s, values, ""),), -1.0, 1.0), 0.0, to_s, 40, rows)]
 
 
 def test_a_spike_of_one_sample_is_seen() -> None:
     t_s = np.arange(10_000) / 1000
     values = np.zeros(10_000)
     values[5000] = 1.0
-    lines = [line.plain for line in strip([Curve(t_s, values, "")], FRAME)]
+    lines = drawn(t_s, values)
     assert lines[0].strip() != ""
     assert lines[0][19:21].strip() != ""
     assert (lines[0][:19] + lines[0][21:]).strip() == ""
@@ -38,15 +41,14 @@ def test_nan_breaks_a_line_and_a_gap_without_samples_does_not() -> None:
     t_s = np.arange(11.0)
     broken = np.zeros(11)
     broken[4:7] = np.nan
-    (with_break,) = strip([Curve(t_s, broken, "")], Frame(0.0, 11.0, -1.0, 1.0, 40, 1))
-    (whole,) = strip([Curve(t_s, np.zeros(11), "")], Frame(0.0, 11.0, -1.0, 1.0, 40, 1))
-    assert " " not in whole.plain[:36]
-    assert with_break.plain[15:24].strip() == ""
+    (with_break,), (whole,) = drawn(t_s, broken, 11.0, 1), drawn(t_s, np.zeros(11), 11.0, 1)
+    assert " " not in whole[:36]
+    assert with_break[15:24].strip() == ""
 
 
 def test_the_line_of_a_sine_stands_where_the_sine_is() -> None:
     t_s = np.linspace(0.0, 10.0, 4000, endpoint=False)
-    lines = [line.plain for line in strip([Curve(t_s, np.sin(2 * np.pi * t_s / 10), "")], FRAME)]
+    lines = drawn(t_s, np.sin(2 * np.pi * t_s / 10))
     assert lines[0][8:12].strip() != ""
     assert lines[0][20:].strip() == ""
     assert lines[3][:20].strip() == ""
