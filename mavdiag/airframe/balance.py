@@ -1,17 +1,15 @@
 """Balance quality of a rotor by ISO 1940-1 (T 3.1.1, 3.2, Eq 3.1-3.6). The thesis's propellers are in `propellers`.
 
-    U     = m r                        unbalance of a mass m that is missing or added at radius r     T Eq 3.1
-    U_res = |sum m_i r_i e(angle_i)|   of several; T adds on one line, all angles 0                   T Eq 3.4
-    e_per = G / Omega = 9549 G / n     [um], the same number in g mm per kg of rotor; n in rpm        T Eq 3.3
-    U_per = e_per m_rotor              what grade G permits                                           T Eq 3.2
-    F     = U Omega^2                  force that turns with the rotor                                T 3.1.1
+    U     = m r                      unbalance of a mass m that is missing or added at radius r     T Eq 3.1
+    e_per = G / Omega = 9549 G / n   [um], the same number in g mm per kg of rotor; n in rpm        T Eq 3.3
+    U_per = e_per m_rotor            what grade G permits                                           T Eq 3.2
+    F     = U Omega^2                force that turns with the rotor                                T 3.1.1
 
 T Eq 3.3 prints 9594 and calls the speed Omega: 9549 = 60 x 1000 / (2 pi) belongs there, with the speed in rpm. Only
 so does it agree with T Eq 3.2 and with its result of 6 um.
 """
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -55,41 +53,11 @@ def grade_named(text: str) -> Grade:
         raise UsageError(f"no balance grade {text!r}: use one of {', '.join(Grade)}") from None
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A mass that is missing from a rotor or added to it: without sign, its distance from the axis, its direction.
-
-    Raises UsageError unless mass and radius are finite and not negative and the angle is finite.
-    """
-
-    mass_g: float
-    radius_mm: float
-    angle_deg: float = 0.0
-
-    def __post_init__(self) -> None:
-        _check("mass", self.mass_g, "g", zero=True)
-        _check("radius", self.radius_mm, "mm", zero=True)
-        if not math.isfinite(self.angle_deg):
-            raise UsageError(f"angle must be a number of degrees, not {self.angle_deg}")
-
-    @property
-    def unbalance_g_mm(self) -> float:
-        """m r of this piece alone [g mm] (T Eq 3.1)."""
-        return self.mass_g * self.radius_mm
-
-
-def resultant_unbalance_g_mm(pieces: Iterable[Piece]) -> float:
-    """Length of the sum of the unbalance vectors [g mm]; with all angles alike it is T Eq 3.4.
-
-    >>> resultant_unbalance_g_mm([Piece(0.034, 65.0), Piece(0.034, 50.0)])          # T Table 3.2, F3/SV2
-    3.91
-    >>> round(resultant_unbalance_g_mm([Piece(0.034, 65.0), Piece(0.034, 65.0, 180.0)]), 9)
-    0.0
-    """
-    parts = [(piece.unbalance_g_mm, math.radians(piece.angle_deg)) for piece in pieces]
-    along = math.fsum(size * math.cos(angle) for size, angle in parts)
-    across = math.fsum(size * math.sin(angle) for size, angle in parts)
-    return math.hypot(along, across)
+def unbalance_g_mm(mass_g: float, radius_mm: float) -> float:
+    """U = m r [g mm] of one mass (T Eq 3.1). Raises UsageError on negative or infinite values."""
+    _check("mass", mass_g, "g", zero=True)
+    _check("radius", radius_mm, "mm", zero=True)
+    return mass_g * radius_mm
 
 
 def permissible_specific_um(grade: Grade, speed_rpm: float) -> float:
@@ -154,7 +122,7 @@ class BalanceReport:
 def assess_unbalance(
     unbalance_g_mm: float, *, rotor_mass_g: float, speed_rpm: float, grade: Grade = Grade.G6_3
 ) -> BalanceReport:
-    """Hold an unbalance against a grade, whether it was weighed (`Piece`) or estimated from vibration.
+    """Hold an unbalance against a grade, whether it was weighed (`unbalance_g_mm`) or estimated from vibration.
 
     >>> report = assess_unbalance(0.22, rotor_mass_g=30.0, speed_rpm=10_000)        # T Table 3.2, F2/SV1
     >>> report.sentence

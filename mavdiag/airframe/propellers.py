@@ -5,10 +5,11 @@ that T Table 3.2 shows; what is printed stands beside it, and each row names its
 unbalances, by 0.1 to 1.1 g mm; Table 3.2 was weighed and is used.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from mavdiag.airframe.balance import Piece, resultant_unbalance_g_mm
+from mavdiag.airframe.balance import unbalance_g_mm
 from mavdiag.errors import UsageError
 
 
@@ -46,8 +47,8 @@ class DamagedPropeller:
 
     @property
     def unbalance_g_mm(self) -> float:
-        """The unbalance computed from the pieces [g mm] (T Eq 3.4)."""
-        return resultant_unbalance_g_mm(Piece(self.each_g, radius_mm) for radius_mm in self.radii_mm)
+        """The unbalance computed from the sum, sum_i m_i r_i [g mm] (T Eq 3.4)."""
+        return math.fsum(unbalance_g_mm(self.each_g, radius_mm) for radius_mm in self.radii_mm)
 
 
 _F1, _F2, _F3 = FaultType

@@ -26,7 +26,6 @@ class Flight:
     rotor: int = 1
     onset_s: float = 0.0
     seed: int = 0
-    phenomenology: float = 1.0
 
     @property
     def arguments(self) -> tuple[str, ...]:
@@ -34,8 +33,7 @@ class Flight:
         flight = ("--duration", f"{self.duration_s:g}", "--seed", str(self.seed))
         if self.fault is None:
             return flight
-        extent = ("--onset", f"{self.onset_s:g}", "--phenomenology", f"{self.phenomenology:g}")
-        return (*flight, "--fault", self.fault, "--rotor", str(self.rotor), *extent)
+        return (*flight, "--fault", self.fault, "--rotor", str(self.rotor), "--onset", f"{self.onset_s:g}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,11 +60,12 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     healthy = next((spec for spec in specs if isinstance(spec, RotorTrimSpec)), None)
     threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
     shift = None if frame.layout is None else rotors.shift_of(blocks, frame.layout, healthy, threshold)
-    sweeps = [
-        signals.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
+    sweeps = {
+        spec.axis: signals.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
         for spec in specs
         if isinstance(spec, RunLengthSpec) and blocks
-    ]
+    }
+    dt_s = blocks[0].dt_s if blocks else math.nan
     profile = PROFILES.get(log.profile)
     corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
     line = _rotor_line(log, frame, blocks, corner_hz)
@@ -78,8 +79,8 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         residuals.fsd_picture(rates, columns),
         residuals.plane_picture(rates, frame.classifier),
         residuals.severity_picture(rates, slots, since_s, frame.classifier),
-        signals.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / blocks[0].dt_s if blocks else math.nan),
-        signals.windows_picture(sweeps, baseline.window.samples * baseline.link.dt_s),
+        signals.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / dt_s),
+        signals.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
         signals.attitude_picture(telemetry, columns),
         signals.height_picture(telemetry, columns),
         signals.link_picture(telemetry, columns),

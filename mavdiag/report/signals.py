@@ -3,8 +3,7 @@ spectrum of the accelerometer with the rotors' line and its harmonics (T Fig 3.1
 the fit of the model (T Fig 5.5)."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -139,22 +138,10 @@ def spectrum_picture(
     return figure, f"{peak} {spectrum.averaged} stretches of {SPECTRUM_S:g} s averaged.", note
 
 
-@dataclass(frozen=True, slots=True)
-class Sweep:
-    """One axis. rows: a candidate for each window, in order."""
-
-    axis: Axis
-    dt_s: float
-    rows: tuple[SweepRow, ...]
-
-    @property
-    def known(self) -> tuple[tuple[float, float], ...]:
-        """Window [s] and R_T^2 of those that could be fitted."""
-        return tuple((row.window * self.dt_s, row.model.r2t) for row in self.rows if row.model is not None)
-
-
-def sweep_of(blocks: Sequence[Block], axis: Axis, order: Order, method: Method, polynomial: int) -> Sweep:
-    """Fit a model of one axis to the beginning of the flight at each window.
+def sweep_of(
+    blocks: Sequence[Block], axis: Axis, order: Order, method: Method, polynomial: int
+) -> tuple[SweepRow, ...]:
+    """Fit a model of one axis to the beginning of the flight at each window; a row for each, in order.
 
     blocks: one a segment. polynomial: order of the filter.
     """
@@ -164,44 +151,45 @@ def sweep_of(blocks: Sequence[Block], axis: Axis, order: Order, method: Method, 
         left -= len(beginning[-1])
 
     def prepare(count: int) -> tuple[list[FloatArray], list[FloatArray]]:
-        return _pieces(beginning, axis, RateSpec.of(dt_s, count, polynomial))
+        """u and y of each stretch that can train a model."""
+        spec, us, ys = RateSpec.of(dt_s, count, polynomial), list[FloatArray](), list[FloatArray]()
+        state = spec.start()
+        for block in beginning:
+            state, rates = spec.step(state, block)
+            for first, stop in spans(rates.commanded):
+                if (stop - first) * rates.dt_s >= MIN_PIECE_S:
+                    us.append(rates.u[first:stop, axis.column])
+                    ys.append(rates.y[first:stop, axis.column])
+        return us, ys
 
     counts = sorted({max(round(span / dt_s) | 1, LEAST, polynomial + 1 | 1) for span in WINDOWS_S})
-    return Sweep(axis, dt_s, window_sweep(prepare, counts, dt=dt_s, order=order, method=method))
-
-
-def _pieces(blocks: Sequence[Block], axis: Axis, spec: RateSpec) -> tuple[list[FloatArray], list[FloatArray]]:
-    """u and y of each stretch that can train a model."""
-    state, us, ys = spec.start(), list[FloatArray](), list[FloatArray]()
-    for block in blocks:
-        state, rates = spec.step(state, block)
-        for first, stop in spans(rates.commanded):
-            if (stop - first) * rates.dt_s >= MIN_PIECE_S:
-                us.append(rates.u[first:stop, axis.column])
-                ys.append(rates.y[first:stop, axis.column])
-    return us, ys
+    return window_sweep(prepare, counts, dt=dt_s, order=order, method=method)
 
 
 @picture("windows")
-def windows_picture(sweeps: Sequence[Sweep], window_s: float) -> Drawn:
-    """R_T^2 against the window. window_s: the baseline's."""
-    known = [sweep for sweep in sweeps if sweep.known]
+def windows_picture(sweeps: Mapping[Axis, Sequence[SweepRow]], dt_s: float, window_s: float) -> Drawn:
+    """R_T^2 against the window, by axis. dt_s: period of the rows. window_s: the baseline's."""
+    known = {
+        axis: [(row.window * dt_s, row.model.r2t) for row in rows if row.model]
+        for axis, rows in sweeps.items()
+        if any(row.model for row in rows)
+    }
     if not known:
-        reasons = {row.refused for sweep in sweeps for row in sweep.rows if row.refused}
+        reasons = {row.refused for rows in sweeps.values() for row in rows if row.refused}
         why = min(reasons, default="it takes attitude set-points and a model in the baseline")
         raise NotDrawn(f"no model could be fitted to this flight: {why}")
     figure = sheet(2.6)
     axes = figure.subplots()
-    for line, sweep in zip(LINES, known, strict=False):
-        windows_s, fits = zip(*sweep.known, strict=True)
-        line.draw(axes, windows_s, fits, sweep.axis.value, "o")
+    for line, (axis, fits) in zip(LINES, known.items(), strict=False):
+        windows_s, r2t = np.transpose(fits)
+        line.draw(axes, windows_s, r2t, axis.value, "o")
     label = f"baseline's window, {window_s:.3g} s"
     axes.axvline(window_s, color=COMMANDED.color, linestyle=COMMANDED.stroke, label=label)
     axes.set(xlabel="window [s]", ylabel="fit R_T² of the simulated rate", xscale="log", ylim=(None, 1.02))
     axes.set_xticks(WINDOWS_S, [f"{span:g}" for span in WINDOWS_S], minor=False)
     axes.minorticks_off()
     legend_above(axes)
-    best = "; ".join(f"{sweep.axis}: best {max(fit for _, fit in sweep.known):.3f}" for sweep in known)
+    best = "; ".join(f"{axis}: best {max(fit for _, fit in fits):.3f}" for axis, fits in known.items())
     return figure, f"{best}.", ""
 
 

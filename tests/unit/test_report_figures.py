@@ -129,10 +129,10 @@ def test_a_line_above_half_of_the_rate_is_shown_where_it_folds_to() -> None:
 
 def test_the_window_sweep_fits_what_identify_fits() -> None:
     log, _ = cracked()
-    sweep = sweep_of(joined([piece.rows for piece in cracked()[1].pieces]), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
-    windows = [row.window for row in sweep.rows]
+    rows = sweep_of(joined([piece.rows for piece in cracked()[1].pieces]), Axis.ROLL, (2, 2, 1), Method.SRIV, 2)
+    windows = [row.window for row in rows]
     assert windows == sorted(set(windows))
-    row = next(one for one in sweep.rows if one.window == 41)
+    row = next(one for one in rows if one.window == 41)
     flight = rates(log, Axis.ROLL, 41 / RATE_HZ)
     model = fit(flight.u, flight.y, (2, 2, 1), dt=flight.dt_s)
     assert row.model is not None
