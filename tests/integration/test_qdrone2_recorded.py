@@ -253,15 +253,10 @@ def test_a_link_carries_the_telemetry_of_the_motors_as_it_is() -> None:
     assert np.mean(heard.values[:, :4] / samples.rotor_speed[rows]) == pytest.approx(14 / 12, rel=1e-3)
 
 
-def test_the_thesiss_vehicle_keeps_no_such_log_and_reports_true_speeds() -> None:
-    samples = Plant(PlantConfig()).advance(10)
+def test_the_thesiss_vehicle_keeps_no_such_log_and_can_fly_the_recorded_paths_too() -> None:
+    samples = Plant(PlantConfig(trajectory="t1-sp2", seed=82)).advance(30_000)
     np.testing.assert_array_equal(samples.esc_speed, samples.rotor_speed)
-    with pytest.raises(UsageError, match="qdrone2-recorded"):
-        RecordedLog.of(samples.log)
-
-
-@pytest.mark.parametrize("drone", [1, 3])
-def test_the_other_cascade_can_fly_the_recorded_paths_too(drone: int) -> None:
-    samples = Plant(PlantConfig(trajectory="t1-sp2", drone=drone, seed=82)).advance(30_000)
     np.testing.assert_allclose(samples.position[9900, :2], [1, 1], atol=0.1)
     np.testing.assert_allclose(samples.position[19_900, :2], [-1, -1], atol=0.1)
+    with pytest.raises(UsageError, match="qdrone2-recorded"):
+        RecordedLog.of(samples.log)
