@@ -62,7 +62,7 @@ def test_what_a_recursive_estimate_refuses() -> None:
         ({"order": (0, 1, 1)}, "whole numbers"),
     ):
         with pytest.raises(IdentificationError, match=match):
-            RecursiveSpec(**wrong)  # type: ignore[arg-type]  # one wrong value at a time
+            RecursiveSpec(**wrong)
     with pytest.raises(IdentificationError, match="one length"):
         step(spec, start(spec), np.zeros(3), np.zeros(4))
     with pytest.raises(IdentificationError, match="NaN"):
