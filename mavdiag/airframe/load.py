@@ -1,31 +1,9 @@
 """Airframes from TOML files: the file of a user, or one of those that are shipped in this folder.
 
-    name = "survey hexa"          # what reports call it
-    scope = "airframe"            # "airframe": one vehicle (default); "type": several of one make
-    mass_kg = 2.4                 # take-off mass
-    hover_rpm = 5200              # rotor speed that carries it
-    imu_corner_hz = 20            # corner of the low-pass filter in its IMU stream, ArduPilot's INS_GYRO_FILTER
-    classifier = "..."            # trained fault types that hold for it
-    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's motors:
-
-    [[rotors]]                    # either where it is, in FRD from the centre of gravity, seen from above
-    x_m = 0.1                     # forward
-    y_m = 0.2                     # to the right
-    spin = "cw"                   # or "ccw"
-
-    [[rotors]]                    # or what its thrust does to roll, pitch and yaw, in any scale
-    roll = -1.0
-    pitch = 0.5
-    yaw = -1.0
-
-    outputs = [5, 6, 7, 8, 1, 2]  # which output drives rotor 1, 2, ... (before the tables; default: what the vehicle's
-                                  # parameters or the flights say, else rotor j is on output j)
-
-    [gate]                        # what counts as flying; the keys of `mavdiag.rows.gate.GateSpec`
-    min_thrust = 0.1
-
-Every key may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key
-is an error.
+Their keys are those of `_File`, told with an example in docs/airframe.md. A rotor is either where it is (x_m, y_m, spin,
+in FRD from the centre of gravity, seen from above) or what its thrust does (roll, pitch, yaw, in any scale). Every key
+may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key is an
+error.
 """
 
 from dataclasses import replace
