@@ -1,7 +1,7 @@
 """Airframes from TOML files: the file of a user, or one of those that are shipped in this folder.
 
-Their keys are those of `_File`, told with an example in docs/airframe.md. A rotor is either where it is (x_m, y_m, spin,
-in FRD from the centre of gravity, seen from above) or what its thrust does (roll, pitch, yaw, in any scale). Every key
+Their keys are those of `_File`, with an example in docs/airframe.md. A rotor is either where it is (x_m, y_m, spin, in
+FRD from the centre of gravity, seen from above) or what its thrust does (roll, pitch, yaw, in any scale). Every key
 may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key is an
 error.
 """

@@ -4,7 +4,6 @@ thesis's classes of faults (T Fig 5.10 and 5.12)."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -77,46 +76,28 @@ def fault_classes() -> Mapping[FaultType, tuple[FloatArray, FloatArray]]:
     return {kind: (np.array(found[kind]["fsd_s"]), np.array(found[kind]["peak_rad_s"])) for kind in FaultType}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Runs:
-    """Stretches of judged time outside of the margin: (k,) start and end [s], FSD [s], highest |r| - margin [rad/s]."""
+def runs_of(trace: RateTrace) -> FloatArray:
+    """Stretches of one axis outside of the margin, in order of time, (4, k); a run ends with its segment.
 
-    start_s: FloatArray
-    end_s: FloatArray
-    fsd_s: FloatArray
-    peak_rad_s: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.start_s)
-
-    @property
-    def longest(self) -> tuple[float, float]:
-        """FSD [s] and peak [rad/s] of the longest run; 0 without one."""
-        if not len(self):
-            return 0.0, 0.0
-        at = int(self.fsd_s.argmax())
-        return float(self.fsd_s[at]), float(self.peak_rad_s[at])
-
-    def longest_by_column(self, columns: int) -> "Runs":
-        """Of the runs that end in one column of the picture the longest."""
-        if len(self) <= columns:
-            return self
-        column, _ = style.columns_of(self.end_s, columns)
-        order = np.lexsort((self.fsd_s, column))
-        kept = np.sort(order[np.append(np.diff(column[order]) > 0, True)])
-        return Runs(self.start_s[kept], self.end_s[kept], self.fsd_s[kept], self.peak_rad_s[kept])
-
-
-def runs_of(trace: RateTrace) -> Runs:
-    """All runs of one axis, in order of time; a run ends with its segment."""
-    excess = np.abs(trace.residual) - trace.margin_rad_s
+    Rows: start and end [s], FSD [s], highest |r| - margin [rad/s].
+    """
+    excess, t_s = np.abs(trace.residual) - trace.margin_rad_s, trace.t_ns / NS_PER_S
     outside = trace.judged & (excess > 0)
     edges = [0, *(np.flatnonzero(np.diff(trace.segment)) + 1).tolist(), len(outside)]
     pieces = [(low + first, low + stop) for low, high in pairwise(edges) for first, stop in spans(outside[low:high])]
-    start, stop = np.array(pieces, dtype=np.int64).reshape(-1, 2).T
-    t_s = trace.t_ns / NS_PER_S
-    fsd_s, peak = (np.array([values[first:after].max() for first, after in pieces]) for values in (trace.fsd_s, excess))
-    return Runs(t_s[start], t_s[stop - 1], fsd_s, peak)
+    found = [
+        (t_s[first], t_s[stop - 1], trace.fsd_s[first:stop].max(), excess[first:stop].max()) for first, stop in pieces
+    ]
+    return np.array(found, dtype=np.float64).reshape(-1, 4).T
+
+
+def longest_by_column(runs: FloatArray, columns: int) -> FloatArray:
+    """Of the runs that end in one column of the picture the longest, (4, at most columns)."""
+    if runs.shape[1] <= columns:
+        return runs
+    column, _ = style.columns_of(runs[1], columns)
+    order = np.lexsort((runs[2], column))
+    return runs[:, np.sort(order[np.append(np.diff(column[order]) > 0, True)])]
 
 
 def moment_of(rates: Sequence[RateTrace]) -> tuple[float, float]:
@@ -163,9 +144,9 @@ def residual_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Draw
         style.MEASURED.draw(axes, *envelope(trace.t_ns / NS_PER_S, r, columns), "residual where judged")
         LIMIT.across(axes, margin, f"margin ±{margin:.3f} rad/s")
         LIMIT.across(axes, -margin)
-        runs = runs_of(trace).longest_by_column(columns)
-        for at in np.flatnonzero(runs.fsd_s > trace.fml_s).tolist():
-            axes.axvspan(float(runs.start_s[at]), float(runs.end_s[at]), **hatched)
+        for start_s, end_s, fsd_s, _ in longest_by_column(runs_of(trace), columns).T.tolist():
+            if fsd_s > trace.fml_s:
+                axes.axvspan(start_s, end_s, **hatched)
         axes.set_ylabel(f"{trace.axis} residual [rad/s]")
         share = 100 * float(np.mean(np.abs(trace.residual[trace.judged]) > margin))
         words.append(f"{trace.axis}: margin {margin:.3f} rad/s, outside of it for {share:.0f} % of the judged time")
@@ -179,10 +160,10 @@ def fsd_picture(rates: Sequence[RateTrace], columns: int = COLUMNS) -> Drawn:
     rates = _judged(rates)
     figure, several = panels(0.5 + 1.5 * len(rates), len(rates))
     for axes, trace in zip(several, rates, strict=True):
-        runs = runs_of(trace).longest_by_column(columns)
-        longer = runs.fsd_s > trace.fml_s
-        axes.vlines(runs.end_s, 0.0, runs.fsd_s, color=Colour.MEASURED, linewidth=0.9)
-        axes.plot(runs.end_s[longer], runs.fsd_s[longer], "s", color=Colour.FAULT, markersize=4, label="FSD > FML")
+        _, end_s, fsd_s, _ = longest_by_column(runs_of(trace), columns)
+        longer = fsd_s > trace.fml_s
+        axes.vlines(end_s, 0.0, fsd_s, color=Colour.MEASURED, linewidth=0.9)
+        axes.plot(end_s[longer], fsd_s[longer], "s", color=Colour.FAULT, markersize=4, label="FSD > FML")
         LIMIT.across(axes, trace.fml_s, f"FML {trace.fml_s:.3f} s")
         axes.set(ylabel=f"{trace.axis} FSD [s]", ylim=(0.0, None))
         legend_above(axes)
@@ -196,7 +177,7 @@ def plane_picture(rates: Sequence[RateTrace], classifier: str | None) -> Drawn:
     """The runs of the first modelled axis that judged; classes only for an airframe that they hold for."""
     trace, known = _judged(rates)[0], classifier == CLASSIFIER
     runs = runs_of(trace)
-    if not len(runs) and not known:
+    if not runs.size and not known:
         raise NotDrawn("the residual never left its margin, and no classes are known for this airframe")
     figure = sheet(3.3)
     axes = figure.subplots()
@@ -205,17 +186,18 @@ def plane_picture(rates: Sequence[RateTrace], classifier: str | None) -> Drawn:
         xerr, yerr = (np.abs(of[:, 1:] - of[:, :1]).T for of in fault_classes()[kind])
         look: Any = {"fmt": MARKERS[kind], "color": line.color, "elinewidth": 0.7, "label": NAMES[kind]}
         axes.errorbar(x, y, xerr=xerr, yerr=yerr, **look)
-    few, grey = runs.longest_by_column(MOST_POINTS), Colour.NOT_JUDGED
-    axes.plot(few.fsd_s, few.peak_rad_s, ".", color=grey, markersize=4, label="runs of this flight")
-    if len(runs):
-        axes.plot(*runs.longest, "*", color=Colour.REFERENCE, markersize=13, label="longest of this flight")
+    few, grey, point = longest_by_column(runs, MOST_POINTS)[2:], Colour.NOT_JUDGED, "none"
+    axes.plot(*few, ".", color=grey, markersize=4, label="runs of this flight")
+    if runs.size:
+        fsd_s, peak = runs[2:, runs[2].argmax()].tolist()
+        axes.plot(fsd_s, peak, "*", color=Colour.REFERENCE, markersize=13, label="longest of this flight")
+        point = f"{fsd_s:.3f} s and {peak:.3f} rad/s"
     axes.axvline(trace.fml_s, color=LIMIT.color, linestyle=LIMIT.stroke, label=f"FML {trace.fml_s:.3f} s")
     axes.set(xlabel=f"FSD, {trace.axis} [s]", ylabel=EXCESS, xlim=(0.0, None), ylim=(0.0, None))
     legend_above(axes, 3)
     note = "No classes are shown, for they are known for the emulated QDrone 2 alone."
     if known:
         note = "The class that it lies nearest to is the thesis's answer; the classes are of the emulated QDrone 2."
-    point = f"{runs.longest[0]:.3f} s and {runs.longest[1]:.3f} rad/s" if len(runs) else "none"
     return figure, f"Longest run of this flight: {point}; FML {trace.fml_s:.3f} s.", note
 
 
@@ -229,7 +211,8 @@ def severity_picture(
         raise NotDrawn("its severities are known for the emulated QDrone 2 alone")
     if unbalance is None:
         raise NotDrawn("the unbalance of this flight was not measured in g mm: see the table of monitors")
-    peak = runs_of(judged[0]).longest[1]
+    runs = runs_of(judged[0])
+    peak = float(runs[3, runs[2].argmax()]) if runs.size else 0.0
     figure = sheet(3.0)
     axes = figure.subplots()
     for line, kind in zip(LINES, FaultType, strict=False):

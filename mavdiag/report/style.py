@@ -48,18 +48,13 @@ class Line:
     stroke: str
     width: float = 1.1
 
-    @property
-    def look(self) -> dict[str, Any]:
-        """As arguments of matplotlib."""
-        return {"color": self.color, "linestyle": self.stroke, "linewidth": self.width}
-
-    def draw(self, axes: Axes, x: Any, y: Any, label: str = NO_LABEL, marker: str = "") -> None:
+    def draw(self, axes: Axes, x: Any, y: Any, label: str = NO_LABEL, marker: str | None = None) -> None:
         """Onto axes."""
-        axes.plot(x, y, label=label, marker=marker or None, **self.look)
+        axes.plot(x, y, label=label, marker=marker, color=self.color, linestyle=self.stroke, linewidth=self.width)
 
     def across(self, axes: Axes, level: float, label: str = NO_LABEL) -> None:
         """A level, across the axes."""
-        axes.axhline(level, label=label, **self.look)
+        axes.axhline(level, label=label, color=self.color, linestyle=self.stroke, linewidth=self.width)
 
 
 COMMANDED = Line(Colour.REFERENCE, ":", 1.1)

@@ -19,7 +19,7 @@ from mavdiag.identify import Method, fit
 from mavdiag.identify.validate import validate
 from mavdiag.look.figures import spectrum_of
 from mavdiag.report.campaign import roc_of
-from mavdiag.report.residuals import moment_of, ratio_of, runs_of, unbalance_of
+from mavdiag.report.residuals import longest_by_column, moment_of, ratio_of, runs_of, unbalance_of
 from mavdiag.report.rotors import shift_of
 from mavdiag.report.signals import sweep_of
 from mavdiag.report.style import envelope, highest
@@ -69,15 +69,14 @@ def test_the_runs_are_those_that_a_walk_over_the_residual_finds() -> None:
     for trace in traces()[0]:
         runs = runs_of(trace)
         walked = walk(trace)
-        np.testing.assert_allclose(runs.fsd_s, [span for _, span, _ in walked], rtol=0.03)  # less beyond the envelope
-        np.testing.assert_allclose(runs.start_s, [start for start, _, _ in walked])
-        np.testing.assert_allclose(runs.peak_rad_s, [peak for _, _, peak in walked])
-        assert runs.fsd_s.max() == pytest.approx(trace.fsd_s.max())
+        np.testing.assert_allclose(runs[2], [span for _, span, _ in walked], rtol=0.03)  # less beyond the envelope
+        np.testing.assert_allclose(runs[[0, 3]].T, [(start, peak) for start, _, peak in walked])
+        assert runs[2].max() == pytest.approx(trace.fsd_s.max())
         start_s, stop_s = moment_of([trace])
         assert start_s <= trace.t_ns[trace.fsd_s.argmax()] / 1e9 <= stop_s
-        few = runs.longest_by_column(5)
-        assert len(few) <= 5 < len(runs)
-        assert few.fsd_s.max() == runs.fsd_s.max()
+        few = longest_by_column(runs, 5)
+        assert few.shape[1] <= 5 < runs.shape[1]
+        assert few[2].max() == runs[2].max()
 
 
 def walk(trace: RateTrace) -> list[tuple[float, float, float]]:
