@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from mavdiag.baseline import Baseline
-from mavdiag.demo.baselines import own_baselines
 from mavdiag.demo.closed_loop import POLL_S, Flight, closed_loop
-from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view
+from mavdiag.demo.command import DETECTOR, SPAN_S, THESIS, flight_view, own_baselines
 from mavdiag.terminal.live_judge import LiveJudge
 from mavdiag.terminal.view import Line, line_for, picture
 

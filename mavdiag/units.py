@@ -2,8 +2,6 @@
 
 import math
 
-__all__ = ["DEG", "G_MM_PER_KG_M", "NS_PER_MS", "NS_PER_S", "NS_PER_US", "RPM", "S_PER_H", "G"]
-
 DEG = math.pi / 180  # rad
 RPM = 2 * math.pi / 60  # rad/s
 G = 9.80665  # standard gravity [m/s^2]

@@ -1,8 +1,12 @@
-"""Known models and simulated records for the identification tests."""
+"""Known models, simulated records, and Octave's reference values for the identification tests."""
 
+import json
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
+from shared_data import shared
 
 from mavdiag.identify import ArxModel, Method
 from mavdiag.telemetry import FloatArray
@@ -28,3 +32,12 @@ def record(model: ArxModel, n: int, noise: float, seed: int) -> Record:
     u = rng.standard_normal(n)
     clean = model.simulate(u)
     return Record(u, clean, clean + noise * clean.std() * rng.standard_normal(n))
+
+
+@cache
+def octave(index: int) -> tuple[dict[str, Any], FloatArray, FloatArray]:
+    """One of Octave's 24 cases, with u and y."""
+    folder = shared("reference/octave")
+    table = np.genfromtxt(folder / "data_well.csv", delimiter=",", names=True)
+    case: dict[str, Any] = json.loads((folder / "arx_reference_well.json").read_text())[index]
+    return case, np.asarray(table["u"], dtype=np.float64), np.asarray(table[case["output"]], dtype=np.float64)

@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight
 from mavdiag.telemetry import Log
 
@@ -23,12 +22,6 @@ def script() -> ModuleType:
     spec.loader.exec_module(module)
     assert (module.ROTOR, module.ONSET_S, module.LINK.rate_hz) == (ROTOR, ONSET_S, RATE_HZ)
     return module
-
-
-def emulated_baseline() -> Baseline:
-    """Of three healthy flights."""
-    found: Baseline = script().baseline()
-    return found
 
 
 def cracked() -> tuple[Log, JudgedFlight]:

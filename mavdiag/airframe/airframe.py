@@ -12,8 +12,6 @@ from mavdiag.airframe.layout import RotorLayout
 from mavdiag.errors import UsageError
 from mavdiag.rows.gate import GateSpec
 
-__all__ = ["Airframe", "Scope"]
-
 UNNAMED = "unnamed"
 Scope: TypeAlias = Literal["airframe", "type"]
 

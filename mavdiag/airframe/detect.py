@@ -1,21 +1,25 @@
 """Find the rotor layout from flights: how the outputs change with the commands of roll, pitch and yaw.
 
-Which outputs are motors is found as well. The regression itself is in `excitation`.
+Which outputs are motors is found as well.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, nnls
 
-from mavdiag.airframe.excitation import Fit, Stretches, fit_outputs, moving_outputs
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout
+from mavdiag.airframe.trim import MIN_OUTPUT
 from mavdiag.rows.block import Block
-from mavdiag.telemetry import FloatArray
+from mavdiag.telemetry import BoolArray, FloatArray
 
-__all__ = ["MIN_LIKENESS", "LayoutFinding", "contradicts", "detect_layout"]
-
+SPAN_S = 0.1  # changes over this time: longer than output periods and motor lag, shorter than trims (our choice)
+LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.1, 0.15)  # of the acceleration: motor lag and gyro filter (our choice)
+MIN_CHANGES = 40  # spans without overlap (our choice)
+TOGETHER = 4096  # rows of one product: below the size that BLAS threads (our choice)
+SINGULAR = 1e-12  # of the largest eigenvalue of the drivers' products: below it there is no direction
+DRIVERS = ("torque command", "rate error", "angular acceleration")
 MIN_EXPLAINED = 0.1  # share of the outputs' changes that the drivers must explain (our choice)
 MIN_F = 10.0  # F value above which a driver counts as excited, and an output as a motor (our choice)
 CONTRARY = 0.5  # a weak driver, such as yaw in straight flight, may read -0.3 of the right layout (our choice)
@@ -77,13 +81,16 @@ def detect_layout(
     The blocks are gone through several times, one stretch in memory at a time. Any cut of the rows into blocks gives
     the same answer. Blind spots: servos that follow the drivers as motors do; a vehicle that hardly turns.
     """
-    stretches = Stretches(blocks)
-    moving = moving_outputs(stretches)
-    if outputs is not None and stretches.outputs:
-        return _on_outputs(stretches, moving, [one - 1 for one in outputs], known)
+    blocks = tuple(blocks) if isinstance(blocks, Iterator) else blocks
+    moving = moving_outputs(blocks)
+    if outputs is not None and any(block.actuator.shape[1] for block in blocks if len(block)):
+        columns = [output - 1 for output in outputs]
+        if idle := tuple(rotor for rotor, column in enumerate(columns, start=1) if column not in moving):
+            return LayoutFinding(None, f"the outputs of the rotors {', '.join(map(str, idle))} do not move", idle=idle)
+        return _found(_fit(blocks, columns), columns, known)
     if len(moving) < FEWEST:
         return LayoutFinding(None, "the data carry no rotor outputs that move")
-    fit = fit_outputs(stretches, moving)
+    fit = _fit(blocks, moving)
     found = first = _found(fit, moving, known)
     left_out = 0.0
     while found.layout is None and fit is not None and fit.followed.min() < MIN_F:
@@ -91,8 +98,8 @@ def detect_layout(
             return first
         worst = int(fit.followed.argmin())
         left_out = max(left_out, float(fit.followed[worst]))
-        moving = [one for i, one in enumerate(moving) if i != worst]
-        fit = fit_outputs(stretches, moving)
+        moving = [*moving[:worst], *moving[worst + 1 :]]
+        fit = _fit(blocks, moving)
         found = _found(fit, moving, known)
     if fit is not None and fit.followed.min() < MIN_GAP * left_out:
         reason = f"which outputs are motors is not clear, they hardly follow the {fit.driver}; fly turns"
@@ -123,24 +130,174 @@ def contradicts(finding: LayoutFinding, layout: RotorLayout) -> str:
     return ""
 
 
-def _on_outputs(
-    stretches: Stretches, moving: Sequence[int], columns: Sequence[int], known: Sequence[RotorLayout]
-) -> LayoutFinding:
-    """What the outputs say that are known to drive the rotors, if all of them move."""
-    if idle := tuple(rotor for rotor, one in enumerate(columns, start=1) if one not in moving):
-        return LayoutFinding(None, f"the outputs of the rotors {', '.join(map(str, idle))} do not move", idle=idle)
-    return _found(fit_outputs(stretches, columns), columns, known)
+def moving_outputs(blocks: Iterable[Block]) -> list[int]:
+    """Columns of the outputs that change in valid rows and carry: those that stand still or idle are no motors."""
+    width = max((block.actuator.shape[1] for block in blocks if len(block)), default=0)
+    low, high, total, count = np.array([[np.inf], [-np.inf], [0.0], [0.0]]) * np.ones(width)
+    for block in blocks:
+        outputs = block.actuator[block.valid]
+        own, known = slice(0, outputs.shape[1]), np.isfinite(outputs)
+        low[own] = np.minimum(low[own], np.where(known, outputs, np.inf).min(axis=0, initial=np.inf))
+        high[own] = np.maximum(high[own], np.where(known, outputs, -np.inf).max(axis=0, initial=-np.inf))
+        total[own] += np.where(known, outputs, 0.0).sum(axis=0)
+        count[own] += known.sum(axis=0)
+    return np.flatnonzero((high > low) & (total / np.maximum(count, 1) > MIN_OUTPUT)).tolist()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The regression of some outputs, all together.
+
+    driver: what they were explained by.
+    effects: (3, outputs) change of the outputs for one standard deviation of each driver's change.
+    F: (3,) of roll, pitch and yaw: over all outputs, how far the driver's effect stands out of the noise.
+    followed: (outputs,) of each output: how far the effect of all drivers stands out of its noise, an F value too.
+    explained: share of the outputs' changes.
+    spread: (3, 3) mean products of the drivers' changes, each over its standard deviation.
+    """
+
+    driver: str
+    effects: FloatArray
+    F: FloatArray
+    followed: FloatArray
+    explained: float
+    spread: FloatArray
+
+    @property
+    def together(self) -> float:
+        """The largest variance inflation factor: how much less is known of a driver for moving with the others."""
+        return float(np.diag(np.linalg.pinv(self.spread)).max())
+
+    def lost(self, mixing: FloatArray) -> float:
+        """How much of the explained energy a layout cannot explain, 0..1, whatever gains its axes have.
+
+        mixing: (outputs, 3), see `RotorLayout.mixing`.
+        """
+        # least g >= 0 of  tr (E - diag(g) B')' S (E - diag(g) B'),  E effects, B mixing, S spread: a normal equation
+        S, E, B = self.spread, self.effects, mixing
+        total = float(np.einsum("kr,kl,lr->", E, S, E))
+        M, v = S * (B.T @ B), np.einsum("kl,lr,rk->k", S, E, B)
+        root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(3))
+        g, _ = nnls(root.T, np.linalg.solve(root, v))
+        return float((total - 2 * g @ v + g @ M @ g) / total) if total > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretch:
+    """Unbroken rows. w: (n, outputs) o/mean(o) - 1, nan where a row is not judged or the motors do not carry.
+
+    drivers: (3, n, 3), in the order of `DRIVERS`, nan where unknown.
+    """
+
+    dt_s: float
+    w: FloatArray
+    drivers: FloatArray
+
+
+def _stretches(blocks: Iterable[Block], columns: Sequence[int]) -> Iterator[_Stretch]:
+    """One after the other, made anew: of many flights one is in memory, if the blocks come from where they are kept."""
+    run: list[Block] = []
+    for block in blocks:
+        if not len(block):
+            continue
+        if run and not (block.segment == run[-1].segment and 0 < block.t_ns[0] - run[-1].t_ns[-1] < 2.5e9 * block.dt_s):
+            yield _stretch(run, columns)
+            run = []
+        run.append(block)
+    if run:
+        yield _stretch(run, columns)
+
+
+def _stretch(run: Sequence[Block], columns: Sequence[int]) -> _Stretch:
+    outputs = np.full((sum(map(len, run)), len(columns)), np.nan)
+    rate, wanted, torque = (
+        np.concatenate([getattr(block, name) for block in run]) for name in ("rate", "rate_setpoint", "torque")
+    )
+    row = 0
+    for block in run:
+        there = [i for i, column in enumerate(columns) if column < block.actuator.shape[1]]
+        judged: BoolArray = block.valid[:, None]
+        outputs[row : row + len(block), there] = np.where(
+            judged, block.actuator[:, [columns[i] for i in there]], np.nan
+        )
+        row += len(block)
+    mean = outputs.mean(axis=1, keepdims=True)
+    w = outputs / np.where(mean > MIN_OUTPUT, mean, np.nan) - 1.0
+    return _Stretch(run[0].dt_s, w, np.stack([torque, wanted - rate, np.diff(rate, axis=0, prepend=np.nan)]))
+
+
+def _fit(blocks: Iterable[Block], columns: Sequence[int]) -> Fit | None:
+    """The fit of these outputs to the first driver that the data carry; None if there is too little of it.
+
+    Of the acceleration the lag that explains most is taken.
+    """
+    judged, known = 0, np.zeros(len(DRIVERS), dtype=np.int64)
+    for one in _stretches(blocks, columns):
+        flown = np.isfinite(one.w[:, 0])
+        judged += int(flown.sum())
+        known += (flown & np.isfinite(one.drivers).all(axis=2)).sum(axis=1)
+    carried = np.flatnonzero(2 * known > judged).tolist()
+    if not carried:
+        return None
+    driver = carried[0]
+    sums = [_Sums(len(columns), lag_s) for lag_s in (LAGS_S if driver == len(DRIVERS) - 1 else LAGS_S[:1])]
+    for one in _stretches(blocks, columns):
+        for found in sums:
+            found.add(one.w, one.drivers[driver], one.dt_s)
+    fits = [found.fit(DRIVERS[driver]) for found in sums]
+    return max((fit for fit in fits if fit is not None), key=lambda fit: fit.explained, default=None)
+
+
+class _Sums:
+    """Sums over stretches for the least squares of the outputs' changes W on those of a driver X, some lag later.
+
+    rows: how many there are. total: (3,) sum of X. products: of [ W X ] with itself.
+    """
+
+    def __init__(self, outputs: int, lag_s: float) -> None:
+        self._rows, self._overlap, self._lag_s = 0, 1, lag_s
+        self._total, self._products = np.zeros(3), np.zeros((outputs + 3, outputs + 3))
+
+    def add(self, w: FloatArray, x: FloatArray, dt_s: float) -> None:
+        """Take a stretch."""
+        span, lag = max(1, round(SPAN_S / dt_s)), round(self._lag_s / dt_s)
+        n, self._overlap = len(w) - span - lag, max(self._overlap, span)
+        if n > 0:
+            both = np.hstack([w[span : span + n] - w[:n], x[span + lag :] - x[lag : lag + n]])
+            both = both[np.isfinite(both).all(axis=1)]
+            self._rows += len(both)
+            self._total += both[:, -3:].sum(axis=0)
+            for first in range(0, len(both), TOGETHER):
+                part = both[first : first + TOGETHER]
+                self._products += part.T @ part
+
+    def fit(self, driver: str) -> Fit | None:
+        """The fit; None if there is too little of it."""
+        n, (ww, wx, xx) = self._rows, (self._products[:-3, :-3], self._products[:-3, -3:], self._products[-3:, -3:])
+        total = float(np.trace(ww))
+        if n < MIN_CHANGES * self._overlap or total == 0:
+            return None
+        scale = np.sqrt(np.maximum(np.diag(xx) / n - np.square(self._total / n), 0.0))
+        scale = np.where(scale > 0, scale, 1.0)
+        wx, xx = wx / scale, xx / scale / scale[:, None]
+        # [ X'X ] effects = [ X'W ]; drivers that move together by nature leave the smallest effects
+        effects = np.linalg.pinv(xx, rcond=SINGULAR, hermitian=True) @ wx.T
+        explained = np.einsum("kr,kl,lr->r", effects, xx, effects)
+        left = np.maximum(np.diag(ww) - 2 * np.einsum("kr,rk->r", effects, wx) + explained, 0.0)
+        noise = self._overlap * left.sum() / (n * len(ww)) * np.diag(np.linalg.pinv(xx))  # of an effect; spans overlap
+        F = np.asarray(np.square(effects).mean(axis=1) / np.maximum(noise, 1e-300), dtype=np.float64)
+        followed = np.asarray(explained / 3 / np.maximum(self._overlap * left / n, 1e-300), dtype=np.float64)
+        return Fit(driver, np.asarray(effects), F, followed, 1 - float(left.sum()) / total, np.asarray(xx / n))
 
 
 def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding:
     """What the fit of these outputs says, the rotors in their order."""
-    outputs = tuple(one + 1 for one in columns)
-    candidates = [one for one in known if one.rotors == len(columns)]
+    outputs = tuple(column + 1 for column in columns)
+    candidates = [layout for layout in known if layout.rotors == len(columns)]
     if fit is None:
         return LayoutFinding(None, "the flight is too short to find the rotor layout", (), outputs)
     if fit.explained < MIN_EXPLAINED or fit.F[:2].min() < MIN_F:
-        reason = f"the outputs hardly follow the {fit.driver}; fly turns"
-        return LayoutFinding(None, reason, (), outputs)
+        return LayoutFinding(None, f"the outputs hardly follow the {fit.driver}; fly turns", (), outputs)
     if not candidates:
         listed = ", ".join(map(str, outputs))
         reason = f"{len(columns)} outputs move ({listed}) and no known layout has so many rotors"
@@ -149,7 +306,7 @@ def _found(fit: Fit | None, columns: Sequence[int], known: Sequence[RotorLayout]
 
 
 def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
-    ranked = sorted(((one.name, _likeness(fit.effects, fit.F, one)) for one in candidates), key=lambda row: -row[1])
+    ranked = sorted(((layout.name, _likeness(fit, layout)) for layout in candidates), key=lambda row: -row[1])
     name, best = ranked[0]
     second = ranked[1] if len(ranked) > 1 else None
     scores = f"{name} {best:.2f}" + (f", next {second[0]} {second[1]:.2f}" if second else "")
@@ -164,34 +321,30 @@ def _named(candidates: Sequence[RotorLayout], fit: Fit) -> LayoutFinding:
     return LayoutFinding(layout, f"found from outputs and {fit.driver} ({scores}){unseen}", tuple(ranked))
 
 
+def _likeness(fit: Fit, layout: RotorLayout) -> float:
+    size, B = np.linalg.norm(fit.effects, axis=1), layout.mixing
+    cosines = np.einsum("kr,rk->k", fit.effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), 1e-300)
+    excited = fit.F >= MIN_F
+    lowest = float(cosines[excited].min())
+    return lowest if lowest < 0 else float(np.average(cosines[excited], weights=np.square(size[excited])))
+
+
 def _reordered(fit: Fit, columns: Sequence[int], known: Sequence[RotorLayout]) -> LayoutFinding | None:
     """The layout that fits in another order of the outputs; None if none does, or an axis is not excited."""
-    candidates = [one for one in known if one.name in NUMBERED and one.rotors == len(columns)]
+    candidates = {one.name: one for one in known if one.name in NUMBERED and one.rotors == len(columns)}
     if not candidates or fit.explained < MIN_EXPLAINED or fit.F.min() < MIN_F or fit.together > MAX_TOGETHER:
         return None
-    orders = {one.name: _order(fit.effects, one) for one in candidates}
-    turned = [RotorLayout(one.name, tuple(one.signs[i] for i in orders[one.name])) for one in candidates]
+    orders, turned = {}, []
+    for name, layout in candidates.items():
+        # the rotor of each output, by which the effects agree best with the layout: an assignment, solved exactly
+        size = np.linalg.norm(fit.effects, axis=1)
+        weighted = fit.effects * size[:, None] / np.linalg.norm(layout.mixing, axis=0)[:, None]
+        orders[name] = linear_sum_assignment(-(weighted.T @ layout.mixing.T))[1].tolist()  # (outputs, rotors)
+        turned.append(RotorLayout(name, tuple(layout.signs[rotor] for rotor in orders[name])))
     found = _named(turned, fit)
     if found.layout is None:
         return None
-    layout, order = next(one for one in candidates if one.name == found.layout.name), orders[found.layout.name]
+    layout, order = candidates[found.layout.name], orders[found.layout.name]
     outputs = tuple(columns[order.index(rotor)] + 1 for rotor in range(layout.rotors))
     reason = f"{found.reason}, its rotors on outputs {', '.join(map(str, outputs))}"
     return LayoutFinding(layout, reason, found.likeness, outputs)
-
-
-def _order(effects: FloatArray, layout: RotorLayout) -> list[int]:
-    """The rotor of each output, by which the effects agree best with the layout (an assignment, solved exactly)."""
-    size = np.linalg.norm(effects, axis=1)
-    weighted = effects * size[:, None] / np.linalg.norm(layout.mixing, axis=0)[:, None]
-    _, rotors = linear_sum_assignment(-(weighted.T @ layout.mixing.T))  # (outputs, rotors)
-    return [int(one) for one in rotors]
-
-
-def _likeness(effects: FloatArray, F: FloatArray, layout: RotorLayout) -> float:
-    size = np.linalg.norm(effects, axis=1)
-    B = layout.mixing
-    cosines = np.einsum("kr,rk->k", effects, B) / np.maximum(size * np.linalg.norm(B, axis=0), 1e-300)
-    excited = F >= MIN_F
-    lowest = float(cosines[excited].min())
-    return lowest if lowest < 0 else float(np.average(cosines[excited], weights=np.square(size[excited])))

@@ -1,8 +1,8 @@
 """Does a flight look like the vehicle that a baseline was learnt from? The answer comes before any judgement.
 
-A fingerprint is what the healthy flights showed of the vehicle: of each trait (`mavdiag.airframe.traits`) its mean and
-its spread between flights. A flight that is far from it is of another vehicle. The difficulty is a damaged rotor, which
-must not be taken for another vehicle. So only that counts which damage to one rotor does not do:
+A fingerprint is what the healthy flights showed of the vehicle: of each of `TRAITS` its mean and its spread between
+flights. A flight that is far from it is of another vehicle. The difficulty is a damaged rotor, which must not be taken
+for another vehicle. So only that counts which damage to one rotor does not do:
 
 - Damage shifts the trim along the rotor's own pattern: the best rise of one rotor is taken out of the shift. A rise of
   less than 0.025 shows no damage, and then the whole shift counts, unless vibration is higher: a blade may drag more.
@@ -16,25 +16,27 @@ were seen to do, and the flight is refused. What is near (`NEAR`) is significant
 judged, with a note, and may be another specimen of the type, new propellers or a new load.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 
 import numpy as np
 
 from mavdiag.airframe.airframe import UNNAMED
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import TRAITS, beginning, traits, traits_of_parts
-from mavdiag.airframe.trim import LEVEL_RATIO, rises
+from mavdiag.airframe.trim import LEVEL_RATIO, MIN_OUTPUT, rises, shown_trim
 from mavdiag.errors import InputError
+from mavdiag.rows.block import COLUMNS, Block
 from mavdiag.rows.front import Rows
-from mavdiag.telemetry import FloatArray
-
-__all__ = ["FIRST_S", "Figure", "Fingerprint", "Likeness", "Outcome", "compare", "fingerprint_of", "merged"]
+from mavdiag.rows.rates import RateBlock
+from mavdiag.rows.windows import spans, window_all, window_mean, window_rows
+from mavdiag.telemetry import BoolArray, FloatArray
 
 FIRST_S = 20.0  # of judged flight that is compared (our choice)
 PART_S = 10.0  # of a learnt flight, by which its spread is measured: half of that, so that 30 s have three (our choice)
+MOST_PARTS = 12  # of a flight: enough to see what it varies by (our choice)
 SIGNIFICANT = 5.0  # spreads (our choice)
 FAR_SPREADS = 8.0  # spreads (our choice)
 FAR_TRIM = 0.04  # of the hover command, roll and pitch counting a third; recorded sessions and weights stay below 0.03
@@ -42,37 +44,65 @@ DAMAGE_RISE = 0.025  # of the hover command: about what the rotor-trim monitor t
 RAISED = math.log(1.5)  # of a noise: vibration that damage may have made (our choice)
 OTHER_MOTORS = 2  # a quadrotor is no hexarotor
 
-TRIM = slice(0, 3)
+CALM_RAD_S = 2.0  # rms of the body rates over a second (our choice)
+TRIM_S = 1.0  # of one mean of the trim (our choice)
+NOISE_WINDOW_S = 0.5  # of one rms of noise (our choice)
+CALM_SHARE = 0.2  # the quantile of these rms that stands for calm flight (our choice)
+RESOLUTION_SHARE = 0.05  # of the steps of a signal that may be smaller than its resolution (our choice)
+SLOW_S = 0.3  # means of the rates that are compared for the gain (our choice)
+MOST_LAG_S = 0.4  # between commanded and measured rate (our choice)
+GAIN_CORRELATION = 0.9  # of commanded and measured slow rates; with less the gain is that of noise (our choice)
+TURN_S = 0.1  # means of the gyro whose difference is the angular acceleration (our choice)
+TURN_LAG_S = 0.2  # between outputs and acceleration (our choice)
+TURN_CORRELATION = 0.7  # of outputs and acceleration (our choice)
+LAG_STEP_S = 0.02
+PIECE_S = 2.0  # shortest unbroken flight that gives a slope (our choice)
+ALIKE = 0.7  # of the logarithm of a motor's level over the motors' median: half to twice (our choice)
+MOVES = 0.2  # of the busiest motor's rms (our choice)
 
 
 @dataclass(frozen=True, slots=True)
-class _Limit:
-    """Of a trait: the floor of its spread between flights, and how much lower or higher is near and far."""
+class Trait:
+    """One figure of a vehicle, and how much lower or higher than the learnt one is near and far.
 
+    name: how a text calls it. log: it is a natural logarithm, and a text gives the ratio.
+    floor: of its spread between flights: what those of one emulated airframe differ by, in payload and wind (estimate).
+    """
+
+    name: str
     floor: float
-    near_low: float
-    near_high: float
-    far_low: float
-    far_high: float
+    near_low: float = math.inf
+    near_high: float = math.inf
+    far_low: float = math.inf
+    far_high: float = math.inf
+    log: bool = True
 
 
-_NEVER = math.inf
-_NOISE = _Limit(0.1, math.log(2.0), _NEVER, math.log(20.0), _NEVER)  # better balanced propellers are quieter by 7
-# Floors: what healthy flights of one emulated airframe differ by, trims in payload and wind among them (estimates).
-_LIMITS: tuple[_Limit, ...] = (
-    *(_Limit(floor, _NEVER, _NEVER, _NEVER, _NEVER) for floor in (0.01, 0.01, 0.002)),
-    *(_NOISE,) * 6,
-    *(_Limit(0.1, math.log(1.5), math.log(1.5), math.log(2.0), math.log(2.0)),) * 2,
-    *(_Limit(0.2, _NEVER, math.log(2.0), math.log(4.0), math.log(4.0)),) * 2,
-    _Limit(0.03, math.log(1.15), math.log(1.4), math.log(1.5), _NEVER),
-    _Limit(0.1, OTHER_MOTORS, OTHER_MOTORS, _NEVER, OTHER_MOTORS),  # a motor that hangs follows no command
+_1_5, _2, _4, _20 = map(math.log, (1.5, 2, 4, 20))
+
+#: What `traits` gives, in this order; the limits are ours, held against recorded sessions, cuts, tape and weights.
+TRAITS = (
+    # median over seconds of the trim of the rotors [fraction of hover]
+    *(Trait(f"{axis} trim", floor, log=False) for axis, floor in (("roll", 0.01), ("pitch", 0.01), ("yaw", 0.002))),
+    # rms of second differences of gyro [rad/s] and accelerometer [m/s^2] in calm flight; better balanced propellers
+    # are quieter by 7
+    *(Trait(f"gyro noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "pqr"),
+    *(Trait(f"accelerometer noise {axis}", 0.1, near_low=_2, far_low=_20) for axis in "xyz"),
+    # of slow measured rates on slow commanded rates
+    *(Trait(f"{axis} gain", 0.1, _1_5, _1_5, _2, _2) for axis in ("roll", "pitch")),
+    # angular acceleration for a unit of trim [rad/s^2]
+    *(Trait(f"{axis} authority", 0.2, math.inf, _2, _4, _4) for axis in ("roll", "pitch")),
+    # median mean output, or thrust set-point
+    Trait("hover throttle", 0.03, math.log(1.15), math.log(1.4), _1_5),
+    # outputs that move like motors, whatever the layout; one that hangs follows no command
+    Trait("motors", 0.1, OTHER_MOTORS, OTHER_MOTORS, far_high=OTHER_MOTORS, log=False),
 )
-"""Of TRAITS, in the same order; choices of ours, held against recorded sessions, cuts, tape and weights."""
+TRIM, NOISE = slice(0, 3), slice(3, 9)
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One trait of a vehicle: a name of `traits.TRAITS`, its mean over the flights, and its spread between them.
+    """One trait of a vehicle: its name, its mean over the flights, and its spread between them.
 
     Raises InputError if they cannot be.
     """
@@ -104,11 +134,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """How a flight compares with a fingerprint.
-
-    outcome: what follows.
-    differing: a phrase with figures for each trait that differs.
-    """
+    """How a flight compares with a fingerprint: what follows, and a phrase with figures for each differing trait."""
 
     outcome: Outcome
     differing: tuple[str, ...] = ()
@@ -134,21 +160,20 @@ def fingerprint_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout | None
     found = np.array([traits(flight, layout) for flight in flights])
     parts = [traits_of_parts(flight, layout, PART_S) for flight in flights]
     figures = []
-    for i, (trait, limit, column) in enumerate(zip(TRAITS, _LIMITS, found.T, strict=True)):
+    for i, (trait, column) in enumerate(zip(TRAITS, found.T, strict=True)):
         known = column[np.isfinite(column)]
         if len(known):
             mean = float(known.mean())
-            between = (limit.floor**2 + float(np.square(known - mean).sum())) / len(known)
+            between = (trait.floor**2 + float(np.square(known - mean).sum())) / len(known)
             figures.append(Figure(trait.name, mean, math.sqrt(between + _within([one[:, i] for one in parts]))))
     return Fingerprint(tuple(figures), len(flights)) if figures else None
 
 
 def _within(parts: Sequence[FloatArray]) -> float:
     """The variance of a trait within a flight, from its values in the parts of each; 0 where none has two."""
-    known = [one[np.isfinite(one)] for one in parts]
-    freedom = sum(max(0, len(one) - 1) for one in known)
-    squares = sum(float(np.square(one - one.mean()).sum()) for one in known if len(one))
-    return squares / freedom if freedom else 0.0
+    known = [values[np.isfinite(values)] for values in parts if np.isfinite(values).any()]
+    freedom = sum(len(values) - 1 for values in known)
+    return sum(len(values) * float(values.var()) for values in known) / freedom if freedom else 0.0
 
 
 def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
@@ -160,10 +185,9 @@ def merged(one: Fingerprint, other: Fingerprint | None) -> Fingerprint:
     figures = []
     for figure in one.figures:
         fresh = theirs.pop(figure.name, figure)
-        apart = fresh.mean - figure.mean
-        mean = figure.mean + apart * m / (n + m)
-        square = (n * figure.spread**2 + m * fresh.spread**2) / (n + m) + n * m * (apart / (n + m)) ** 2
-        figures.append(Figure(figure.name, mean, math.sqrt(square)))
+        apart = (fresh.mean - figure.mean) / (n + m)
+        square = (n * figure.spread**2 + m * fresh.spread**2) / (n + m) + n * m * apart**2
+        figures.append(Figure(figure.name, figure.mean + apart * m, math.sqrt(square)))
     return Fingerprint((*figures, *theirs.values()), n + m)
 
 
@@ -172,33 +196,28 @@ def compare(fingerprint: Fingerprint, flight: Sequence[Rows], layout: RotorLayou
 
     A flight that shows none of the traits is alike: nothing speaks against it.
     """
-    first = beginning(flight, FIRST_S)
-    if not any(len(rows.block) for rows in first):
-        return Likeness(Outcome.ALIKE)
-    return _compared(fingerprint, traits(first, layout), layout)
-
-
-def _compared(fingerprint: Fingerprint, seen: FloatArray, layout: RotorLayout | None) -> Likeness:
+    blocks, rates = beginning(flight, FIRST_S)
+    seen = _traits(blocks, rates, layout)
     known = {figure.name: (figure.mean, figure.spread) for figure in fingerprint.figures}
     learnt = np.array([known.get(trait.name, (math.nan, 1.0)) for trait in TRAITS])
     shift, spread = seen - learnt[:, 0], learnt[:, 1]
-    raised = bool(np.nanmax(np.append(shift[3:9], -np.inf)) > RAISED)
-    far, near = _trim(shift[TRIM], spread[TRIM], layout, raised)
-    far_words = _trim_words(learnt, seen) if far else []
-    near_words = _trim_words(learnt, seen) if near and not far else []
-    for i in range(TRIM.stop, len(TRAITS)):
-        limit, size = _LIMITS[i], abs(float(shift[i]))
-        lower = shift[i] < 0
-        if size >= max(limit.far_low if lower else limit.far_high, SIGNIFICANT * spread[i]):
-            far_words.append(_words(i, learnt[i], float(seen[i])))
-        elif size >= max(limit.near_low if lower else limit.near_high, SIGNIFICANT * spread[i]):
-            near_words.append(_words(i, learnt[i], float(seen[i])))
-    outcome = Outcome.FAR if far_words else Outcome.NEAR if near_words else Outcome.ALIKE
-    return Likeness(outcome, (*far_words, *near_words))
+    far, near = _trim_differs(shift, spread, layout)
+    worst = int(np.argmax(np.abs(shift[TRIM]) / spread[TRIM]))
+    far_at, near_at = [worst] if far else [], [worst] if near and not far else []
+    for i, trait in list(enumerate(TRAITS))[TRIM.stop :]:
+        size, lower = abs(float(shift[i])), shift[i] < 0
+        if size >= max(trait.far_low if lower else trait.far_high, SIGNIFICANT * spread[i]):
+            far_at.append(i)
+        elif size >= max(trait.near_low if lower else trait.near_high, SIGNIFICANT * spread[i]):
+            near_at.append(i)
+    outcome = Outcome.FAR if far_at else Outcome.NEAR if near_at else Outcome.ALIKE
+    return Likeness(outcome, tuple(_words(TRAITS[i], learnt[i], float(seen[i])) for i in (*far_at, *near_at)))
 
 
-def _trim(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None, raised: bool) -> tuple[bool, bool]:
+def _trim_differs(shift: FloatArray, spread: FloatArray, layout: RotorLayout | None) -> tuple[bool, bool]:
     """Whether the trim is far, and whether it is near."""
+    raised = bool(np.nanmax(np.append(shift[NOISE], -np.inf)) > RAISED)
+    shift, spread = shift[TRIM], spread[TRIM]
     if layout is None or not np.isfinite(shift).all():
         return False, False
     level = np.array([LEVEL_RATIO, LEVEL_RATIO, 1.0])
@@ -218,16 +237,200 @@ def _without_rotor(shift: FloatArray, spread: FloatArray, layout: RotorLayout) -
     return float(rise[best]), rests[:, best]
 
 
-def _trim_words(learnt: FloatArray, seen: FloatArray) -> list[str]:
-    """The axis of the trim that differs most, in its own spread."""
-    worst = int(np.argmax(np.abs(seen[TRIM] - learnt[TRIM, 0]) / learnt[TRIM, 1]))
-    return [_words(worst, learnt[worst], float(seen[worst]))]
-
-
-def _words(i: int, learnt: FloatArray, seen: float) -> str:
-    name, (mean, spread) = TRAITS[i].name, learnt.tolist()
-    if TRAITS[i].log:
-        return f"{name} {math.exp(seen - mean):.2g} times the learnt"
-    if name == "motors":
+def _words(trait: Trait, learnt: FloatArray, seen: float) -> str:
+    mean, spread = learnt.tolist()
+    if trait.log:
+        return f"{trait.name} {math.exp(seen - mean):.2g} times the learnt"
+    if trait.name == "motors":
         return f"{seen:.0f} motors (learnt {mean:.0f})"
-    return f"{name} {seen:+.3f} (learnt {mean:+.3f} +- {spread:.3f})"
+    return f"{trait.name} {seen:+.3f} (learnt {mean:+.3f} +- {spread:.3f})"
+
+
+def joined(flight: Sequence[Rows]) -> list[Block]:
+    """The rows of a flight, one block a segment."""
+    out = []
+    for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
+        blocks = [one.block for one in rows]
+        outputs = max(block.actuator.shape[1] for block in blocks)  # rows before the first message have no column
+        same = [replace(block, actuator=_widened(block.actuator, outputs)) for block in blocks]
+        columns = (np.concatenate([getattr(block, name) for block in same]) for name in COLUMNS)
+        out.append(blocks[0] if len(blocks) == 1 else Block(segment, blocks[0].dt_s, *columns))
+    return out
+
+
+def _widened(x: FloatArray, columns: int) -> FloatArray:
+    return np.pad(x, ((0, 0), (0, columns - x.shape[1])), constant_values=np.nan)
+
+
+def joined_rates(flight: Sequence[Rows]) -> list[RateBlock]:
+    """The rates of a flight, one block a segment."""
+    out = []
+    for segment, rows in itertools.groupby(flight, key=lambda one: one.block.segment):
+        blocks = [one.rates for one in rows]
+        columns = (np.concatenate([getattr(block, field.name) for block in blocks]) for field in fields(RateBlock)[2:])
+        out.append(RateBlock(segment, blocks[0].dt_s, *columns))
+    return out
+
+
+def _between(rates: RateBlock, first_ns: int, stop_ns: int) -> RateBlock:
+    part = slice(*np.searchsorted(rates.t_ns, (first_ns, stop_ns)).tolist())
+    return RateBlock(rates.segment, rates.dt_s, *(getattr(rates, field.name)[part] for field in fields(RateBlock)[2:]))
+
+
+def beginning(flight: Sequence[Rows], span_s: float) -> tuple[list[Block], list[RateBlock]]:
+    """The first rows of a flight that hold so much valid flight [s], one block a segment, and their rates."""
+    seen_s, enough = 0.0, 0
+    while enough < len(flight) and seen_s <= span_s:
+        seen_s += np.count_nonzero(flight[enough].block.valid) * flight[enough].block.dt_s
+        enough += 1
+    first = flight[: enough + 2]  # rates come half a window later, with the next rows
+    blocks, rates = joined(first), joined_rates(first)
+    for i, block in enumerate(blocks):
+        stop = int(np.searchsorted(np.cumsum(block.valid) * block.dt_s, span_s, side="right"))
+        if stop < len(block):
+            until = _between(rates[i], int(block.t_ns[0]), int(block.t_ns[stop]))
+            return [*blocks[:i], block.rows(0, stop)], [*rates[:i], until]
+        span_s -= np.count_nonzero(block.valid) * block.dt_s
+    return blocks, rates
+
+
+def traits(flight: Sequence[Rows], layout: RotorLayout | None) -> FloatArray:
+    """The figures of a flight, (len(TRAITS),), NaN where it does not show them. layout: None if it is not known."""
+    return _traits(joined(flight), joined_rates(flight), layout)
+
+
+def traits_of_parts(flight: Sequence[Rows], layout: RotorLayout | None, span_s: float) -> FloatArray:
+    """The figures of parts of a flight that are so long [s] each, (parts, len(TRAITS)): what a vehicle varies by as it
+    flies. At most `MOST_PARTS`, over the whole flight; none of a flight that is shorter."""
+    places = [
+        (block.rows(first, first + length), rates)
+        for block, rates in zip(joined(flight), joined_rates(flight), strict=True)
+        if (length := window_rows(span_s, block.dt_s))
+        for first in range(0, len(block) - length + 1, length)
+    ]
+    some = min(len(places), MOST_PARTS)
+    found = [np.empty((0, len(TRAITS)))]
+    for block, rates in (places[i * len(places) // some] for i in range(some)):
+        found.append(_traits([block], [_between(rates, int(block.t_ns[0]), int(block.t_ns[-1]))], layout)[None])
+    return np.concatenate(found)
+
+
+def _traits(blocks: Sequence[Block], rates: Sequence[RateBlock], layout: RotorLayout | None) -> FloatArray:
+    calm = [_calm(block) for block in blocks]
+    trims = [] if layout is None else [shown_trim(block, layout) for block in blocks]
+    seconds = [np.empty((0, 3))]
+    for block, ok, (trim, known) in zip(blocks, calm, trims, strict=False):
+        window = window_rows(TRIM_S, block.dt_s)
+        seconds.append(window_mean(trim, window)[window_all(known & ok, window)][:: max(1, window // 4)])
+    trim = np.concatenate(seconds)
+    turning = [(block, values, known) for block, (values, known) in zip(blocks, trims, strict=False)]
+    return np.array(
+        [
+            *(np.median(trim, axis=0) if len(trim) else np.full(3, np.nan)),
+            *_noise([(block.rate, block.valid, block.dt_s) for block in blocks]),
+            *_noise([(block.force, block.valid & np.isfinite(block.force[:, 2]), block.dt_s) for block in blocks]),
+            *(_gain(rates, axis) for axis in (0, 1)),
+            *(_authority(turning, axis) for axis in (0, 1)),
+            _throttle(blocks, calm, layout),
+            _motors(blocks),
+        ]
+    )
+
+
+def _calm(block: Block) -> BoolArray:
+    """(n,) valid rows that begin a second of less than CALM_RAD_S rms: the vehicle does not tumble."""
+    if not len(block):
+        return block.valid
+    window = min(window_rows(TRIM_S, block.dt_s), len(block))
+    squares = window_mean(np.square(block.rate).sum(axis=1)[:, None], window)[:, 0]
+    squares = np.pad(squares, (0, len(block) - len(squares)), mode="edge")
+    return np.asarray(block.valid & (squares < CALM_RAD_S**2), dtype=np.bool_)
+
+
+def _noise(signals: Sequence[tuple[FloatArray, BoolArray, float]]) -> FloatArray:
+    """(3,) logarithm of the rms of second differences in the calmest fifth of half-second windows.
+
+    What is quieter than its resolution q shows q alone: a rounding has the variance q^2/12, a second difference six
+    times that. q: the smallest step between samples, but for a few that interpolation made.
+    """
+    squares, steps = [np.empty((0, 3))], [np.empty((0, 3))]
+    for values, known, dt_s in signals:
+        steps.append(np.abs(np.diff(values, axis=0)[window_all(known, 2)]))
+        window = window_rows(NOISE_WINDOW_S, dt_s)
+        bends = np.where(window_all(known, 3)[:, None], np.square(np.diff(values, n=2, axis=0)), np.nan)
+        squares.append(window_mean(bends, window)[:: max(1, window // 2)])
+    found = []
+    for square, step in zip(np.concatenate(squares).T, np.concatenate(steps).T, strict=True):
+        square, step = square[np.isfinite(square)], step[step > 0]
+        resolution = float(np.quantile(step, RESOLUTION_SHARE, method="lower")) if len(step) else 0.0
+        calm = max(float(np.quantile(square, CALM_SHARE)), resolution**2 / 2) if len(square) else 0.0
+        found.append(0.5 * math.log(calm) if calm > 0 else math.nan)
+    return np.array(found)
+
+
+def _gain(rates: Sequence[RateBlock], axis: int) -> float:
+    """Logarithm of the gain of slow measured rates on slow commanded ones."""
+    pairs = []
+    for block in rates:
+        for first, stop in _pieces(block.commanded, block.dt_s):
+            both = np.stack((block.u[first:stop, axis], block.y[first:stop, axis]), axis=1)
+            slow = window_mean(both, window_rows(SLOW_S, block.dt_s))
+            pairs.append((slow - slow.mean(axis=0)).T)
+    return _slope(pairs, rates[0].dt_s, MOST_LAG_S, GAIN_CORRELATION) if pairs else math.nan
+
+
+def _authority(turning: Sequence[tuple[Block, FloatArray, BoolArray]], axis: int) -> float:
+    """Logarithm of the angular acceleration for a unit of trim."""
+    pairs = []
+    for block, trim, known in turning:
+        window = window_rows(TURN_S, block.dt_s)
+        for first, stop in _pieces(known & block.valid, block.dt_s):
+            rate = window_mean(block.rate[first:stop, axis : axis + 1], window)[:, 0]
+            faster = (rate[window:] - rate[:-window]) / (window * block.dt_s)
+            command = window_mean(trim[first:stop, axis : axis + 1], 2 * window)[: len(faster), 0]
+            pairs.append(np.stack((command - command.mean(), faster[: len(command)] - faster.mean())))
+    return _slope(pairs, turning[0][0].dt_s, TURN_LAG_S, TURN_CORRELATION) if pairs else math.nan
+
+
+def _pieces(known: BoolArray, dt_s: float) -> list[tuple[int, int]]:
+    return [(first, stop) for first, stop in spans(known) if stop - first > window_rows(PIECE_S, dt_s)]
+
+
+def _slope(pairs: Sequence[FloatArray], dt_s: float, most_lag_s: float, least: float) -> float:
+    """Logarithm of the least-squares slope of y on x, (2, n), at the lag where they correlate best; NaN if below
+    `least`."""
+    best, slope = 0.0, math.nan
+    for lag in range(0, window_rows(most_lag_s, dt_s) + 1, window_rows(LAG_STEP_S, dt_s)):
+        lagged = [(x[: len(x) - lag], y[lag:]) for x, y in pairs if len(x) > 2 * lag]
+        # einsum and not @: BLAS threads for so many rows, which costs more than it saves
+        xx, xy, yy = (
+            sum(float(np.einsum("n,n->", pair[i], pair[j])) for pair in lagged) for i, j in ((0, 0), (0, 1), (1, 1))
+        )
+        if xx > 0 and yy > 0 and xy / math.sqrt(xx * yy) > best:
+            best, slope = xy / math.sqrt(xx * yy), xy / xx
+    return math.log(slope) if best >= least else math.nan
+
+
+def _throttle(blocks: Sequence[Block], calm: Sequence[BoolArray], layout: RotorLayout | None) -> float:
+    """Logarithm of the median thrust set-point in flight, or of the motors' mean output where there is none."""
+    thrust = np.concatenate([np.empty(0), *(b.thrust[ok] for b, ok in zip(blocks, calm, strict=True))])
+    if not np.isfinite(thrust).any() and layout is not None:
+        outputs = [b.actuator[ok, : layout.rotors] for b, ok in zip(blocks, calm, strict=True)]
+        thrust = np.concatenate([np.empty(0), *(one.mean(axis=1) for one in outputs if one.shape[1])])
+    known = thrust[np.isfinite(thrust) & (thrust > MIN_OUTPUT)]
+    return math.log(float(np.median(known))) if len(known) else math.nan
+
+
+def _motors(blocks: Sequence[Block]) -> float:
+    """How many outputs move, at about the same level; NaN if none is sent."""
+    width = min((block.actuator.shape[1] for block in blocks), default=0)
+    outputs = np.concatenate([np.empty((0, width)), *(block.actuator[block.valid, :width] for block in blocks)])
+    outputs = outputs[np.isfinite(outputs).all(axis=1)]
+    if not width or not len(outputs):
+        return math.nan
+    level, moves = outputs.mean(axis=0), outputs.std(axis=0)
+    moving = (level > MIN_OUTPUT) & (moves > MOVES * np.where(level > MIN_OUTPUT, moves, 0.0).max())
+    if not moving.any():
+        return 0.0
+    ratio = np.maximum(level, MIN_OUTPUT) / float(np.median(level[moving]))
+    return float(np.count_nonzero(moving & (np.abs(np.log(ratio)) < ALIKE)))

@@ -16,8 +16,6 @@ import numpy as np
 from mavdiag.errors import UsageError
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["LAYOUTS", "Place", "RotorLayout", "layout_at", "layout_named", "layout_of_effects", "ring"]
-
 COLUMN_TOLERANCE = 1e-3  # of a column's scale: digits that a hand-written file may leave out (our choice)
 
 

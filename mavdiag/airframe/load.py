@@ -1,31 +1,9 @@
 """Airframes from TOML files: the file of a user, or one of those that are shipped in this folder.
 
-    name = "survey hexa"          # what reports call it
-    scope = "airframe"            # "airframe": one vehicle (default); "type": several of one make
-    mass_kg = 2.4                 # take-off mass
-    hover_rpm = 5200              # rotor speed that carries it
-    imu_corner_hz = 20            # corner of the low-pass filter in its IMU stream, ArduPilot's INS_GYRO_FILTER
-    classifier = "..."            # trained fault types that hold for it
-    layout = "hexa-x"             # a known layout, or the rotors in the order of the vehicle's motors:
-
-    [[rotors]]                    # either where it is, in FRD from the centre of gravity, seen from above
-    x_m = 0.1                     # forward
-    y_m = 0.2                     # to the right
-    spin = "cw"                   # or "ccw"
-
-    [[rotors]]                    # or what its thrust does to roll, pitch and yaw, in any scale
-    roll = -1.0
-    pitch = 0.5
-    yaw = -1.0
-
-    outputs = [5, 6, 7, 8, 1, 2]  # which output drives rotor 1, 2, ... (before the tables; default: what the vehicle's
-                                  # parameters or the flights say, else rotor j is on output j)
-
-    [gate]                        # what counts as flying; the keys of `mavdiag.rows.gate.GateSpec`
-    min_thrust = 0.1
-
-Every key may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key
-is an error.
+Their keys are those of `_File`, with an example in docs/airframe.md. A rotor is either where it is (x_m, y_m, spin, in
+FRD from the centre of gravity, seen from above) or what its thrust does (roll, pitch, yaw, in any scale). Every key
+may be left out but the name. What is left out is not known, and nothing is taken in its place. An unknown key is an
+error.
 """
 
 from dataclasses import replace
@@ -41,8 +19,6 @@ from mavdiag.errors import InputError, UsageError
 from mavdiag.rows.gate import GateSpec
 from mavdiag.storage import parse_toml, read_toml
 from mavdiag.units import RPM
-
-__all__ = ["BUILTIN", "airframe_from", "airframe_named", "load_airframe", "with_layout"]
 
 #: Names of the airframes that are shipped.
 BUILTIN = ("crazyflie", "qdrone2", "qdrone2-recorded")
@@ -146,38 +122,18 @@ def _parse(table: dict[str, Any], file: str) -> Airframe:
         key = ".".join(str(step + 1) if isinstance(step, int) else step for step in steps)  # rotors count from 1
         reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
         raise InputError(f"{file}: {key}: {reason}") from error
+    about = "rotors" if found.rotors else "layout"
     try:
         layout = _layout(found)
+        about = "outputs"
+        return Airframe(
+            **found.model_dump(include={"name", "scope", "outputs", "mass_kg", "imu_corner_hz", "classifier"}),
+            layout=layout,
+            hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
+            gate=None if found.gate is None else GateSpec(**found.gate.model_dump()),
+        )
     except UsageError as error:
-        raise InputError(f"{file}: {'rotors' if found.rotors else 'layout'}: {error}") from error
-    try:
-        return _airframe(found, layout)
-    except UsageError as error:
-        raise InputError(f"{file}: outputs: {error}") from error
-
-
-def _airframe(found: _File, layout: RotorLayout | None) -> Airframe:
-    return Airframe(
-        name=found.name,
-        scope=found.scope,
-        layout=layout,
-        outputs=found.outputs,
-        mass_kg=found.mass_kg,
-        hover_rad_s=None if found.hover_rpm is None else found.hover_rpm * RPM,
-        imu_corner_hz=found.imu_corner_hz,
-        gate=None if found.gate is None else _gate_spec(found.gate),
-        classifier=found.classifier,
-    )
-
-
-def _gate_spec(gate: _Gate) -> GateSpec:
-    return GateSpec(
-        min_height_m=gate.min_height_m,
-        min_thrust=gate.min_thrust,
-        need_armed=gate.need_armed,
-        trim_start_s=gate.trim_start_s,
-        trim_end_s=gate.trim_end_s,
-    )
+        raise InputError(f"{file}: {about}: {error}") from error
 
 
 def _layout(found: _File) -> RotorLayout | None:

@@ -21,8 +21,6 @@ from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named, layout_o
 from mavdiag.airframe.vehicle_type import QUAD
 from mavdiag.errors import UsageError
 
-__all__ = ["ParameterFinding", "layout_from_parameters", "output_functions"]
-
 COPTER_MOTORS = (33, 34, 35, 36, 37, 38, 39, 40, 82, 83, 84, 85)  # SERVOn_FUNCTION of motor 1, 2, ...
 _MOST_ROTORS = 12  # of ArduPilot and of CA_ROTOR_COUNT
 _LARGEST = 1e6  # no parameter that is read here has a larger value

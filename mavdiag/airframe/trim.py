@@ -26,27 +26,6 @@ from mavdiag.rows.block import Block
 from mavdiag.rows.front import Rows
 from mavdiag.telemetry import BoolArray, FloatArray, Signal, Three
 
-__all__ = [
-    "LEVEL_RATIO",
-    "MIN_OUTPUT",
-    "MOST_LOSS",
-    "SIGNALS",
-    "SOURCES",
-    "YAW_FLOOR",
-    "Source",
-    "loss_of",
-    "rise_of",
-    "rises",
-    "shown_trim",
-    "source_among",
-    "source_of",
-    "sources_of",
-    "spread_from",
-    "spread_of",
-    "tilt_of",
-    "trim_of",
-]
-
 YAW_FLOOR = 0.002  # of the hover command: smallest yaw spread that is believed (our choice)
 LEVEL_RATIO = 3.0  # least spread of roll and pitch over yaw's: payload and wind move them; METHOD 5 has .07 to .012
 TILT_TRIM = 0.3  # 1/rad: roll and pitch trim that a steady tilt in wind may bring (estimate; emulated: 0.28)
@@ -78,25 +57,24 @@ def loss_of(rise: float) -> float:
 
 def sources_of(flight: Sequence[Rows], layout: RotorLayout) -> BoolArray:
     """(2,) whether a flight shows a trim by each of `SOURCES`: outputs that stand still show none."""
-    return np.array([any(_moves(rows.block, layout, one) for rows in flight) for one in SOURCES])
+    return np.array([any(_moves(rows.block, layout, source) for rows in flight) for source in SOURCES])
 
 
 def _moves(block: Block, layout: RotorLayout, source: Source) -> bool:
     trim, known = trim_of(block, layout, source)
-    used = trim[known]
-    return bool((used != used[:1]).any())
+    return bool((trim[known] != trim[known][:1]).any())
 
 
 def source_of(flights: Sequence[Sequence[Rows]], layout: RotorLayout) -> Source:
-    """The outputs where they are sent, for they are what the rotors really got.
-
-    Raises InputError if there is neither.
-    """
+    """As `source_among`, of flights."""
     return source_among([sources_of(flight, layout) for flight in flights], layout)
 
 
 def source_among(shown: Sequence[BoolArray], layout: RotorLayout) -> Source:
-    """As `source_of`, from what `sources_of` says of each flight."""
+    """The outputs where they are sent, for they are what the rotors really got. shown: `sources_of` each flight.
+
+    Raises InputError if there is neither.
+    """
     for number, source in enumerate(SOURCES):
         if any(one[number] for one in shown):
             return source
@@ -110,26 +88,26 @@ def trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArr
 
     The same arrays for the same question; do not write to them.
     """
-    return block.once((source, layout), lambda: _trim_of(block, layout, source))
+    return block.once((source, layout), lambda: (_by_outputs if source == "actuator" else _by_torques)(block, layout))
 
 
-def _trim_of(block: Block, layout: RotorLayout, source: Source) -> tuple[FloatArray, BoolArray]:
-    if source == "actuator":
-        outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
-        if outputs.shape[1] < layout.rotors:
-            return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-        rows = np.ascontiguousarray(outputs.T)  # (rotors, n)
-        level = np.add.reduce(rows, axis=0) / layout.rotors
-        known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
-        if np.count_nonzero(known) < len(known):
-            rows, level = np.where(known, rows, 1.0), np.where(known, level, 1.0)
-        return np.einsum("kr,rn->kn", layout.unmixing, rows / level - 1.0).T, known
+def _by_outputs(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
+    outputs = block.actuator[:, : layout.rotors]  # further outputs move no rotor, and may be unknown
+    if outputs.shape[1] < layout.rotors:
+        return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
+    level = np.add.reduce(outputs, axis=1) / layout.rotors
+    known = block.valid & block.known(Signal.ACTUATOR, slice(0, layout.rotors)) & (level > MIN_OUTPUT)
+    relative = np.divide(outputs, level[:, None], out=np.ones(outputs.shape), where=known[:, None])
+    return np.einsum("kr,nr->nk", layout.unmixing, relative - 1.0), known
+
+
+def _by_torques(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
+    """B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust."""
     if layout.torque_gain is None:
         return np.zeros((len(block), 3)), np.zeros(len(block), dtype=np.bool_)
-    # B m = w is what the mixer adds to the thrust, so m is the command itself, over the thrust.
     known = block.valid & block.known(Signal.TORQUE_COMMAND) & (block.thrust > MIN_OUTPUT)
-    command = block.torque.T * np.array(layout.torque_gain)[:, None]
-    return np.divide(command, block.thrust, out=np.zeros((3, len(block))), where=known).T, known
+    command = block.torque * np.array(layout.torque_gain)
+    return np.divide(command, block.thrust[:, None], out=np.zeros((len(block), 3)), where=known[:, None]), known
 
 
 def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray]:
@@ -140,9 +118,7 @@ def shown_trim(block: Block, layout: RotorLayout) -> tuple[FloatArray, BoolArray
 
 def tilt_of(block: Block) -> FloatArray:
     """Commanded roll and pitch of each row, (n, 2) [rad]; zero where unknown."""
-    if np.count_nonzero(block.setpoint_valid) == len(block):
-        return block.setpoint[:, :2]
-    return np.where(block.setpoint_valid, block.setpoint.T[:2], 0.0).T
+    return np.where(block.setpoint_valid[:, None], block.setpoint[:, :2], 0.0)
 
 
 def spread_of(shifts: FloatArray) -> Three:
@@ -164,13 +140,8 @@ def rises(shift: FloatArray, layout: RotorLayout, spread: Three | FloatArray, ti
     too, so 0.3 times the tilt is added in squares to the spread of roll and pitch. Without it roll and pitch count in
     full, which tells rotors of one sense of rotation apart.
     """
-    C, shifts = layout.unmixing, shift.T
-    weights = 1.0 / np.array([[one * one] for one in spread])
+    C, leaning = layout.unmixing, TILT_TRIM**2 * np.square(tilt).sum(axis=1)
+    W = 1.0 / (np.square(spread) + leaning[:, None] * np.array([1.0, 1.0, 0.0]))
     # einsum and not @: BLAS rounds by the number of rows, and a cut must not change a value
-    if tilt is NO_TILT:
-        share = weights * C / np.einsum("kn,kr->r", weights, C * C)
-        return np.asarray(np.einsum("kr,kn->rn", share, shifts).T, dtype=np.float64)
-    level = 1.0 / (TILT_TRIM**2 * np.einsum("nk,nk->n", tilt, tilt) + np.array([[spread[0] ** 2], [spread[1] ** 2]]))
-    found = np.einsum("kr,kn->rn", C[:2], shifts[:2] * level) + (weights[2] * C[2])[:, None] * shifts[2]
-    found /= np.einsum("kr,kn->rn", C[:2] ** 2, level) + (weights[2] * C[2] ** 2)[:, None]
-    return np.asarray(found.T, dtype=np.float64)
+    found = np.einsum("nk,kr->nr", W * shift, C) / np.einsum("nk,kr->nr", W, C * C)
+    return np.asarray(found, dtype=np.float64)

@@ -1,12 +1,10 @@
 """Which kinds of vehicle are judged: multirotors, by MAV_TYPE of the MAVLink common dialect.
 
 Every figure of a monitor rests on fixed rotors that carry the vehicle all the time. A vehicle of another kind is
-refused before anything is made of its samples. A VTOL is refused too: its rotors stop, tilt or idle in forward flight,
-so a hover's figures hold for parts of a flight only, and nothing here tells those parts apart. A vehicle that does not
-say what it is, or says "generic", is taken for a multirotor.
+refused before anything is made of its samples; a VTOL too, for its rotors stop, tilt or idle in forward flight, and
+nothing here tells those parts apart. A vehicle that does not say what it is, or says "generic", is taken for a
+multirotor.
 """
-
-__all__ = ["MULTIROTORS", "refusal"]
 
 GENERIC, QUAD = 0, 2
 #: Generic, quad, coaxial, hexa, octo, tri, dodeca, deca, and "multirotor" without a number of rotors.

@@ -17,8 +17,7 @@ def balance(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON line.")] = False,
 ) -> None:
     """Hold an unbalance against ISO 1940-1. Exit code 0 if it is permissible, else 1."""
-    report = assess_unbalance(
-        unbalance_g_mm(mass_g, radius_mm), rotor_mass_g=rotor_mass_g, speed_rpm=rpm, grade=grade_named(grade)
-    )
+    unbalance = unbalance_g_mm(mass_g, radius_mm)
+    report = assess_unbalance(unbalance, rotor_mass_g=rotor_mass_g, speed_rpm=rpm, grade=grade_named(grade))
     typer.echo(json_line(report) if as_json else report.sentence)
     raise typer.Exit(0 if report.within else 1)

@@ -49,7 +49,7 @@ def report(
     """
     from mavdiag.report import page
     from mavdiag.report.campaign import read_campaign
-    from mavdiag.report.thinned import COLUMNS
+    from mavdiag.report.style import COLUMNS
 
     check_output(output)
     if campaign is not None:

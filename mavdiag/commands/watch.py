@@ -44,9 +44,8 @@ def watch(
     On a pipe it prints one line an event.
     """
     from mavdiag.terminal.ground_station import GroundStation  # here, for rich takes time to load
-    from mavdiag.terminal.journal import Journal
     from mavdiag.terminal.live_judge import LiveJudge
-    from mavdiag.terminal.watching import follow, listen
+    from mavdiag.terminal.watching import Journal, follow, listen
 
     until = None if duration is None else time.monotonic() + duration
     with stop_signals() as stopped:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from mavdiag.demo.subprocesses import POLL_S as POLL_S
 from mavdiag.demo.subprocesses import Child, child
 from mavdiag.errors import LinkError
 from mavdiag.link.messages import Severity
@@ -14,7 +15,6 @@ from mavdiag.terminal.ground_station import GroundStation, ReceivedText
 from mavdiag.terminal.live_judge import LiveJudge
 
 READY_S = 120.0  # the emulator compiles its loop at its first start
-POLL_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,6 @@ class Flight:
     rotor: int = 1
     onset_s: float = 0.0
     seed: int = 0
-    phenomenology: float = 1.0
 
     @property
     def arguments(self) -> tuple[str, ...]:
@@ -34,8 +33,7 @@ class Flight:
         flight = ("--duration", f"{self.duration_s:g}", "--seed", str(self.seed))
         if self.fault is None:
             return flight
-        extent = ("--onset", f"{self.onset_s:g}", "--phenomenology", f"{self.phenomenology:g}")
-        return (*flight, "--fault", self.fault, "--rotor", str(self.rotor), *extent)
+        return (*flight, "--fault", self.fault, "--rotor", str(self.rotor), "--onset", f"{self.onset_s:g}")
 
 
 @dataclass(frozen=True, slots=True)

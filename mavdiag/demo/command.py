@@ -1,23 +1,36 @@
-"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge)."""
+"""`mavdiag demo`: the emulator and the detector as two processes over MAVLink, received by a ground station (edge).
 
+Its two baselines are learnt once from flights of the emulator and kept in the user's cache.
+"""
+
+import os
 import tempfile
+import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavdiag import __version__
+from mavdiag.archive.sources import digest_of_sources
 from mavdiag.as_json import json_line
 from mavdiag.baseline import Baseline
 from mavdiag.commandline import say
+from mavdiag.commands.identify import make_baseline
 from mavdiag.commands.report import write_report
 from mavdiag.decision.diagnosis import Change, Stage
-from mavdiag.demo.baselines import cache_folder, own_baselines, thesis_rule
 from mavdiag.demo.closed_loop import POLL_S, DemoResult, Flight, Loop, closed_loop
-from mavdiag.errors import UsageError
+from mavdiag.demo.subprocesses import run_child
+from mavdiag.errors import BaselineError, UsageError
+from mavdiag.face import with_airframe
+from mavdiag.learning import LearnOptions, thesis_options
 from mavdiag.link.messages import Severity
 from mavdiag.logs import read_log
+from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.storage import check_output
 from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import GroundStation
@@ -29,6 +42,10 @@ if TYPE_CHECKING:  # rich takes time to load
 ONSET_SHARE = 0.4  # of the flight
 SPAN_S = 12.0  # that the strips show
 DETECTOR, THESIS = "detector: ", "thesis rule: "
+HEALTHY_FLIGHTS = 60  # one false alarm of the thesis rule in 61 flights of equal length, METHOD section 4
+FUSED_FLIGHTS = 20  # of them that teach all monitors: their thresholds follow from a law, not from the highest value
+HEALTHY_S = 40.0
+UNUSED_S = 30 * 86_400.0  # after which a baseline is deleted (our choice)
 
 
 def demo(
@@ -67,11 +84,83 @@ def demo(
             changes = watch(loop, flight, quiet=as_json)
         result = DemoResult(flight.onset_s, tuple(loop.station.texts))
         if as_json:
-            typer.echo(_json(result))
+            detected = result.detected_s
+            told = {
+                "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
+                "onset_s": result.onset_s,
+                "detected_s": detected,
+                "latency_s": None if detected is None else round(detected - result.onset_s, 3),
+                "alerts": [asdict(text) for text in result.alerts],
+                "false_alarms": result.false_alarms,
+            }
+            typer.echo(json_line(told))
         else:
             _print_result(result, flight, changes)
             _print_report(record, fused, report or cache_folder() / "demo-report.html")
     raise typer.Exit(0 if result.good else 1)
+
+
+def thesis_rule(baseline: Baseline) -> Baseline:
+    """The part of a baseline that judges by the thesis's rule alone; without monitors if it has none."""
+    rules = tuple(entry for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec))
+    return baseline.model_copy(update={"monitors": rules})
+
+
+def own_baselines(*, quiet: bool) -> tuple[Path, Path]:
+    """The demo's two baselines, of all monitors and of the thesis rule, learnt once from flights of the emulator.
+
+    They are kept in the user's cache, and learnt again after any change of the sources that make them. Those of other
+    versions, which may be running, are deleted when they were not used for a month.
+    """
+    cache, digest = cache_folder(), digest_of_sources(("mavdiag", "sitl_plant"), ("__pycache__",))
+    fused, thesis = (cache / f"demo-{name}-{__version__}-{digest}.json" for name in ("fused", "thesis"))
+    if _usable(fused) and _usable(thesis):
+        return fused, thesis
+    cache.mkdir(parents=True, exist_ok=True)
+    delete_unused(cache, time.time())
+    if not quiet:
+        typer.echo(f"recording {HEALTHY_FLIGHTS} healthy flights of {HEALTHY_S:g} s, as fast as they go ...")
+    with tempfile.TemporaryDirectory() as folder:
+        half = HEALTHY_FLIGHTS // 2
+        with ThreadPoolExecutor(2) as pool:  # one process a core of a small machine
+            list(pool.map(lambda first: _record(Path(folder), first, half), (0, half)))
+        logs = sorted(Path(folder).glob("*.tlog"))
+        if not quiet:
+            typer.echo("identifying the healthy airframe ...")
+        learnt = ((thesis, thesis_options(), logs), (fused, LearnOptions(), logs[:FUSED_FLIGHTS]))
+        for path, options, flights in learnt:
+            make_baseline(flights, with_airframe(options, "qdrone2", "qdrone2 drone 1")).save(path)
+    return fused, thesis
+
+
+def delete_unused(cache: Path, now_s: float) -> None:
+    """Delete the demo's baselines that were not used for UNUSED_S. now_s: unix time [s]."""
+    for kept in cache.glob("demo-*.json"):
+        with suppress(FileNotFoundError):  # another demo was quicker
+            if now_s - kept.stat().st_mtime > UNUSED_S:
+                kept.unlink()
+
+
+def cache_folder() -> Path:
+    """Where the demo keeps what it made."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavdiag"
+
+
+def _usable(path: Path) -> bool:
+    """Whether there is one, and it can be read; then it is marked as used now."""
+    try:
+        usable = bool(thesis_rule(Baseline.load(path)).monitors)
+    except BaselineError:
+        return False
+    with suppress(OSError):
+        os.utime(path)
+    return usable
+
+
+def _record(folder: Path, first: int, count: int) -> None:
+    file, seed = str(folder / f"healthy{first:02d}.tlog"), str(1000 + first)
+    flights = ("--flights", str(count), "--seed", seed, "--duration", f"{HEALTHY_S:g}")
+    run_child("sitl_plant", "record", "-o", file, *flights)
 
 
 def watch(loop: Loop, flight: Flight, *, quiet: bool) -> list[Change]:
@@ -111,20 +200,6 @@ def flight_view(station: GroundStation, flight: Flight, events: Sequence["Line"]
         levels=figure_levels(station) if judge is None else levels_of(judge),
         events=tuple(events),
         foot="" if judge is None else f"{LEGEND}; {judge.link_line}",
-    )
-
-
-def _json(result: DemoResult) -> str:
-    detected = result.detected_s
-    return json_line(
-        {
-            "verdict": "detected" if result.good else "false alarm" if result.false_alarms else "missed",
-            "onset_s": result.onset_s,
-            "detected_s": detected,
-            "latency_s": None if detected is None else round(detected - result.onset_s, 3),
-            "alerts": [asdict(text) for text in result.alerts],
-            "false_alarms": result.false_alarms,
-        }
     )
 
 

@@ -29,8 +29,10 @@ class Child:
 
     @property
     def lines(self) -> list[str]:
-        """The lines that it printed so far."""
-        self._read()
+        """The lines that it printed so far, read without moving the place at which it writes."""
+        if not self._output.closed:
+            while more := os.pread(self._output.fileno(), READ_BYTES, len(self._printed)):
+                self._printed += more
         return self._printed.rpartition(b"\n")[0].decode(errors="replace").splitlines()
 
     @property
@@ -60,9 +62,9 @@ class Child:
             time.sleep(POLL_S)
 
     def finish(self, timeout_s: float | None = None) -> int:
-        """Wait for its end and return its exit code."""
+        """Wait for its end and return its exit code; `lines` has all that it printed."""
         code = self._process.wait(timeout_s)
-        self._read()
+        _ = self.lines
         self._output.close()
         return code
 
@@ -75,12 +77,6 @@ class Child:
         if self.running:
             self._process.kill()
         self.finish(GRACE_S)
-
-    def _read(self) -> None:
-        """Read on, without moving the place at which the process writes."""
-        if not self._output.closed:
-            while more := os.pread(self._output.fileno(), READ_BYTES, len(self._printed)):
-                self._printed += more
 
 
 @contextlib.contextmanager

@@ -1,26 +1,42 @@
-"""Least-squares ARX, the thesis's estimator (T 4.1.2). Biased when the noise sits on the output: see `sriv`."""
+"""Training data, checked and stacked but never joined, and least squares on it, the thesis's estimator (T 4.1.2).
 
+Least squares is biased when the noise sits on the output: see `sriv`.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import EPSILON, Segment, lag_matrix, numerical_rank, triangle
 from mavdiag.identify.model import Order
 from mavdiag.telemetry import FloatArray
 
-__all__ = ["Estimate", "least_squares", "polynomials", "regressors", "solve"]
+Records: TypeAlias = FloatArray | Sequence[FloatArray]  # one record, or one per segment
+
+BLOCK_ROWS = 256  # rows per block of `triangle`: fits the cache and stays below the size that BLAS threads
+EPSILON = float(np.finfo(np.float64).eps)
+MIN_ROWS_PER_PARAMETER = 10  # our rule of thumb; below it a standard error means little
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """An unbroken piece of flight: u and y on the same uniform grid, (n,) each, or (m, n) of m pieces of one length."""
+
+    u: FloatArray
+    y: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.y.shape[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """Raw outcome of an estimator.
 
-    theta: (na + nb,) parameters.
-    covariance: of theta, (na + nb, na + nb).
-    loss: mean square of its own residual.
-    rows: number of those residuals.
-    iterations, converged: of the estimator's own loop, 0 and True without one.
+    theta: (na + nb,) parameters. covariance: of theta. loss: mean square of its own residual. rows: number of those
+    residuals. iterations, converged: of the estimator's own loop, 0 and True without one.
     """
 
     theta: FloatArray
@@ -31,18 +47,64 @@ class Estimate:
     converged: bool = True
 
 
-def regressors(segment: Segment, order: Order) -> tuple[FloatArray, FloatArray]:
-    """Regressor matrix Phi (rows, na + nb) and target (rows,) of one segment, first row t = max(na, nb + nk - 1)."""
+def to_segments(u: Records, y: Records, order: Order) -> tuple[Segment, ...]:
+    """Pair u with y, record by record, and check that the data can carry `order`.
+
+    Raises IdentificationError if records do not pair up, differ in length, hold NaN, are too short, or are constant.
+    """
+    us, ys = _records(u), _records(y)
+    if len(us) != len(ys) or not us:
+        raise IdentificationError(f"{len(us)} records of u and {len(ys)} of y: give one of each per segment")
+    segments = tuple(Segment(*pair) for pair in zip(us, ys, strict=True))
+    for i, segment in enumerate(segments, start=1):
+        _check(segment, order, f"segment {i}" if len(us) > 1 else "the data")
+    parameters, rows = order[0] + order[1], sum(len(segment) - reach(order) for segment in segments)
+    if rows < MIN_ROWS_PER_PARAMETER * parameters:
+        raise IdentificationError(
+            f"too short: {rows} usable rows for {parameters} parameters; record {MIN_ROWS_PER_PARAMETER} rows for each"
+        )
+    for name, records in (("u", us), ("y", ys)):
+        if max(float(np.ptp(record)) for record in records) == 0.0:
+            raise IdentificationError(f"{name} is constant; fly a trajectory that moves this axis")
+    return segments
+
+
+def _records(values: Records) -> list[FloatArray]:
+    several = not isinstance(values, np.ndarray) and (len(values) == 0 or np.ndim(values[0]) > 0)
+    return [np.asarray(record, dtype=np.float64) for record in (values if several else [values])]
+
+
+def _check(segment: Segment, order: Order, name: str) -> None:
+    u, y, lag = segment.u, segment.y, reach(order)
+    if u.ndim != 1 or y.ndim != 1:
+        raise IdentificationError(f"{name}: give u and y as one-dimensional arrays, not {u.shape} and {y.shape}")
+    if len(u) != len(y):
+        raise IdentificationError(f"{name}: u has {len(u)} samples and y has {len(y)}; align them first")
+    if len(y) <= lag:
+        raise IdentificationError(f"{name} is too short: {len(y)} samples, order {order} needs more than {lag}")
+    if not (np.isfinite(u).all() and np.isfinite(y).all()):
+        raise IdentificationError(f"{name} holds NaN or infinite samples; split the data there into segments")
+
+
+def reach(order: Order) -> int:
+    """Rows of past that the difference equation reaches back: max(na, nb + nk - 1)."""
     na, nb, nk = order
-    first = max(na, nb + nk - 1)
-    # (rows,) = (rows, na + nb) @ (na + nb,)
-    #
-    # [ y(t)   ]   [ -y(t-1) ... -y(t-na)     u(t-nk)   ... u(t-nk-nb+1) ]   [ a_1 .. a_na,          ]
-    # [ y(t+1) ] = [ -y(t)   ... -y(t-na+1)   u(t-nk+1) ... u(t-nk-nb+2) ] @ [ b_nk .. b_{nk+nb-1}   ]'
-    # [ ...    ]   [ ...                                                 ]
-    past_y = lag_matrix(segment.y, 1, na, first)
-    past_u = lag_matrix(segment.u, nk, nb, first)
-    return np.column_stack((-past_y, past_u)), segment.y[first:]
+    return max(na, nb + nk - 1)
+
+
+def lagged(x: FloatArray, first_lag: int, count: int, first_row: int) -> FloatArray:
+    """x(t - first_lag) .. x(t - first_lag - count + 1) for t = first_row .. n - 1: (..., n) -> (count, ..., rows)."""
+    n = x.shape[-1]
+    return np.stack([x[..., first_row - lag : n - lag] for lag in range(first_lag, first_lag + count)])
+
+
+def regressors(segment: Segment, order: Order) -> tuple[FloatArray, FloatArray]:
+    """Phi' (na + nb, ..., rows) and target (..., rows) of a segment, from t = `reach(order)` on."""
+    na, nb, nk = order
+    first = reach(order)
+    # y(t) = [ -y(t-1) ... -y(t-na)  u(t-nk) ... u(t-nk-nb+1) ] @ [ a_1 .. a_na  b_nk .. b_{nk+nb-1} ]'
+    Phi = np.concatenate((-lagged(segment.y, 1, na, first), lagged(segment.u, nk, nb, first)))
+    return Phi, segment.y[..., first:]
 
 
 def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray]:
@@ -51,32 +113,62 @@ def polynomials(theta: FloatArray, order: Order) -> tuple[FloatArray, FloatArray
     return np.concatenate(([1.0], theta[:na])), np.concatenate((np.zeros(nk), theta[na:]))
 
 
-def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Solve Z' Phi theta = Z' target; return theta (d,) and (Z' Z)^-1 (d, d).
+def triangle(rows: FloatArray) -> FloatArray:
+    """R of rows = Q R, (n, c) -> (min(n, c), c): all that a linear fit needs to know of any number of rows.
 
-    Z = Phi is least squares. By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at
-    1 kHz are nearly collinear. Raises IdentificationError if a column is nothing but the others to `tolerance`.
+    Sums of products of columns are those of R's columns, but nothing was squared to get there. In blocks, so that it
+    stays in the cache and in one thread: R of stacked Rs is R of the whole.
+    """
+    n, c = rows.shape
+    whole = n // BLOCK_ROWS
+    if whole < 2:
+        return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+    blocks = np.asarray(np.linalg.qr(rows[: whole * BLOCK_ROWS].reshape(whole, BLOCK_ROWS, c), mode="r"))
+    return triangle(np.concatenate((blocks.reshape(-1, c), rows[whole * BLOCK_ROWS :])))
+
+
+def check_excitation(segments: Sequence[Segment], order: Order) -> None:
+    """Raise IdentificationError unless u is persistently exciting of order na + nb.
+
+    That many parameters can be told apart only if the covariance of na + nb successive inputs has full rank (Ljung,
+    System Identification 2e, sec. 13.2). The rank is taken at double precision: noise on u passes.
+    """
+    needed = order[0] + order[1]
+    usable = [lagged(segment.u, 0, needed, needed - 1) for segment in segments if len(segment) >= needed]
+    U = np.concatenate(usable, axis=1).T if usable else np.zeros((1, needed))
+    rank = np.linalg.matrix_rank(triangle(U), rtol=max(U.shape) * EPSILON)
+    if rank < needed:
+        raise IdentificationError(
+            f"u is persistently exciting of order {rank}, this model needs {needed}: fly sharper or more varied inputs"
+        )
+
+
+def solve(Z: FloatArray, Phi: FloatArray, target: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Solve Z' Phi theta = Z' target; return theta (d,) and (Z' Z)^-1 (d, d). Z = Phi is least squares.
+
+    By an orthogonal factor of Z, so that no covariance is ever squared: slow flight data at 1 kHz are nearly collinear.
+    Raises IdentificationError if a column is nothing but the others to `tolerance`.
     """
     scale = np.linalg.norm(Z, axis=0)
     if not (np.isfinite(scale).all() and np.all(scale > 0.0)):
         raise IdentificationError("a regressor column is zero or overflows; check the input's scale")
     Q, R = np.linalg.qr(Z / scale)
-    if numerical_rank(R, tolerance) < len(scale):
+    if np.linalg.matrix_rank(R, rtol=tolerance) < len(scale):
         raise IdentificationError("the regressors are linearly dependent; lower the order or fly a richer input")
     theta: FloatArray = np.linalg.lstsq(Q.T @ (Phi / scale), Q.T @ target, rcond=None)[0] / scale
     inverse = np.linalg.inv(R) / scale[:, None]
     return theta, inverse @ inverse.T
 
 
-def least_squares(segments: tuple[Segment, ...], order: Order) -> Estimate:
+def least_squares(segments: Sequence[Segment], order: Order) -> Estimate:
     """Least-squares estimate over the stacked rows of all segments; no row reaches over a boundary.
 
     covariance = (Phi' Phi)^-1 e'e/(n - d); loss V = e'e/n.
     Raises IdentificationError if the regressors are linearly dependent.
     """
-    stacked = np.concatenate([np.column_stack(regressors(segment, order)) for segment in segments])  # [ Phi  y ]
-    n, d = len(stacked), order[0] + order[1]
-    R = triangle(stacked)
+    stacked = np.concatenate([np.vstack(regressors(segment, order)) for segment in segments], axis=1)  # [ Phi  y ]'
+    d, n = order[0] + order[1], stacked.shape[1]
+    R = triangle(stacked.T)
     Phi, target = R[:, :d], R[:, d]
     theta, spread = solve(Phi, Phi, target, n * EPSILON)
     squares = float(np.sum((target - Phi @ theta) ** 2))

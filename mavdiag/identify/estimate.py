@@ -6,13 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.arx import Estimate, least_squares, polynomials
-from mavdiag.identify.data import Records, Segment, check_excitation, to_segments
+from mavdiag.identify.arx import Records, check_excitation, least_squares, polynomials, to_segments
 from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.identify.sriv import sriv
 from mavdiag.identify.validate import free_run, nrmse_percent, r_squared
-
-__all__ = ["fit"]
 
 
 def fit(
@@ -55,48 +52,31 @@ def fit(
     check_excitation(segments, order)
     begin = near.theta if near is not None and near.order == order and near.stable else None
     estimate = sriv(segments, order, figures, begin) if method == Method.SRIV else least_squares(segments, order)
-    bare = _bare(estimate, order, dt, Method(method))
-    return _graded(bare, estimate, segments, settle_s) if figures else bare
-
-
-def _bare(estimate: Estimate, order: Order, dt: float, method: Method) -> ArxModel:
-    """The estimate as a model without figures; refuses an unstable one."""
-    a, b = polynomials(estimate.theta, order)
-    bare = ArxModel(a, b, dt, order, method)
+    bare = ArxModel(*polynomials(estimate.theta, order), dt, order, Method(method))
     if not bare.stable:
         raise IdentificationError(
             f"the identified model is unstable (pole radius {np.abs(bare.poles[0]):.4f}); lower the order, use sriv, "
             "or record more excited flight"
         )
-    return bare
-
-
-def _graded(bare: ArxModel, estimate: Estimate, segments: tuple[Segment, ...], settle_s: float) -> ArxModel:
-    """The model with its fit figures."""
-    y, y_sim = free_run(bare, segments, settle_s)
-    d, n, loss = len(estimate.theta), estimate.rows, estimate.loss
+    if not figures:
+        return bare
+    measured, simulated = free_run(bare, segments, settle_s)
+    error, d, n, loss = measured - simulated, len(estimate.theta), estimate.rows, estimate.loss
+    with np.errstate(divide="ignore"):  # a perfect fit, or a parameter of 0
+        unsure = float(np.mean(np.diag(estimate.covariance) / estimate.theta**2))
+        yic = float(np.log(np.var(error) / np.var(measured)) + np.log(unsure)) if math.isfinite(unsure) else math.inf
+        aic = float(np.log(loss)) + 2 * d / n
     return replace(
         bare,
         standard_errors=np.empty(0),
         covariance=estimate.covariance,
-        r2t=r_squared(y, y_sim),
-        nrmse_fit=nrmse_percent(y, y_sim),
-        mse=float(np.mean((y - y_sim) ** 2)),
-        yic=_young_criterion(estimate, float(np.var(y - y_sim) / np.var(y))),
-        aic=_log(loss) + 2 * d / n,
+        r2t=r_squared(measured, simulated),
+        nrmse_fit=nrmse_percent(measured, simulated),
+        mse=float(np.mean(error**2)),
+        yic=yic,
+        aic=aic,
         fpe=loss * (1 + d / n) / (1 - d / n),
         samples=sum(len(segment) for segment in segments),
         iterations=estimate.iterations,
         converged=estimate.converged,
     )
-
-
-def _young_criterion(estimate: Estimate, error_share: float) -> float:
-    """YIC = ln(var(e_sim)/var(y)) + ln(mean(se^2/theta^2)): fit against how well the parameters are known (Young)."""
-    if np.any(estimate.theta == 0.0):
-        return math.inf
-    return _log(error_share) + _log(float(np.mean(np.diag(estimate.covariance) / estimate.theta**2)))
-
-
-def _log(value: float) -> float:
-    return math.log(value) if value > 0.0 else -math.inf

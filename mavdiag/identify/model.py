@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     import control
     from numpy.typing import NDArray
 
-__all__ = ["ArxModel", "Method", "ModelRecord", "Order", "check_order", "read_only"]
-
 Order: TypeAlias = tuple[int, int, int]  # na, nb, nk
 
 
@@ -41,10 +39,6 @@ def check_order(order: Order) -> Order:
     if not whole or order[0] < 1 or order[1] < 1 or order[2] < 0:
         raise IdentificationError(f"order {order} must be three whole numbers (na >= 1, nb >= 1, nk >= 0)")
     return int(order[0]), int(order[1]), int(order[2])
-
-
-def _unknown() -> FloatArray:
-    return np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,8 +68,8 @@ class ArxModel:
     dt: float
     order: Order
     method: Method
-    standard_errors: FloatArray = field(default_factory=_unknown)
-    covariance: FloatArray = field(default_factory=_unknown)
+    standard_errors: FloatArray = field(default_factory=lambda: np.empty(0))
+    covariance: FloatArray = field(default_factory=lambda: np.empty(0))
     r2t: float = math.nan
     nrmse_fit: float = math.nan
     mse: float = math.nan
@@ -91,16 +85,10 @@ class ArxModel:
         d = na + nb
         covariance = self.covariance if len(self.covariance) else np.full((d, d), np.nan)
         errors = self.standard_errors if len(self.standard_errors) else np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        object.__setattr__(self, "a", read_only(self.a))
-        object.__setattr__(self, "b", read_only(self.b))
-        object.__setattr__(self, "standard_errors", read_only(errors))
-        object.__setattr__(self, "covariance", read_only(covariance))
-        if (
-            self.a.shape != (na + 1,)
-            or self.b.shape != (nb + nk,)
-            or errors.shape != (d,)
-            or covariance.shape != (d, d)
-        ):
+        arrays = {"a": self.a, "b": self.b, "standard_errors": errors, "covariance": covariance}
+        for name, values in arrays.items():
+            object.__setattr__(self, name, read_only(values))
+        if [values.shape for values in arrays.values()] != [(na + 1,), (nb + nk,), (d,), (d, d)]:
             raise IdentificationError(f"order {self.order} needs {na + 1} a, {nb + nk} b and {d} standard errors")
         if not (np.isfinite(self.a).all() and np.isfinite(self.b).all()):
             raise IdentificationError("the coefficients of a model must be finite numbers")
@@ -122,10 +110,8 @@ class ArxModel:
     @property
     def poles(self) -> "NDArray[np.complex128]":
         """Roots of z^na A(z^-1), (na,), largest modulus first."""
-        roots = np.roots(self.a)
-        found = np.zeros(len(self.a) - 1, dtype=np.complex128)
-        found[: len(roots)] = roots  # np.roots drops poles at zero
-        return found[np.argsort(-np.abs(found), kind="stable")]
+        roots = np.roots(self.a).astype(np.complex128)
+        return roots[np.argsort(-np.abs(roots), kind="stable")]
 
     @property
     def stable(self) -> bool:
@@ -159,33 +145,24 @@ class ArxModel:
         """
         if u.shape != y.shape or u.ndim != 1 or len(y) <= self.lag:
             raise IdentificationError(f"a prediction needs u and y of one length above {self.lag}")
-        n = len(y)
-        past_y = np.convolve(y, self.a)[self.lag : n] - y[self.lag :]
-        return np.convolve(u, self.b)[self.lag : n] - past_y
+        known = np.convolve(u, self.b)[: len(y)] - np.convolve(y, self.a)[: len(y)] + y
+        return known[self.lag :]
 
     def to_control(self) -> "control.TransferFunction":
         """The same model as a python-control transfer function in z with this sample time."""
         import control  # seconds to import, and the detector must not carry it
 
         size = self.lag + 1  # in powers of z both polynomials need one length
-        return control.TransferFunction(
-            np.pad(self.b, (0, size - len(self.b))), np.pad(self.a, (0, size - len(self.a))), self.dt
-        )
+        B, A = (np.pad(values, (0, size - len(values))) for values in (self.b, self.a))
+        return control.TransferFunction(B, A, self.dt)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelRecord:
-    """An ArxModel as a baseline stores it: plain numbers, no array; None where a figure is not known.
+    """An ArxModel as a baseline stores it: plain numbers, no array; None or empty where a figure is not known.
 
-    a: coefficients of A(z^-1) from a_0 = 1 on.
-    b: coefficients of B(z^-1) from z^0 on; nk leading zeros are the delay.
+    a, b, order, method, standard_errors, covariance (by rows), r2t, nrmse_fit, mse, samples: as in `ArxModel`.
     dt_s: sample time [s].
-    order: (na, nb, nk).
-    method: how the model was found.
-    standard_errors: of a1..a_na, then of the nb estimated b; empty if they are not known.
-    covariance: rows of their covariance matrix; empty if it is not known.
-    r2t, nrmse_fit, mse: fit on the training data, see `ArxModel`.
-    samples: rows of training data.
     Raises IdentificationError if the numbers are not those of a model.
     """
 
@@ -207,8 +184,7 @@ class ModelRecord:
     @classmethod
     def of(cls, model: ArxModel) -> "ModelRecord":
         """The record of a model."""
-        known = bool(np.isfinite(model.standard_errors).all())
-        correlated = bool(np.isfinite(model.covariance).all())
+        known, correlated = (bool(np.isfinite(one).all()) for one in (model.standard_errors, model.covariance))
         return cls(
             a=tuple(model.a.tolist()),
             b=tuple(model.b.tolist()),
@@ -216,7 +192,7 @@ class ModelRecord:
             order=model.order,
             method=model.method,
             standard_errors=tuple(model.standard_errors.tolist()) if known else (),
-            covariance=tuple(tuple(row) for row in model.covariance.tolist()) if correlated else (),
+            covariance=tuple(map(tuple, model.covariance.tolist())) if correlated else (),
             r2t=_finite(model.r2t),
             nrmse_fit=_finite(model.nrmse_fit),
             mse=_finite(model.mse),
@@ -225,18 +201,10 @@ class ModelRecord:
 
     def model(self) -> ArxModel:
         """The model, ready to simulate."""
+        a, b, errors, covariance = map(np.array, (self.a, self.b, self.standard_errors, self.covariance))
+        r2t, fit, mse = (math.nan if value is None else value for value in (self.r2t, self.nrmse_fit, self.mse))
         return ArxModel(
-            np.array(self.a),
-            np.array(self.b),
-            self.dt_s,
-            self.order,
-            self.method,
-            standard_errors=np.array(self.standard_errors),
-            covariance=np.array(self.covariance),
-            r2t=math.nan if self.r2t is None else self.r2t,
-            nrmse_fit=math.nan if self.nrmse_fit is None else self.nrmse_fit,
-            mse=math.nan if self.mse is None else self.mse,
-            samples=self.samples,
+            a, b, self.dt_s, self.order, self.method, errors, covariance, r2t, fit, mse, samples=self.samples
         )
 
 

@@ -3,23 +3,36 @@
 The model is y = (B/A) u + e with e on the output. Least squares regresses on noisy past outputs and is biased; SRIV
 replaces them by instruments, the outputs that the last model simulates from u alone, and filters everything by 1/A,
 which makes the estimate efficient for white e and consistent for coloured e (P. C. Young, Recursive Estimation and
-Time-Series Analysis 2e, ch. 7; the data-based mechanistic school of T 4.1.1).
+Time-Series Analysis 2e, ch. 7; the data-based mechanistic school of T 4.1.1):
+
+    Z_f' Phi_f theta = Z_f' y_f     Phi_f = 1/A [ -y(t-1)     .. -y(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
+    x = (B/A) u                     Z_f   = 1/A [ -x(t-1)     .. -x(t-na)      u(t-nk) .. u(t-nk-nb+1) ]
+
+y(t) = phi(t)' theta + A e(t) holds on every complete row, wherever a segment begins. What the filter does not know, its
+state before the first row, adds a free response F x0 with unknown x0 (na,); F is projected out of every column.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.arx import Estimate, least_squares, polynomials, regressors, solve
-from mavdiag.identify.data import EPSILON, Segment, triangle
+from mavdiag.identify.arx import (
+    EPSILON,
+    Estimate,
+    Segment,
+    lagged,
+    least_squares,
+    polynomials,
+    reach,
+    regressors,
+    solve,
+    triangle,
+)
 from mavdiag.identify.model import Order
-from mavdiag.identify.together import Together, together, triangle_of
-from mavdiag.identify.uncertainty import coloured_covariance
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["reflect_poles", "sriv"]
 
 PATIENCE = 8  # iterations without progress before it gives up; good data settle in 3 to 8 (our choice)
 PROGRESS = 1e-3  # a smaller relative gain in loss is none (our choice)
@@ -28,6 +41,37 @@ NEARLY_SETTLED = 0.1  # the same, where no step lowers the loss any more (the gr
 STEP_RELATIVE = 1e-9  # of the parameter itself counts as settled too: data without noise
 MAX_DESCENT, MAX_HALVINGS = 15, 6  # Gauss-Newton steps, and halvings of one (our choice)
 MAX_RADIUS = 0.99999  # reflected poles stay this far inside the unit circle (our choice)
+TOGETHER = 4096  # rows of one product: they fit the cache and stay below the size that BLAS threads (our choice)
+EVERY = 16  # of the rows that make the basis: they span what all rows span (our choice)
+LEAST_SHARE = 1e-3  # of a basis vector in the rows; with less the basis does not suit them (our choice)
+LEAST_DIAGONAL = 1e-8  # of a column beside the others; with less the columns are dependent (our choice)
+
+
+def sriv(segments: Sequence[Segment], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
+    """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
+
+    Both ways end at the same theta, to a thousandth of its standard error for white noise.
+
+    covariance: right for output noise of any colour; nan without `figures`. loss: mean squared output error with the
+    initial state of each segment free. If the iteration does not settle, which happens where the order is not that of
+    the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if those do not settle
+    either: such data, or such an order, hardly tell the parameters apart.
+    Raises IdentificationError if they cannot tell them apart at all.
+    """
+    data = _by_length(segments)
+    settled = False
+    if near is not None:
+        with suppress(IdentificationError):
+            point, iterations, settled = _refine(data, order, _evaluate(data, order, near))
+    if not settled:
+        a, b = polynomials(least_squares(segments, order).theta, order)
+        first = _evaluate(data, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
+        point, iterations, settled = _refine(data, order, first)
+    if not settled:
+        point, more, settled = _descend(data, order, point)
+        iterations += more
+    covariance = _coloured(data, order, point) if figures else np.full_like(point.inverse, np.nan)
+    return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)
 
 
 def reflect_poles(a: FloatArray) -> FloatArray:
@@ -39,28 +83,7 @@ def reflect_poles(a: FloatArray) -> FloatArray:
     outside = radius >= 1.0
     mirrored = np.where(outside, roots / np.maximum(radius, 1.0) ** 2, roots)
     mirrored = np.where(outside & (np.abs(mirrored) > MAX_RADIUS), roots / radius * MAX_RADIUS, mirrored)
-    trailing = np.zeros(len(a) - 1 - len(roots))
-    return np.concatenate((np.real(np.atleast_1d(np.poly(mirrored))), trailing))
-
-
-def _filtered(segment: Segment, order: Order, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Triangle of the columns [Z Phi y] of one segment, 2 (na + nb) + 1 square, filtered by 1/A, free response out."""
-    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
-
-    # Phi_f = 1/A [ -y(t-1)     ... -y(t-na)      u(t-nk) ... u(t-nk-nb+1) ]
-    # Z_f   = 1/A [ -y_sim(t-1) ... -y_sim(t-na)  u(t-nk) ... u(t-nk-nb+1) ]        y_sim = (B/A) u
-    #
-    # y(t) = phi(t)' theta + A e(t) holds on every complete row, wherever the segment begins. So rows are formed first
-    # and filtered afterwards; what the filter does not know, its state before the first row, adds a free response
-    # F x0 with unknown x0 (na,) to the filtered equation. Projecting F out leaves the error e itself: in the triangle
-    # of [ F_f Z_f Phi_f y_f ] that is the part below and to the right of F.
-    na = order[0]
-    y_sim = np.asarray(lfilter(b, a, segment.u), dtype=np.float64)
-    Phi, y = regressors(segment, order)
-    Z, _ = regressors(Segment(segment.u, y_sim), order)
-    columns = np.vstack((np.eye(na, len(y)), Z.T, Phi.T, y))
-    filtered = np.asarray(lfilter([1.0], a, columns), dtype=np.float64)
-    return triangle(np.ascontiguousarray(filtered.T))[na:, na:]
+    return np.real(np.atleast_1d(np.poly(mirrored)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,51 +91,43 @@ class _Point:
     """A stable theta with its loss (mean squared output error, initial states free) and two ways on from it.
 
     refined: the SRIV solution with filter and instruments from theta. descent: the Gauss-Newton solution. Both stand
-    still at the same theta. errors: standard errors of theta if the noise were white. rows: residuals in the loss.
+    still at the same theta. inverse: (Z_f' Z_f)^-1. errors: standard errors of theta if the noise were white.
+    rows: residuals in the loss.
     """
 
     theta: FloatArray
     refined: FloatArray
     descent: FloatArray
+    inverse: FloatArray
     errors: FloatArray
     loss: float
     rows: int
 
     def settled(self, target: FloatArray, share: float) -> bool:
-        """True if the way to `target` is at most that share of the standard errors, or rounding."""
+        """Whether the way to `target` is at most that share of the standard errors, or rounding."""
         tolerance = np.maximum(share * self.errors, STEP_RELATIVE * np.abs(self.theta))
         return bool(np.all(np.abs(target - self.theta) <= tolerance))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Data:
-    """The segments, and the same by length."""
-
-    segments: tuple[Segment, ...]
-    groups: tuple[Together, ...]
-
-
-def _evaluate(data: _Data, order: Order, theta: FloatArray) -> _Point:
+def _evaluate(data: Sequence[Segment], order: Order, theta: FloatArray) -> _Point:
     """Solve Z_f' Phi_f refined = Z_f' y_f with filter and instruments from theta.
 
-    y_f - Phi_f theta is the output error e = y - y_sim and -Z_f its gradient. So Z_f' e = 0, where SRIV stands still,
-    is where the mean squared output error is stationary, and theta + (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
+    y_f - Phi_f theta is the output error e = y - x and -Z_f its gradient. So Z_f' e = 0, where SRIV stands still, is
+    where the mean squared output error is stationary, and theta + (Z_f' Z_f)^-1 Z_f' e is the Gauss-Newton step.
     """
-    a, b = polynomials(theta, order)
-    n, d = sum(len(one) - max(len(a), len(b)) + 1 for one in data.segments), len(theta)
-    rows = triangle_of(data.groups, order, a, b)
-    if rows is None:
-        rows = np.concatenate([_filtered(one, order, a, b) for one in data.segments])
-    Z, Phi, y = rows[:, :d], rows[:, d : 2 * d], rows[:, -1]
+    n, d = sum(len(group.y) * (len(group) - reach(order)) for group in data), len(theta)
+    R = np.concatenate([_reduced(*_filtered(group, order, theta), order[0]) for group in data])
+    Z, Phi, y = R[:, :d], R[:, d : 2 * d], R[:, -1]
     error = y - Phi @ theta
     refined, _ = solve(Z, Phi, y, n * EPSILON)
-    move, spread = solve(Z, Z, error, n * EPSILON)
+    move, inverse = solve(Z, Z, error, n * EPSILON)
     squares = float(error @ error)
-    freedom = max(1, n - d - len(data.segments) * order[0])
-    return _Point(theta, refined, theta + move, np.sqrt(np.diag(spread) * squares / freedom), squares / n, n)
+    freedom = max(1, n - d - sum(len(group.y) for group in data) * order[0])
+    errors = np.sqrt(np.diag(inverse) * squares / freedom)
+    return _Point(theta, refined, theta + move, inverse, errors, squares / n, n)
 
 
-def _refine(data: _Data, order: Order, point: _Point) -> tuple[_Point, int, bool]:
+def _refine(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
     """SRIV proper: always the full step, unstable poles reflected. The last or else best point, iterations, settled."""
     best, best_at, iteration = point, 0, 0
     while iteration < best_at + PATIENCE:
@@ -126,7 +141,7 @@ def _refine(data: _Data, order: Order, point: _Point) -> tuple[_Point, int, bool
     return best, iteration, False
 
 
-def _descend(data: _Data, order: Order, point: _Point) -> tuple[_Point, int, bool]:
+def _descend(data: Sequence[Segment], order: Order, point: _Point) -> tuple[_Point, int, bool]:
     """Gauss-Newton on the same equations: each step halved until the model is stable and better."""
     for iteration in range(MAX_DESCENT):
         if point.settled(point.descent, SETTLED):
@@ -143,56 +158,90 @@ def _descend(data: _Data, order: Order, point: _Point) -> tuple[_Point, int, boo
     return point, iteration, point.settled(point.descent, NEARLY_SETTLED)
 
 
-def _hastened(data: _Data, order: Order, theta: FloatArray) -> tuple[_Point, int, bool]:
-    """SRIV from a theta that is near already, with extrapolation. The last point, iterations, settled.
+def _by_length(segments: Sequence[Segment]) -> list[Segment]:
+    """Segments of one length together, (m, n) each: they are filtered in one call."""
+    groups = [[one for one in segments if len(one) == n] for n in dict.fromkeys(map(len, segments))]
+    return [Segment(np.stack([one.u for one in group]), np.stack([one.y for one in group])) for group in groups]
 
-    SRIV comes nearer by a like factor in each step. So the steps' own differences tell where they lead (Anderson's
-    mixing of depth 2; H. F. Walker and P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715): half the iterations.
+
+def _filtered(group: Segment, order: Order, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns [Z_f -y_f(t-1) .. -y_f(t-na) y_f] of a group, (c, m, rows), and a basis of the responses F, (rows, na).
+
+    1/A is linear and does not change with time: a filtered lagged signal is the lagged filtered signal, but for a free
+    response, which is projected out anyway. So each signal is filtered once.
     """
-    thetas, steps = [], []
-    for iteration in range(PATIENCE):
-        point = _evaluate(data, order, theta)
-        if point.settled(point.refined, SETTLED):
-            return point, iteration, True
-        thetas.append(theta)
-        steps.append(point.refined - theta)
-        theta = point.refined
-        if iteration:
-            changes = np.diff(steps[-3:], axis=0).T
-            weights = 1.0 / np.maximum(point.errors, STEP_RELATIVE * np.abs(theta))[:, None]
-            share = np.linalg.lstsq(changes * weights, steps[-1] * weights[:, 0], rcond=None)[0]
-            theta = theta - (np.diff(thetas[-3:], axis=0).T + changes) @ share
-        theta = np.concatenate((reflect_poles(polynomials(theta, order)[0])[1:], theta[order[0] :]))
-    return point, PATIENCE, False
+    from scipy.signal import lfilter  # 0.8 s to import: only offline work pays it
+
+    a, b = polynomials(theta, order)
+    x = lfilter(b, a, group.u)
+    u_f, x_f, y_f = lfilter([1.0], a, np.stack((group.u, x, group.y)))
+    Z, _ = regressors(Segment(u_f, x_f), order)
+    first = reach(order)
+    columns = np.concatenate((Z, -lagged(y_f, 1, order[0], first), y_f[None, :, first:]))
+    free, _ = np.linalg.qr(lfilter([1.0], a, np.eye(order[0], columns.shape[-1])).T)
+    return columns, free
 
 
-def sriv(segments: tuple[Segment, ...], order: Order, figures: bool = True, near: FloatArray | None = None) -> Estimate:
-    """SRIV estimate over all segments, started from least squares, or from a theta that is near already.
+def _reduced(columns: FloatArray, free: FloatArray, na: int) -> FloatArray:
+    """R of the columns [Z_f Phi_f y_f] with their free responses taken out.
 
-    Both ways end at the same theta, to a thousandth of its standard error for white noise.
-
-    covariance: right for output noise of any colour, see `uncertainty`; nan without `figures`. loss: mean squared
-    output error with the initial state of each segment free. If the iteration does not settle, which happens where the
-    order is not that of the data, it is finished by Gauss-Newton steps on the same equations. `converged` is False if
-    those do not settle either: such data, or such an order, hardly tell the parameters apart.
-    Raises IdentificationError if they cannot tell them apart at all.
+    By a Cholesky factor of the products in a basis in which the columns are nearly orthonormal, so that nothing is lost
+    by squaring; by reflections where there is no such basis: data without noise.
     """
-    data = _Data(segments, together(segments))
-    if near is not None:
-        with suppress(IdentificationError):
-            point, iterations, settled = _hastened(data, order, near)
-            if settled:
-                return _estimate(data, order, point, iterations, settled, figures)
-    a, b = polynomials(least_squares(segments, order).theta, order)
-    first = _evaluate(data, order, np.concatenate((reflect_poles(a)[1:], b[order[2] :])))
-    point, iterations, settled = _refine(data, order, first)
-    if not settled:
-        point, more, settled = _descend(data, order, point)
-        iterations += more
-    return _estimate(data, order, point, iterations, settled, figures)
+    c = len(columns)
+    R = _by_cholesky(columns, free)
+    if R is None:
+        R = triangle((columns - (columns @ free) @ free.T).reshape(c, -1).T)
+    d = c - na - 1
+    return R[:, [*range(d), *range(d, d + na), *range(na, d), c - 1]]
 
 
-def _estimate(data: _Data, order: Order, point: _Point, iterations: int, settled: bool, figures: bool) -> Estimate:
-    d = len(point.theta)
-    covariance = coloured_covariance(data.segments, order, point.theta) if figures else np.full((d, d), np.nan)
-    return Estimate(point.theta, covariance, point.loss, point.rows, iterations, settled)
+def _by_cholesky(columns: FloatArray, free: FloatArray) -> FloatArray | None:
+    rows = columns.reshape(len(columns), -1)
+    basis = triangle(rows[:, ::EVERY].T)
+    diagonal = np.abs(np.diag(basis))
+    if len(basis) < len(rows) or not (diagonal > LEAST_DIAGONAL * np.linalg.norm(basis, axis=0)).all():
+        return None
+    T = np.linalg.inv(basis).T
+    products = np.zeros((len(rows), len(rows)))
+    for first in range(0, rows.shape[1], TOGETHER):
+        whitened = T @ rows[:, first : first + TOGETHER]
+        products += whitened @ whitened.T
+    parts = T @ (columns @ free).reshape(len(rows), -1)  # of each segment in its free responses: no error of the model
+    products -= parts @ parts.T
+    try:
+        root = np.linalg.cholesky(products).T
+    except np.linalg.LinAlgError:
+        return None
+    suits = np.diag(root).min() > LEAST_SHARE * np.sqrt(np.diag(products).max())
+    return np.asarray(root @ basis, dtype=np.float64) if suits else None
+
+
+def _coloured(data: Sequence[Segment], order: Order, point: _Point) -> FloatArray:
+    """Covariance of an SRIV estimate, (na + nb, na + nb), whatever the spectrum of its output error.
+
+    cov theta = M S M with M = (Z_f' Z_f)^-1 and S = sum_k r_e(k) sum_t z_f(t) z_f(t + k)': the first-order covariance
+    of an instrumental variable estimate (Soderstrom and Stoica, System Identification, ch. 8), which is M var(e) for
+    white e. r_e is the autocovariance of the residual under a Bartlett window of sqrt(n) lags, n samples in all (our
+    choice; the window must reach over the smoothing filter).
+    """
+    from scipy.signal import fftconvolve  # 0.8 s to import: only offline work pays it
+
+    na, d = order[0], len(point.theta)
+    lags = int(np.sqrt(point.rows))
+    r_e, instruments = np.zeros(lags), []
+    for group in data:
+        columns, free = _filtered(group, order, point.theta)
+        columns -= (columns @ free) @ free.T
+        Z = columns[:d]
+        e = columns[-1] - np.tensordot(point.theta, np.concatenate((columns[d : d + na], Z[na:])), 1)
+        products = fftconvolve(e, e[:, ::-1], axes=1).sum(axis=0)[e.shape[1] - 1 :][:lags]
+        r_e[: len(products)] += products / point.rows
+        instruments.append(Z)
+    weights = r_e * (1.0 - np.arange(lags) / lags)
+    both_sides = np.concatenate((weights[:0:-1], weights))[None, None]
+    S = np.zeros((d, d))
+    for Z in instruments:
+        S += np.tensordot(Z, fftconvolve(Z, both_sides, mode="same", axes=2), ((1, 2), (1, 2)))
+    covariance: FloatArray = point.inverse @ (0.5 * (S + S.T)) @ point.inverse
+    return covariance

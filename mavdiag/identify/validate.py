@@ -1,26 +1,16 @@
 """How good is a model: fit figures on other flights, and tests of its residual (T 4.1.3, Model validation)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import Records, Segment, to_segments
+from mavdiag.identify.arx import Records, Segment, to_segments
 from mavdiag.identify.model import ArxModel
 from mavdiag.telemetry import FloatArray
-
-__all__ = [
-    "ResidualReport",
-    "Validation",
-    "examine_residual",
-    "free_run",
-    "nrmse_percent",
-    "one_step_report",
-    "r_squared",
-    "validate",
-]
 
 LAGS = 25  # the usual depth of such tests, also MATLAB's resid default
 SIGNIFICANCE = 0.01  # chance that one test rejects a true model
@@ -31,10 +21,7 @@ def r_squared(y: FloatArray, y_sim: FloatArray) -> float:
 
     Blind to a constant offset. Raises IdentificationError if y is constant.
     """
-    spread = float(np.var(y))
-    if spread == 0.0:
-        raise IdentificationError("y is constant; there is nothing to explain")
-    return 1.0 - float(np.var(y - y_sim)) / spread
+    return 1.0 - float(np.var(y - y_sim)) / _some(float(np.var(y)))
 
 
 def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
@@ -42,10 +29,13 @@ def nrmse_percent(y: FloatArray, y_sim: FloatArray) -> float:
 
     Raises IdentificationError if y is constant.
     """
-    spread = float(np.linalg.norm(y - np.mean(y)))
+    return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / _some(float(np.linalg.norm(y - np.mean(y)))))
+
+
+def _some(spread: float) -> float:
     if spread == 0.0:
         raise IdentificationError("y is constant; there is nothing to explain")
-    return 100.0 * (1.0 - float(np.linalg.norm(y - y_sim)) / spread)
+    return spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +48,7 @@ class Validation:
     samples: int
 
 
-def free_run(model: ArxModel, segments: tuple[Segment, ...], settle_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def free_run(model: ArxModel, segments: Sequence[Segment], settle_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Measured and simulated output of all segments, each from rest and without its first `settle_s` [s], (n,) both.
 
     Raises IdentificationError if nothing is left.
@@ -76,8 +66,7 @@ def validate(model: ArxModel, u: Records, y: Records, settle_s: float = 0.0) -> 
     """Simulate the model on flights it was not trained on, each from rest, and pool the errors (T 5.3, 5.4).
 
     u, y: one record each, (n,), or one per flight. settle_s: seconds at the start of each that are left out, for
-    records that begin in motion. Raises IdentificationError on data that do not pair up, hold NaN, are constant, or
-    are too short.
+    records that begin in motion. Raises IdentificationError on data that `fit` would refuse.
     """
     measured, simulated = free_run(model, to_segments(u, y, model.order), settle_s)
     mse = float(np.mean((measured - simulated) ** 2))
@@ -107,15 +96,6 @@ class ResidualReport:
     independent: bool
 
 
-def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
-    """sum_t x(t) z(t - lag) / sqrt(sum x^2 sum z^2) of the mean-removed x and z at lags 0..lags."""
-    x, z = x - np.mean(x), z - np.mean(z)
-    scale = math.sqrt(float(x @ x) * float(z @ z))
-    if scale == 0.0:
-        raise IdentificationError("the residual or the input is constant; there is nothing to correlate")
-    return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(lags + 1)]) / scale
-
-
 def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> ResidualReport:
     """Test a residual e against white noise and against the input u at the same rows, both (n,).
 
@@ -127,24 +107,24 @@ def examine_residual(e: FloatArray, u: FloatArray, lags: int = LAGS) -> Residual
     n = len(e)
     if u.shape != e.shape or e.ndim != 1 or n <= 2 * lags:
         raise IdentificationError(f"the residual tests need e and u of one length above {2 * lags}")
-    acf, ccf, input_acf = _correlations(e, e, lags), _correlations(e, u, lags), _correlations(u, u, lags)
+    acf, ccf, input_acf = (_correlations(x, z, lags) for x, z in ((e, e), (e, u), (u, u)))
     q = n * (n + 2) * float(np.sum(acf[1:] ** 2 / (n - np.arange(1, lags + 1))))
     p = float(gammaincc(lags / 2, q / 2))
     # Bartlett: var ccf = sum over k = -lags..lags of r_e(k) r_u(k) / n
-    ccf_deviation = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0) / n)
+    deviation = math.sqrt(max(1.0, 2 * float(acf @ input_acf) - 1.0) / n)
     z99 = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2)
-    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / (lags + 1)) * ccf_deviation
-    return ResidualReport(
-        samples=n,
-        acf=acf,
-        ccf=ccf,
-        acf_band99=z99 / math.sqrt(n),
-        ccf_band99=z99 * ccf_deviation,
-        ljung_box_q=q,
-        ljung_box_p=p,
-        white=p >= SIGNIFICANCE,
-        independent=bool(np.max(np.abs(ccf)) <= limit),
-    )
+    limit = NormalDist().inv_cdf(1 - SIGNIFICANCE / 2 / (lags + 1)) * deviation
+    independent = bool(np.max(np.abs(ccf)) <= limit)
+    return ResidualReport(n, acf, ccf, z99 / math.sqrt(n), z99 * deviation, q, p, p >= SIGNIFICANCE, independent)
+
+
+def _correlations(x: FloatArray, z: FloatArray, lags: int) -> FloatArray:
+    """sum_t x(t) z(t - lag) / sqrt(sum x^2 sum z^2) of the mean-removed x and z at lags 0..lags."""
+    x, z = x - np.mean(x), z - np.mean(z)
+    scale = math.sqrt(float(x @ x) * float(z @ z))
+    if scale == 0.0:
+        raise IdentificationError("the residual or the input is constant; there is nothing to correlate")
+    return np.array([x[lag:] @ z[: len(z) - lag] for lag in range(lags + 1)]) / scale
 
 
 def one_step_report(model: ArxModel, u: FloatArray, y: FloatArray, lags: int = LAGS) -> ResidualReport:

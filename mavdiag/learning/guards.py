@@ -30,8 +30,8 @@ import numpy as np
 
 from mavdiag.airframe.airframe import Airframe
 from mavdiag.airframe.balance import Grade, permissible_unbalance_g_mm
+from mavdiag.airframe.fingerprint import joined, joined_rates
 from mavdiag.airframe.layout import RotorLayout
-from mavdiag.airframe.traits import joined, joined_rates
 from mavdiag.airframe.trim import LEVEL_RATIO, rises, shown_trim
 from mavdiag.learning.findings import Finding, Kind
 from mavdiag.learning.flights import LearntFlight

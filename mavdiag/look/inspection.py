@@ -10,9 +10,9 @@ import numpy as np
 
 from mavdiag import monitors
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.excitation import Stretches, moving_outputs
+from mavdiag.airframe.detect import moving_outputs
+from mavdiag.airframe.fingerprint import joined
 from mavdiag.airframe.parameters import layout_from_parameters
-from mavdiag.airframe.traits import joined
 from mavdiag.airframe.trim import SIGNALS
 from mavdiag.baseline import Baseline, check_link
 from mavdiag.errors import BaselineError, InputError
@@ -202,7 +202,7 @@ def inspection_of(
     airframe, learnt, no_flight = rotors_of(log, told)
     signals = tuple(summary(series) for series in log.telemetry.series if len(series))
     flight, layout = [] if learnt is None else joined(learnt.rows), airframe.layout
-    motors = moving_outputs(Stretches(flight)) if layout is None else range(layout.rotors)
+    motors = moving_outputs(flight) if layout is None else range(layout.rotors)
     profile, gaps = PROFILES.get(log.profile), _gyro_gaps(log.telemetry)
     corner_hz = airframe.imu_corner_hz if profile is None else profile.corner_hz(log.parameters)
     counted = ("received", "lost", "reordered", "duplicated")

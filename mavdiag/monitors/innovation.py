@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mavdiag.errors import IdentificationError, InputError
-from mavdiag.identify.data import triangle
+from mavdiag.identify.arx import triangle
 from mavdiag.jit import cached, jit, source_digest
 from mavdiag.monitors.base import LearnContext, Monitor, Summaries, Summary, check_delay, segments
 from mavdiag.monitors.columns import COMMANDED, GYRO, LEVEL, SIGNAL, SOUND, VALUE, Kernel, U

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -17,12 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from mavdiag.airframe.propellers import FaultType
 from mavdiag.errors import InputError
 from mavdiag.report.residuals import MARKERS, NAMES
-from mavdiag.report.style import LINES, Picture, legend_above, missing, pictured
+from mavdiag.report.style import LINES, Drawn, NotDrawn, Picture, legend_above, picture, sheet
 from mavdiag.storage import open_regular
 from mavdiag.telemetry import FloatArray
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 MOST_BYTES = 1 << 30  # of a file of results (our choice)
 HEALTHY = "healthy"
@@ -93,9 +90,7 @@ class _Learnt(BaseModel):
     record: Literal["learn"]
 
 
-_LINE: TypeAdapter[CampaignFlight | _Learnt] = TypeAdapter(
-    Annotated[CampaignFlight | _Learnt, Field(discriminator="record")]
-)
+_LINE = TypeAdapter[CampaignFlight | _Learnt](Annotated[CampaignFlight | _Learnt, Field(discriminator="record")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +117,7 @@ class Roc:
 
     false_share, true_share: (n,) share of the healthy and of the damaged flights, for a limit that falls.
     area: under the curve, 0..1: the chance that a damaged flight scores higher than a healthy one.
-    at_threshold: both shares at the limit 1, which is the threshold in use.
-    healthy, damaged: flights that have a score.
+    at_threshold: both shares at the limit 1, which is the threshold in use. healthy, damaged: how many flights.
     """
 
     false_share: FloatArray
@@ -187,10 +181,10 @@ def campaign_pictures(campaign: Campaign) -> tuple[Picture, ...]:
     return (_roc(campaign), _severity(campaign), _latency(campaign), _confusion(campaign), _rotors(campaign))
 
 
-def _roc(campaign: Campaign) -> Picture:
+@picture("campaign-roc")
+def _roc(campaign: Campaign) -> Drawn:
     healthy = (flight.score_before for flight in campaign.flights if flight.judged and flight.cause == HEALTHY)
-    low = [score for score in healthy if score is not None]
-    curves = []
+    low, curves = [score for score in healthy if score is not None], list[tuple[float, Roc]]()
     for scale in campaign.scales:
         high = (flight.score_after for flight in campaign.faulty if flight.phenomenology == scale)
         known = [score for score in high if score is not None]
@@ -198,54 +192,55 @@ def _roc(campaign: Campaign) -> Picture:
             curves.append((scale, roc_of(low, known)))
     if not curves:
         lacking = "no healthy flight has a score" if campaign.faulty else NO_FAULTS
-        return missing("campaign-roc", f"{lacking}; campaigns of this version write them")
-
-    def plot(figure: "Figure") -> None:
-        axes = figure.subplots()
-        for line, (scale, roc) in zip(LINES, curves, strict=False):
-            label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
-            line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
-            axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
-        axes.plot((0, 100), (0, 100), color="#767676", linewidth=0.7, linestyle=":", label="chance")
-        labels = {"xlabel": "healthy flights flagged [%]", "ylabel": "damaged flights found [%]"}
-        axes.set(**labels, xlim=(-1, 101), ylim=(-1, 102))
-        legend_above(axes, 2)
-
+        raise NotDrawn(f"{lacking}; campaigns of this version write them")
+    figure = sheet(3.6)
+    axes = figure.subplots()
+    for line, (scale, roc) in zip(LINES, curves, strict=False):
+        label = f"fitted terms x{scale:g}: area {roc.area:.3f}"
+        line.draw(axes, 100 * roc.false_share, 100 * roc.true_share, label)
+        axes.plot(*(100 * at for at in roc.at_threshold), "s", color=line.color, markersize=6, clip_on=False)
+    axes.plot((0, 100), (0, 100), color="#767676", linewidth=0.7, linestyle=":", label="chance")
+    labels = {"xlabel": "healthy flights flagged [%]", "ylabel": "damaged flights found [%]"}
+    axes.set(**labels, xlim=(-1, 101), ylim=(-1, 102))
+    legend_above(axes, 2)
     words = "; ".join(
         f"terms x{scale:g}: area {roc.area:.3f} of {roc.damaged} damaged and {roc.healthy} healthy flights"
         for scale, roc in curves
     )
     note = (
-        f"{curves[0][1].healthy} healthy flights; the score is the highest statistic over its threshold of the "
-        "monitors that decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
+        f"{len(low)} healthy flights; the score is the highest statistic over its threshold of the monitors that "
+        "decide about propellers, of the whole healthy flight, and of a damaged one after the onset."
     )
-    return pictured("campaign-roc", f"{words}.", plot, 3.6, note=note)
+    return figure, f"{words}.", note
 
 
-def _severity(campaign: Campaign) -> Picture:
-    if not campaign.faulty:
-        return missing("campaign-severity", NO_FAULTS)
+@picture("campaign-severity")
+def _severity(campaign: Campaign) -> Drawn:
+    flights = _some(campaign.faulty)
+    figure = sheet(2.9)
+    several = figure.subplots(1, len(campaign.scales), sharey=True, squeeze=False)[0]
+    for axes, scale in zip(several, campaign.scales, strict=True):
+        for place, (line, kind) in enumerate(zip(LINES, FaultType, strict=False)):
+            shares = [_share(flights, f"{kind}/SV{severity}", scale) for severity in (1, 2, 3)]
+            x = [severity + 0.08 * (place - 1) for severity, share in enumerate(shares, start=1) if share]
+            y = np.array([share for share in shares if share])
+            if len(y):
+                style = {"color": line.color, "linestyle": line.stroke, "marker": MARKERS[kind]}
+                spread = {"yerr": np.abs(y[:, 1:] - y[:, :1]).T, "elinewidth": 0.8, "capsize": 2}
+                axes.errorbar(x, y[:, 0], label=NAMES[kind], **spread, **style)
+        axes.set(xlabel=f"severity\n(fitted terms x{scale:g})", ylim=(-3, 103), xlim=(0.6, 3.4))
+        axes.set_xticks((1, 2, 3))
+    several[0].set_ylabel("flights with an alarm [%]")
+    named = {label: line for axes in several for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    legend_above(several[-1], 3, named)
+    found = sum(flight.latency_s is not None for flight in flights)
+    return figure, f"{found} of {len(flights)} damaged flights had an alarm after the onset.", ""
 
-    def plot(figure: "Figure") -> None:
-        several = figure.subplots(1, len(campaign.scales), sharey=True, squeeze=False)[0]
-        for axes, scale in zip(several, campaign.scales, strict=True):
-            for place, (line, kind) in enumerate(zip(LINES, FaultType, strict=False)):
-                shares = [_share(campaign.faulty, f"{kind}/SV{severity}", scale) for severity in (1, 2, 3)]
-                x = [severity + 0.08 * (place - 1) for severity, share in enumerate(shares, start=1) if share]
-                y = np.array([share for share in shares if share])
-                if len(y):
-                    style = {"color": line.color, "linestyle": line.stroke, "marker": MARKERS[kind]}
-                    spread = {"yerr": np.abs(y[:, 1:] - y[:, :1]).T, "elinewidth": 0.8, "capsize": 2}
-                    axes.errorbar(x, y[:, 0], label=NAMES[kind], **spread, **style)
-            axes.set(xlabel=f"severity\n(fitted terms x{scale:g})", ylim=(-3, 103), xlim=(0.6, 3.4))
-            axes.set_xticks((1, 2, 3))
-        several[0].set_ylabel("flights with an alarm [%]")
-        named = {label: line for axes in several for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-        legend_above(several[-1], 3, named)
 
-    found = sum(flight.latency_s is not None for flight in campaign.faulty)
-    words = f"{found} of {len(campaign.faulty)} damaged flights had an alarm after the onset."
-    return pictured("campaign-severity", words, plot, 2.9)
+def _some(flights: Sequence[CampaignFlight]) -> Sequence[CampaignFlight]:
+    if not flights:
+        raise NotDrawn(NO_FAULTS)
+    return flights
 
 
 def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple[float, float, float] | None:
@@ -260,72 +255,68 @@ def _share(flights: Sequence[CampaignFlight], cause: str, scale: float) -> tuple
     return 100 * sum(hits) / len(hits), 100 * float(interval.low), 100 * float(interval.high)
 
 
-def _latency(campaign: Campaign) -> Picture:
-    if not campaign.faulty:
-        return missing("campaign-latency", NO_FAULTS)
+@picture("campaign-latency")
+def _latency(campaign: Campaign) -> Drawn:
     curves = []
     for kind in FaultType:
-        own = [flight.latency_s for flight in campaign.faulty if flight.cause.startswith(kind)]
+        own = [flight.latency_s for flight in _some(campaign.faulty) if flight.cause.startswith(kind)]
         if own:
             curves.append((kind, np.sort([latency_s for latency_s in own if latency_s is not None]), len(own)))
     longest = 1.05 * max((float(times[-1]) for _, times, _ in curves if len(times)), default=1.0)
-
-    def plot(figure: "Figure") -> None:
-        axes = figure.subplots()
-        for line, (kind, times, count) in zip(LINES, curves, strict=False):
-            share = np.append(np.arange(len(times) + 1), len(times)) * (100 / count)
-            label = f"{NAMES[kind]} ({count} flights)"
-            x = [0.0, *times, longest]
-            axes.step(x, share, where="post", color=line.color, linestyle=line.stroke, label=label)
-        labels = {"xlabel": "time from the onset to the first alarm [s]", "ylabel": "flights noticed [%]"}
-        axes.set(**labels, ylim=(0, 102), xlim=(0, longest))
-        legend_above(axes, 3)
-
+    figure = sheet(2.7)
+    axes = figure.subplots()
+    for line, (kind, times, count) in zip(LINES, curves, strict=False):
+        share = np.append(np.arange(len(times) + 1), len(times)) * (100 / count)
+        x, label = [0.0, *times, longest], f"{NAMES[kind]} ({count} flights)"
+        axes.step(x, share, where="post", color=line.color, linestyle=line.stroke, label=label)
+    labels = {"xlabel": "time from the onset to the first alarm [s]", "ylabel": "flights noticed [%]"}
+    axes.set(**labels, ylim=(0, 102), xlim=(0, longest))
+    legend_above(axes, 3)
     medians = [f"{kind}: median {np.median(times):.2f} s" for kind, times, _ in curves if len(times)]
-    return pictured("campaign-latency", f"{'; '.join(medians) or 'none noticed'}.", plot, 2.7)
+    return figure, f"{'; '.join(medians) or 'none noticed'}.", ""
 
 
-def _confusion(campaign: Campaign) -> Picture:
+@picture("campaign-confusion")
+def _confusion(campaign: Campaign) -> Drawn:
     pairs = [(flight.cause[:2] if flight.of_thesis else flight.cause, flight.answered) for flight in campaign.flights]
     pairs.sort(key=lambda pair: (not pair[0].startswith("F"), pair[0] == HEALTHY, pair[0]))
     order = [*ORDER, *sorted({answer for _, answer in pairs} - {*ORDER, *LAST}), *LAST]
-    return _matrix("campaign-confusion", pairs, order, "answered", "true")
+    return _matrix(pairs, order, "answered", "true")
 
 
-def _rotors(campaign: Campaign) -> Picture:
+@picture("campaign-rotors")
+def _rotors(campaign: Campaign) -> Drawn:
     named = [flight for flight in campaign.faulty if flight.latency_s is not None]
     if not named:
-        return missing("campaign-rotors", "no damage of a propeller was found, so no rotor could be named")
+        raise NotDrawn("no damage of a propeller was found, so no rotor could be named")
     pairs = sorted((str(flight.rotor), str(flight.answer.rotor or "none")) for flight in named)
     order = sorted({answer for _, answer in pairs}, key=lambda answer: (answer == "none", answer))
-    return _matrix("campaign-rotors", pairs, order, "named rotor", "damaged rotor")
+    return _matrix(pairs, order, "named rotor", "damaged rotor")
 
 
-def _matrix(key: str, pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str, down: str) -> Picture:
+def _matrix(pairs: Sequence[tuple[str, str]], order: Sequence[str], across: str, down: str) -> Drawn:
     """The counts of each pair of what was true and what was answered."""
     true = tuple(dict.fromkeys(cause for cause, _ in pairs))
     columns = [answer for answer in order if answer in {other for _, other in pairs}]
     counts = np.array([[pairs.count((cause, answer)) for answer in columns] for cause in true])
     share = counts / counts.sum(axis=1, keepdims=True)
-
-    def plot(figure: "Figure") -> None:
-        axes = figure.subplots()
-        axes.pcolormesh(share, cmap="Greys", vmin=0.0, vmax=1.2, edgecolors="white", linewidth=1.5)
-        for (row, column), count in np.ndenumerate(counts):
-            ink = "white" if share[row, column] > LIGHT else "black"
-            axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
-        axes.set_yticks(np.arange(len(true)) + 0.5, true)
-        axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
-        axes.set(xlabel=across, ylabel=down)
-        axes.invert_yaxis()
-        axes.grid(visible=False)
-        axes.tick_params(length=0)
-
+    figure = sheet(1.1 + 0.3 * len(true))
+    axes = figure.subplots()
+    axes.pcolormesh(share, cmap="Greys", vmin=0.0, vmax=1.2, edgecolors="white", linewidth=1.5)
+    for (row, column), count in np.ndenumerate(counts):
+        ink = "white" if share[row, column] > LIGHT else "black"
+        axes.text(column + 0.5, row + 0.5, str(count or ""), ha="center", va="center", color=ink)
+    axes.set_yticks(np.arange(len(true)) + 0.5, true)
+    axes.set_xticks(np.arange(len(columns)) + 0.5, [answer.replace(" ", "\n", 1) for answer in columns])
+    axes.set(xlabel=across, ylabel=down)
+    axes.invert_yaxis()
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
     words = "; ".join(
         f"{cause}: " + ", ".join(f"{answer} {count}" for answer, count in zip(columns, row, strict=True) if count)
         for cause, row in zip(true, counts, strict=True)
     )
-    return pictured(key, f"{words}.", plot, 1.1 + 0.3 * len(true))
+    return figure, f"{words}.", ""
 
 
 def _is_summary(text: str) -> bool:

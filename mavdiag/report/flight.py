@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.traits import joined
+from mavdiag.airframe.fingerprint import joined
 from mavdiag.baseline import Baseline
 from mavdiag.judging import JudgedFlight, LogVerdict
 from mavdiag.link.profiles import PROFILES
@@ -15,9 +15,7 @@ from mavdiag.monitors.base import FaultKind
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
 from mavdiag.monitors.run_length import RunLengthSpec
 from mavdiag.report import residuals, rotors, signals
-from mavdiag.report.evidence import evidence_picture
-from mavdiag.report.style import Picture
-from mavdiag.report.thinned import COLUMNS
+from mavdiag.report.style import COLUMNS, Picture
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import Log
 from mavdiag.traces import rate_traces, slot_traces
@@ -31,8 +29,7 @@ class FlightReport:
 
     verdict: with its monitors, events and notes.
     sha256: of the log; empty if it has none. profile: of its link. started_ns: unix epoch [ns]; 0 if it is not known.
-    link: each signal as it came.
-    pictures: in the order of the page.
+    link: each signal as it came. pictures: in the order of the page.
     """
 
     verdict: LogVerdict
@@ -56,20 +53,25 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
     rates = () if judged.chain is None else rate_traces(judged.chain, judged.pieces)
     slots = () if judged.chain is None else slot_traces(judged.chain, judged.pieces)
     blocks = joined([piece.rows for piece in judged.pieces if len(piece.rows.block)])
-    frame, verdict = baseline.airframe, judged.verdict
+    frame, verdict, telemetry = baseline.airframe, judged.verdict, log.telemetry
     # From when on a damaged propeller shows; None for the whole flight: what follows a loss says nothing of it.
     since_s = verdict.since_s if verdict.kind in (None, FaultKind.PROPELLER) else None
-    healthy = next((entry.spec for entry in baseline.monitors if isinstance(entry.spec, RotorTrimSpec)), None)
+    specs = [entry.spec for entry in baseline.monitors]
+    healthy = next((spec for spec in specs if isinstance(spec, RotorTrimSpec)), None)
     threshold = next((one.threshold for one in verdict.monitors if one.name == "rotor_trim"), None)
     shift = None if frame.layout is None else rotors.shift_of(blocks, frame.layout, healthy, threshold)
-    models = [entry.spec for entry in baseline.monitors if isinstance(entry.spec, RunLengthSpec) and blocks]
-    order = baseline.window.order
-    sweeps = [signals.sweep_of(blocks, one.axis, one.model.order, one.model.method, order) for one in models]
-    corner_hz = _corner_hz(log, frame)
-    rate_hz = 1 / blocks[0].dt_s if blocks else math.nan
+    sweeps = {
+        spec.axis: signals.sweep_of(blocks, spec.axis, spec.model.order, spec.model.method, baseline.window.order)
+        for spec in specs
+        if isinstance(spec, RunLengthSpec) and blocks
+    }
+    dt_s = blocks[0].dt_s if blocks else math.nan
+    profile = PROFILES.get(log.profile)
+    corner_hz = frame.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)
+    line = _rotor_line(log, frame, blocks, corner_hz)
     drawn = (
         rotors.airframe_picture(frame.layout, shift, since_s, verdict.rotor),
-        evidence_picture(slots, columns),
+        residuals.evidence_picture(slots, columns),
         rotors.bars_picture(shift, since_s),
         rotors.trim_picture(shift, columns),
         residuals.rates_picture(rates, columns),
@@ -77,11 +79,11 @@ def _pictures(log: Log, baseline: Baseline, judged: JudgedFlight, columns: int) 
         residuals.fsd_picture(rates, columns),
         residuals.plane_picture(rates, frame.classifier),
         residuals.severity_picture(rates, slots, since_s, frame.classifier),
-        signals.spectrum_picture(spectrum_of(blocks), _rotor_line(log, frame, blocks), corner_hz, rate_hz),
-        signals.windows_picture(sweeps, baseline.window.samples * baseline.link.dt_s),
-        signals.attitude_picture(log.telemetry, columns),
-        signals.height_picture(log.telemetry, columns),
-        signals.link_picture(log.telemetry, columns),
+        signals.spectrum_picture(spectrum_of(blocks), line, corner_hz, 1 / dt_s),
+        signals.windows_picture(sweeps, dt_s, baseline.window.samples * baseline.link.dt_s),
+        signals.attitude_picture(telemetry, columns),
+        signals.height_picture(telemetry, columns),
+        signals.link_picture(telemetry, columns),
     )
     return tuple(_explained(picture, baseline, judged) for picture in drawn)
 
@@ -92,25 +94,21 @@ def _explained(picture: Picture, baseline: Baseline, judged: JudgedFlight) -> Pi
         return picture
     if judged.chain is None:
         return replace(picture, not_drawn="this flight could not be judged: the verdict says why")
-    if picture.not_drawn != residuals.NO_MODEL:
-        return picture
     reasons = [one.not_judged for one in judged.verdict.monitors if one.name == "fsd" and one.not_judged]
     reasons += [one.reason for one in baseline.not_judgeable if one.monitor == "fsd"]
-    return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}") if reasons else picture
+    if picture.not_drawn != residuals.NO_MODEL or not reasons:
+        return picture
+    return replace(picture, not_drawn=f"the fsd monitor did not judge: {reasons[0]}")
 
 
-def _rotor_line(log: Log, airframe: Airframe, blocks: Sequence[Block]) -> tuple[float, str] | None:
+def _rotor_line(
+    log: Log, airframe: Airframe, blocks: Sequence[Block], corner_hz: float | None
+) -> tuple[float, str] | None:
     """One per revolution [Hz]: as the speed controllers report it, else of the airframe's hover, else as heard."""
     told = told_hz(log.telemetry)
     if math.isfinite(told):
         return told, "the rotor speeds in the log"
     if airframe.hover_rad_s is not None:
         return airframe.hover_rad_s / math.tau, "the airframe's hover speed"
-    heard = rotor_line(blocks, _corner_hz(log, airframe), told)
+    heard = rotor_line(blocks, corner_hz, told)
     return None if heard.reason else (heard.hz, "what is heard, the strongest line above its neighbourhood")
-
-
-def _corner_hz(log: Log, airframe: Airframe) -> float | None:
-    """Of the low-pass in the stream, where it is known."""
-    profile = PROFILES.get(log.profile)
-    return airframe.imu_corner_hz or (None if profile is None else profile.imu_corner_hz)

@@ -4,6 +4,7 @@ What a page says of a verdict is in `decision.words`, what it says of a figure i
 """
 
 import datetime
+import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -119,9 +120,8 @@ def _utc(t_ns: int) -> str:
 def _names(paths: Sequence[str]) -> list[str]:
     """The paths without the folder that all of them share."""
     folders = [path.split("/")[:-1] for path in paths]
-    shared = 0
-    while all(len(folder) > shared and folder[shared] == folders[0][shared] for folder in folders):
-        shared += 1
+    alike = (len(set(parts)) == 1 for parts in zip(*folders, strict=False))
+    shared = sum(1 for _ in itertools.takewhile(bool, alike))
     return ["/".join(path.split("/")[shared:]) for path in paths]
 
 

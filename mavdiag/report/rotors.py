@@ -9,23 +9,30 @@ by a third of it then.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from mavdiag.airframe.layout import RotorLayout
 from mavdiag.airframe.trim import shown_trim
 from mavdiag.drawing import Colour, RotorMark, airframe_svg
 from mavdiag.monitors.rotor_trim import RotorTrimSpec
-from mavdiag.report.style import LIMIT, LINES, Picture, legend_above, missing, pictured
-from mavdiag.report.thinned import COLUMNS, envelope
+from mavdiag.report.style import (
+    COLUMNS,
+    LIMIT,
+    LINES,
+    Drawn,
+    NotDrawn,
+    Picture,
+    envelope,
+    legend_above,
+    panels,
+    picture,
+    sheet,
+)
 from mavdiag.rows.block import Block
 from mavdiag.telemetry import FloatArray
 from mavdiag.units import NS_PER_S
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 WINDOW_S = 5.0  # of the means, as the monitor has it
 NO_LAYOUT = "the rotor layout is not known; name it with --layout or --airframe when the baseline is learnt"
@@ -66,7 +73,7 @@ class RotorShift:
         known = "The baseline knows no healthy trim, so the airframe's own asymmetry is in it too."
         return "" if self.beyond_health else known
 
-    def label(self, axes: "Axes") -> None:
+    def label(self, axes: Axes) -> None:
         """Label the ordinate and draw the limits."""
         axes.set_ylabel(f"command be{'yond health' if self.beyond_health else 'side the mean'}\n[% of hover]")
         if self.limit is not None:
@@ -86,56 +93,45 @@ def shift_of(
     times, shifts = [np.empty(0)], [np.empty((0, layout.rotors))]
     for block in blocks:
         trim, known = shown_trim(block, layout)
-        n, window = len(block), max(1, round(WINDOW_S / block.dt_s))
-        shift = np.full((n, layout.rotors), np.nan)
-        if n >= window:
-            sums = np.cumsum(np.column_stack((np.where(known[:, None], trim, 0.0), known)), axis=0)
-            sums[window:] -= sums[:-window].copy()
-            full = np.flatnonzero(np.round(sums[:, 3]) == window)
-            shift[full] = (sums[full, :3] / window - mu) @ layout.mixing.T / own
+        window = max(1, round(WINDOW_S / block.dt_s))
+        sums = np.cumsum(np.column_stack((np.where(known[:, None], trim, 0.0), known)), axis=0)
+        sums[window:] -= sums[:-window].copy()
+        shift = (sums[:, :3] / window - mu) @ layout.mixing.T / own
         times.append(block.t_ns / NS_PER_S)
-        shifts.append(shift)
+        shifts.append(np.where(np.round(sums[:, 3:]) == window, shift, np.nan))
     return RotorShift(layout, np.concatenate(times), np.concatenate(shifts), healthy is not None, threshold)
 
 
-def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Picture:
+@picture("trim")
+def trim_picture(found: RotorShift | None, columns: int = COLUMNS) -> Drawn:
     """The shift of every rotor over the flight."""
-    if found is None or not np.isfinite(found.shift).any():
-        return missing("trim", NO_LAYOUT if found is None else NO_TRIM)
-
-    def plot(figure: "Figure") -> None:
-        axes = figure.subplots()
-        for number, shift in enumerate(found.shift.T):
-            thin = envelope(found.t_s, 100 * shift, columns)
-            LINES[number % len(LINES)].draw(axes, *thin, f"rotor {number + 1}")
-        axes.set_xlabel("vehicle time [s]")
-        found.label(axes)
-        legend_above(axes, 5)
-
-    return pictured("trim", found.words(None), plot, 2.6, note=found.note)
+    found = _known(found)
+    figure, (axes,) = panels(2.6)
+    for number, shift in enumerate(found.shift.T):
+        LINES[number % len(LINES)].draw(axes, *envelope(found.t_s, 100 * shift, columns), f"rotor {number + 1}")
+    found.label(axes)
+    legend_above(axes, 5)
+    return figure, found.words(None), found.note
 
 
-def bars_picture(found: RotorShift | None, since_s: float | None) -> Picture:
+@picture("trim-bars")
+def bars_picture(found: RotorShift | None, since_s: float | None) -> Drawn:
     """The mean shift of every rotor as bars. since_s: when a fault was declared; None if none was."""
-    if found is None or not np.isfinite(found.shift).any():
-        return missing("trim-bars", NO_LAYOUT if found is None else NO_TRIM)
+    found = _known(found)
     mean = 100 * found.mean(since_s)
-
-    def plot(figure: "Figure") -> None:
-        axes = figure.subplots()
-        place = np.arange(1, len(mean) + 1)
-        bars = axes.bar(place, mean, color=Colour.RESIDUAL, edgecolor=Colour.REFERENCE, width=0.6)
-        bars[int(np.argmax(mean))].set(hatch="///")
-        axes.bar_label(bars, [_signed(value) for value in mean.tolist()], padding=2)
-        axes.axhline(0.0, color=Colour.REFERENCE, linewidth=0.8)
-        found.label(axes)
-        axes.set_xticks(place, [f"rotor {number}" for number in place])
-        axes.margins(y=0.25)
-        axes.grid(visible=False, axis="x")
-
+    figure = sheet(2.2)
+    axes = figure.subplots()
+    place = np.arange(1, len(mean) + 1)
+    bars = axes.bar(place, mean, color=Colour.RESIDUAL, edgecolor=Colour.REFERENCE, width=0.6)
+    bars[int(np.argmax(mean))].set(hatch="///")
+    axes.bar_label(bars, [_signed(value) for value in mean.tolist()], padding=2)
+    axes.axhline(0.0, color=Colour.REFERENCE, linewidth=0.8)
+    found.label(axes)
+    axes.set_xticks(place, [f"rotor {number}" for number in place])
+    axes.margins(y=0.25)
+    axes.grid(visible=False, axis="x")
     after = "" if since_s is None else f" after {since_s:.1f} s, when a fault was declared"
-    note = f"{found.note} Mean of the flight{after}.".strip()
-    return pictured("trim-bars", found.words(since_s), plot, 2.2, note=note)
+    return figure, found.words(since_s), f"{found.note} Mean of the flight{after}.".strip()
 
 
 def airframe_picture(
@@ -143,7 +139,7 @@ def airframe_picture(
 ) -> Picture:
     """The drawing of the airframe with the mean shifts. rotor: the one that the decision names, if any."""
     if layout is None:
-        return missing("airframe", NO_LAYOUT)
+        return Picture("airframe", not_drawn=NO_LAYOUT)
     mean = np.full(layout.rotors, np.nan) if found is None else found.mean(since_s)
     labels = {n: _signed(100 * value) if np.isfinite(value) else "" for n, value in enumerate(mean.tolist(), start=1)}
     marks = {n: RotorMark(label=label) for n, label in labels.items()}
@@ -151,6 +147,14 @@ def airframe_picture(
         marks[rotor] = RotorMark(Colour.FAULT, labels[rotor], "fault")
     named = "No rotor is named." if rotor is None else f"Rotor {rotor} is the one that the diagnosis names (filled)."
     return Picture("airframe", named, airframe_svg(layout, marks, title=f"Airframe. {named}"))
+
+
+def _known(found: RotorShift | None) -> RotorShift:
+    if found is None:
+        raise NotDrawn(NO_LAYOUT)
+    if not np.isfinite(found.shift).any():
+        raise NotDrawn(NO_TRIM)
+    return found
 
 
 def _signed(percent: float) -> str:

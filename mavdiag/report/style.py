@@ -1,8 +1,8 @@
-"""How every figure looks, and how it becomes SVG that can stand in a page.
+"""How every figure looks, how long lines are made short, and how a figure becomes SVG that can stand in a page.
 
 The colours are those of `mavdiag.drawing`, which people who are blind to a colour tell apart. None stands alone: each
-line has a stroke of its own as well, so a figure can be read in grey. Text stays text. matplotlib is imported when the
-first figure is drawn. figures.mplstyle has sizes and fonts, captions.toml what a figure is called and shows.
+line has a stroke of its own as well, so a figure can be read in grey. Text stays text. figures.mplstyle has sizes and
+fonts, captions.toml what a figure is called and shows.
 """
 
 import io
@@ -10,16 +10,20 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
+from typing import Any, ParamSpec, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from mavdiag.drawing import Colour
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from mavdiag.telemetry import FloatArray, IntArray
 
 FOLDER = Path(__file__).parent
 WIDTH_IN = 7.6
@@ -29,7 +33,11 @@ NO_LABEL = "_nolegend_"  # how matplotlib calls a line that no legend has
 LONG_PATH = 2000  # characters of a line of data, whose points are too near to each other to need hundredths
 FONTS = "DejaVu Sans, Verdana, Arial, sans-serif"  # as in figures.mplstyle, where matplotlib says it at each text
 SVG = "http://www.w3.org/2000/svg"
-XLINK = "http://www.w3.org/1999/xlink"
+COLUMNS = 480  # of a figure across the page (our choice)
+BREAK = 3.0  # a step of more than so many usual ones is a gap in the data (our choice)
+
+P = ParamSpec("P")
+Drawn: TypeAlias = tuple[Figure, str, str]  # the figure, its words for those who cannot see it, and its note
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +48,11 @@ class Line:
     stroke: str
     width: float = 1.1
 
-    def draw(self, axes: "Axes", x: Any, y: Any, label: str = NO_LABEL, marker: str = "") -> None:
+    def draw(self, axes: Axes, x: Any, y: Any, label: str = NO_LABEL, marker: str | None = None) -> None:
         """Onto axes."""
-        style: Any = {"color": self.color, "linestyle": self.stroke, "linewidth": self.width}
-        axes.plot(x, y, label=label, marker=marker or None, **style)
+        axes.plot(x, y, label=label, marker=marker, color=self.color, linestyle=self.stroke, linewidth=self.width)
 
-    def across(self, axes: "Axes", level: float, label: str = NO_LABEL) -> None:
+    def across(self, axes: Axes, level: float, label: str = NO_LABEL) -> None:
         """A level, across the axes."""
         axes.axhline(level, label=label, color=self.color, linestyle=self.stroke, linewidth=self.width)
 
@@ -74,7 +81,7 @@ class Picture:
 
     key: its anchor in a page, letters and hyphens; its words stand under it in captions.toml.
     note: what the caption says of this flight.
-    svg: the drawing; empty if there is none, and then not_drawn says why.
+    svg: the drawing; empty if there is none, and then not_drawn says why, as a phrase.
     """
 
     key: str
@@ -98,50 +105,49 @@ class Picture:
         return captions()[self.key].get("thesis", "")
 
 
+class NotDrawn(Exception):  # noqa: N818  # no error: the reason, a phrase, stands in the page
+    """Why a picture is not drawn."""
+
+
 @cache
 def captions() -> Mapping[str, Mapping[str, str]]:
     """Title, caption and the thesis's number of each figure, by its key."""
     return tomllib.loads((FOLDER / "captions.toml").read_text(encoding="utf-8"))
 
 
-def pictured(
-    key: str, words: str, plot: Callable[["Figure"], None], height_in: float = 2.6, *, note: str = ""
-) -> Picture:
-    """The picture of what `plot` puts on an empty figure. words: what is in it, for those who cannot see it."""
-    return Picture(key, note, drawn(captions()[key]["title"], words, plot, height_in))
+def picture(key: str) -> Callable[[Callable[P, Drawn]], Callable[P, Picture]]:
+    """Make a picture of what a function draws, in the style of all pages; or of why it raises `NotDrawn`."""
+
+    def decorate(draw: Callable[P, Drawn]) -> Callable[P, Picture]:
+        @wraps(draw)
+        def made(*args: P.args, **kwargs: P.kwargs) -> Picture:
+            try:
+                with mpl.rc_context(fname=FOLDER / "figures.mplstyle"):
+                    figure, words, note = draw(*args, **kwargs)
+                    return Picture(key, note, _svg(figure, captions()[key]["title"], words))
+            except NotDrawn as reason:
+                return Picture(key, not_drawn=str(reason))
+
+        return made
+
+    return decorate
 
 
-def missing(key: str, why: str) -> Picture:
-    """A picture that is not drawn, and the reason as a phrase."""
-    return Picture(key, not_drawn=why)
+def sheet(height_in: float) -> Figure:
+    """An empty figure across the page."""
+    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
 
 
-def drawn(title: str, description: str, plot: Callable[["Figure"], None], height_in: float = 2.6) -> str:
-    """The SVG of what `plot` puts on an empty figure. The same values give the same bytes."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(fname=FOLDER / "figures.mplstyle"):
-        figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-        FigureCanvasSVG(figure)
-        plot(figure)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    return _cleaned(out.getvalue(), title, description)
-
-
-def panels(figure: "Figure", rows: int) -> list["Axes"]:
-    """Axes one above the other, with one axis of vehicle time."""
+def panels(height_in: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with axes one above the other, and one axis of vehicle time."""
+    figure = sheet(height_in)
     found = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     found[-1].set_xlabel("vehicle time [s]")
-    return found
+    return figure, found
 
 
-def plain_log(axes: "Axes") -> None:
+def plain_log(axes: Axes) -> None:
     """A logarithmic ordinate with plain numbers: at its decades, or at 1, 2 and 5 where it has few."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > FEW_DECADES * low else (1.0, 2.0, 5.0)))
@@ -149,16 +155,68 @@ def plain_log(axes: "Axes") -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def shaded(axes: "Axes", start: float, stop: float) -> None:
-    """A stretch of time marked as above a limit: hatched, so that it shows in grey."""
-    axes.axvspan(start, stop, facecolor="none", edgecolor=Colour.FAULT, hatch="////", linewidth=0.0, alpha=0.7)
-
-
-def legend_above(axes: "Axes", columns: int = 4, named: Mapping[str, Any] | None = None) -> None:
+def legend_above(axes: Axes, columns: int = 4, named: Mapping[str, Any] | None = None) -> None:
     """A legend above the axes, where it hides nothing. named: what it names, by label; None for what is in the axes."""
     what = axes.get_legend_handles_labels() if named is None else (list(named.values()), list(named))
     place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
     axes.legend(*what, **place, ncols=columns, borderaxespad=0.1, handlelength=2.6)
+
+
+def envelope(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
+    """The lowest and the highest value of each column of pixels: what the eye sees of a long line is the same.
+
+    At most two points a column and one for each gap; as it is where it is short already. t: (n,) not falling. y: (n,);
+    nan leaves a gap, which stays one if it fills a column. Every value that is returned is one of y's, and the lowest
+    and the highest of all y are among them.
+
+    >>> t, y = envelope(np.arange(1000.0), np.tile([0.0, 1.0], 500), columns=4)
+    >>> len(t), y.tolist()
+    (8, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
+    """
+    if len(t) <= 2 * columns:
+        return _with_breaks(t, y)
+    column, first = columns_of(t, columns)
+    low, high = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
+    last = np.append(first[1:], len(t)) - 1
+    falling = y[last] < y[first]  # the order in which the two are drawn, so that slopes look as they are
+    pairs = np.stack((np.where(falling, high, low), np.where(falling, low, high)), axis=1)
+    times = np.stack((t[first], (t[first] + t[last]) / 2), axis=1)
+    return _broken(times, pairs, column[first])
+
+
+def highest(t: FloatArray, y: FloatArray, columns: int = COLUMNS) -> tuple[FloatArray, FloatArray]:
+    """The highest value of each column, for what is filled from below; as `envelope`, with half of its points.
+
+    >>> highest(np.arange(1000.0), np.tile([0.0, 1.0], 500), columns=4)[1].tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    """
+    if len(t) <= columns:
+        return _with_breaks(t, y)
+    column, first = columns_of(t, columns)
+    return _broken(t[first, None], np.fmax.reduceat(y, first)[:, None], column[first])
+
+
+def columns_of(t: FloatArray, columns: int) -> tuple[IntArray, IntArray]:
+    """The column of each point, (n,), and the first point of each column that has any. t: (n,) not falling, n > 0."""
+    span = float(t[-1] - t[0]) or 1.0
+    column = np.minimum((t - t[0]) * (columns / span), columns - 1).astype(np.int64)
+    return column, np.flatnonzero(np.diff(column, prepend=-1))
+
+
+def _broken(t: FloatArray, y: FloatArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Points of columns, (columns, k), as a line with a nan where columns are empty."""
+    empty = np.flatnonzero(np.diff(column) > 1) + 1
+    places = t.shape[1] * empty
+    return np.insert(t.ravel(), places, t[empty - 1, -1]), np.insert(y.ravel(), places, np.nan)
+
+
+def _with_breaks(t: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The line with a nan in each gap, so that none is drawn across it. Times may repeat."""
+    steps = np.diff(t)
+    if len(t) < 3 or not (steps > 0).any():
+        return t, y
+    at = np.flatnonzero(steps > BREAK * float(np.median(steps[steps > 0]))) + 1
+    return np.insert(t, at, t[at - 1]), np.insert(y, at, np.nan)
 
 
 def embedded(svg: str, prefix: str) -> str:
@@ -167,44 +225,38 @@ def embedded(svg: str, prefix: str) -> str:
     return re.sub(r'aria-labelledby="(\S+) (\S+)"', rf'aria-labelledby="{prefix}-\1 {prefix}-\2"', svg)
 
 
-def _cleaned(text: str, title: str, description: str) -> str:
-    """What matplotlib wrote, smaller, without what a page cannot have twice, and with words for who cannot see it."""
-    root = ElementTree.fromstring(text)
+def _svg(figure: Figure, title: str, description: str) -> str:
+    """A figure as SVG with words for those who cannot see it, without what a page cannot have twice or need not have.
+
+    Fewer digits than anybody can see, and the font's name once, at the root. The same values give the same bytes.
+    """
+    FigureCanvasSVG(figure)
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = out.getvalue()
     referred = set(re.findall(r'(?:url\(|href=")#([^)"]+)', text))
-    for node in root.iter():
-        node.tag = node.tag.partition("}")[2]
-        if (target := node.attrib.pop(f"{{{XLINK}}}href", None)) is not None:
-            node.set("href", target)
-        if node.get("id") not in referred:
-            node.attrib.pop("id", None)
-        _shorten(node)
-    for parent in list(root.iter()):
-        for child in list(parent):
-            if child.tag in ("metadata", "style"):
-                parent.remove(child)
-    width, height = (float(x) for x in root.attrib["viewBox"].split()[2:])
-    for name in ("width", "height", "version"):
-        root.attrib.pop(name, None)
-    said = {"width": f"{PX_PER_PT * width:.0f}", "height": f"{PX_PER_PT * height:.0f}", "xmlns": SVG, "role": "img"}
-    stroke = {"stroke-linejoin": "round", "font-family": FONTS, "aria-labelledby": "title desc"}
-    root.attrib.update({**said, **stroke})
-    for place, (name, words) in enumerate((("title", title), ("desc", description))):
-        node = ElementTree.Element(name, {"id": name})
-        node.text = words
-        root.insert(place, node)
-    return re.sub(r">\s+<", "><", ElementTree.tostring(root, encoding="unicode")).strip() + "\n"
+    width, height = (float(size) for size in re.findall(r'viewBox="0 0 (\S+) (\S+)"', text)[0])
+    head = (
+        f'<svg viewBox="0 0 {width:g} {height:g}" width="{PX_PER_PT * width:.0f}" height="{PX_PER_PT * height:.0f}" '
+        f'xmlns="{SVG}" role="img" stroke-linejoin="round" font-family="{FONTS}" aria-labelledby="title desc">'
+        f'<title id="title">{escape(title)}</title><desc id="desc">{escape(description)}</desc>'
+    )
+    text = re.sub(r"^.*?<svg[^>]*>", lambda _: head, text, flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r' id="([^"]+)"', lambda at: at[0] if at[1] in {*referred, "title", "desc"} else "", text)
+    text = re.sub(r' d="([^"]*)"', lambda at: f' d="{_shortened(at[1])}"', text)
+    text = re.sub(r' ([xy])="(-?\d+\.\d+)"', lambda at: f' {at[1]}="{_fixed(at[2], 2)}"', text)
+    text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
+    text = re.sub(r' style="([^"]*)"', lambda at: f' style="{at[1].replace(": ", ":").replace("; ", ";")}"', text)
+    text = re.sub(r' transform="rotate\(-0 [^"]*"', "", text).replace("xlink:href", "href")
+    return re.sub(r">\s+<", "><", text).strip() + "\n"
 
 
-def _shorten(node: ElementTree.Element) -> None:
-    """Fewer digits than anybody can see, and the font's name once, at the root."""
-    if (path := node.get("d")) is not None:
-        places = 1 if len(path) > LONG_PATH else 2
-        path = re.sub(r"-?\d+\.\d+", lambda found: f"{float(found[0]):.{places}f}".rstrip("0").rstrip("."), path)
-        node.set("d", re.sub(r"\s*([A-Za-z])\s*", r"\1", path.strip()))
-    if (style := node.get("style")) is not None:
-        node.set("style", re.sub(r"font-family: [^;]*;? ?", "", style).replace(": ", ":").replace("; ", ";"))
-    if node.get("transform", "").startswith("rotate(-0 "):
-        del node.attrib["transform"]
-    for name in ("x", "y"):
-        if "." in (value := node.get(name, "")):
-            node.set(name, f"{float(value):.2f}".rstrip("0").rstrip("."))
+def _shortened(path: str) -> str:
+    places = 1 if len(path) > LONG_PATH else 2
+    path = re.sub(r"-?\d+\.\d+", lambda found: _fixed(found[0], places), path)
+    return re.sub(r"\s*([A-Za-z])\s*", r"\1", path.strip())
+
+
+def _fixed(number: str, places: int) -> str:
+    return f"{float(number):.{places}f}".rstrip("0").rstrip(".")

@@ -1,8 +1,11 @@
 """The picture of one vehicle in a terminal: headline, strips, monitors as bars, events, link.
 
-`View` says what is shown, `picture` lays it out within the size of the terminal. Nothing is read or judged here.
+`View` says what is shown, `picture` lays it out within the size of the terminal. Nothing is read or judged here. Strips
+are curves in dots of Braille characters, so that a line moves smoothly. A column of dots stands for a span of time and
+shows all values in it, from the lowest to the highest: a spike of one sample is not lost.
 """
 
+import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -15,14 +18,14 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from mavdiag.braille import ACROSS, DOWN, cells, character
 from mavdiag.decision.diagnosis import Change, Stage
 from mavdiag.link.messages import Severity
 from mavdiag.monitors import by_name
 from mavdiag.printable import printable
-from mavdiag.telemetry import Axis, FloatArray
+from mavdiag.telemetry import Axis, BoolArray, FloatArray
 from mavdiag.terminal.ground_station import GroundStation, ReceivedText
 from mavdiag.terminal.live_judge import LiveJudge
-from mavdiag.terminal.strips import Curve, Frame, strip
 from mavdiag.traces import RateTrace, rate_traces
 from mavdiag.units import NS_PER_S
 
@@ -38,20 +41,28 @@ POINTS_PER_S = 100.0  # of a strip, at most: more would not be seen
 LEAST_RATE = 0.1  # of the scale of rates [rad/s]
 OF_MARGIN = 3.0  # least scale of a residual, in margins
 LEGEND = "white: measured, cyan: simulated, yellow: residual, red: margin"
-_COLOURS = {"measured": "bright_white", "simulated": "cyan", "residual": "yellow", "margin": "red"}
 _SEVERITY = {Stage.FAULT: Severity.CRITICAL, Stage.SUSPECTED: Severity.WARNING}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """One line. t_s, values: (n,), in order of time; NaN breaks it. style: of rich. dotted: every other column."""
+
+    t_s: FloatArray
+    values: FloatArray
+    style: str
+    dotted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class StripView:
-    """A strip and its caption. curves: as in `strips`; low, high: of the scale, in `unit`; rows: of characters."""
+    """A strip and its caption. low, high: of the scale, in `unit`; what is beyond stands at its edge."""
 
     name: str
     unit: str
     curves: tuple[Curve, ...]
     low: float
     high: float
-    rows: int = STRIP_ROWS
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +92,14 @@ class Line:
     @property
     def style(self) -> str:
         """Of rich."""
-        return (
-            "bold red" if self.severity <= Severity.CRITICAL else "yellow" if self.severity <= Severity.WARNING else ""
-        )
+        if self.severity <= Severity.CRITICAL:
+            return "bold red"
+        return "yellow" if self.severity <= Severity.WARNING else ""
+
+    @property
+    def shown(self) -> Text:
+        """As one line, however long."""
+        return Text(self.head + printable(self.text), style=self.style, no_wrap=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +107,7 @@ class View:
     """All that is shown.
 
     title: of the frame. headline, alert: the finding in one sentence, and whether it is a fault.
-    from_s, to_s: the time that the strips span [s].
-    events: in order of time; the last ones are shown.
+    from_s, to_s: the time that the strips span [s]. events: in order of time; the last ones are shown.
     foot: about the link.
     """
 
@@ -117,23 +132,18 @@ def picture(view: View, width: int, height: int | None = None) -> Panel:
     foot = [Text(printable(view.foot), style="dim", no_wrap=True, overflow="ellipsis")] if view.foot else []
     told = [_wrapped(line.head, line.text, line.style, inner) for line in view.events[-EVENTS:]]
     room, events = math.inf if height is None else height - 2 - len(head) - len(foot), list[Text]()
-    most = max(room - len(view.levels) - sum(one.rows for one in view.strips), min(room, LEAST_EVENTS))
+    most = max(room - len(view.levels) - STRIP_ROWS * len(view.strips), min(room, LEAST_EVENTS))
     for lines in reversed(told):
         if events and len(events) + len(lines) > most:
             break
         events = [*lines, *events]
     levels = view.levels[: int(min(max(room - len(events), 0), len(view.levels)))]
     left, parts = room - len(events) - len(levels), list[RenderableType](head)
-    for one in view.strips:
-        left -= one.rows
-        parts += _strip(one, view, inner) if left >= 0 else ()
+    for shown in view.strips:
+        left -= STRIP_ROWS
+        parts += _strip(shown, view, inner) if left >= 0 else ()
     parts += [_levels(levels, inner)] if levels else []
     return Panel(Group(*parts, *events, *foot), title=Text(printable(view.title)), width=inner + FRAME)
-
-
-def line_of(line: Line) -> Text:
-    """An event as one line, however long."""
-    return Text(line.head + printable(line.text), style=line.style, no_wrap=True)
 
 
 def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str = "") -> Line:
@@ -146,7 +156,7 @@ def line_for(news: ReceivedText | Change, text_from: str = "", change_from: str 
 
 def rate_strips(judge: LiveJudge, axis: Axis) -> tuple[StripView, ...]:
     """Of an axis with a model: measured and simulated rate (T Fig 5.6), and the residual with its margin (5.7)."""
-    traces = (one for one in rate_traces(judge.chain, judge.pieces) if one.axis is axis and len(one.t_ns))
+    traces = (trace for trace in rate_traces(judge.chain, judge.pieces) if trace.axis is axis and len(trace.t_ns))
     return tuple(shown for trace in traces for shown in _strips_of(trace))
 
 
@@ -178,14 +188,13 @@ def _strips_of(trace: RateTrace) -> tuple[StripView, StripView]:
     t_s, margin = trace.t_ns[thin] / NS_PER_S, trace.margin_rad_s
     measured, simulated = trace.measured[thin], trace.simulated[thin]
     residual = np.where(trace.judged, trace.residual, np.nan)[thin]
-    rates = tuple(Curve(t_s, of, _COLOURS[n]) for n, of in (("simulated", simulated), ("measured", measured)))
-    limits = (Curve(t_s, np.full(len(t_s), level), _COLOURS["margin"], dotted=True) for level in (-margin, margin))
+    rates = (Curve(t_s, simulated, "cyan"), Curve(t_s, measured, "bright_white"))
+    limits = (Curve(t_s, np.full(len(t_s), level), "red", dotted=True) for level in (-margin, margin))
     reach = max(LEAST_RATE, _highest(measured), _highest(simulated))
     far = max(OF_MARGIN * margin, _highest(residual))
-    beside = (*limits, Curve(t_s, residual, _COLOURS["residual"]))
-    return StripView(f"{trace.axis} rate", "rad/s", rates, -reach, reach), StripView(
-        "residual", "rad/s", beside, -far, far
-    )
+    beside = (*limits, Curve(t_s, residual, "yellow"))
+    name, unit = f"{trace.axis} rate", "rad/s"
+    return StripView(name, unit, rates, -reach, reach), StripView("residual", unit, beside, -far, far)
 
 
 def _highest(values: FloatArray) -> float:
@@ -202,15 +211,59 @@ def _wrapped(head: str, text: str, style: str, width: int) -> list[Text]:
     return lines
 
 
-def _strip(one: StripView, view: View, width: int) -> list[Text]:
-    lines = strip(one.curves, Frame(view.from_s, view.to_s, one.low, one.high, width - MARGIN, one.rows))
-    scale = [f"{one.high:+.2g}", *[""] * (one.rows - 2), f"{one.low:+.2g}"]
-    for row, words in zip(range(1, one.rows - 1), filter(None, (one.name, one.unit)), strict=False):
-        scale[row] = words
+def _strip(shown: StripView, view: View, width: int) -> list[Text]:
+    lines = strip(shown, view.from_s, view.to_s, width - MARGIN, STRIP_ROWS)
+    scale = (f"{shown.high:+.2g}", shown.name, shown.unit, f"{shown.low:+.2g}")
     return [
         Text(f"{words:>{MARGIN - 1}.{MARGIN - 1}} ", no_wrap=True, style="dim").append_text(line)
         for words, line in zip(scale, lines, strict=True)
     ]
+
+
+def strip(shown: StripView, from_s: float, to_s: float, width: int, rows: int) -> list[Text]:
+    """The lines of a strip, from the highest values to the lowest. Of several curves in a character the last has its
+    colour.
+
+    >>> flat = Curve(np.array([0.0, 1.0]), np.array([0.0, 0.0]), "")
+    >>> [line.plain for line in strip(StripView("", "", (flat,), -1.0, 1.0), 0.0, 2.0, 2, 1)]
+    ['⠤⠄']
+    """
+    bits = np.zeros((rows, width), dtype=np.int64)
+    styles = np.full(bits.shape, -1)
+    for number, curve in enumerate(shown.curves):
+        at = np.floor((curve.t_s - from_s) / (to_s - from_s) * width * ACROSS)
+        share = (shown.high - curve.values) / (shown.high - shown.low)
+        own = cells(_dots(at, share, width * ACROSS, rows * DOWN, step=2 if curve.dotted else 1))
+        bits |= own
+        styles[own > 0] = number
+    return [
+        Text.assemble(*((character(b), shown.curves[s].style if b else "") for b, s in zip(row, style, strict=True)))
+        for row, style in zip(bits.tolist(), styles.tolist(), strict=True)
+    ]
+
+
+def _dots(at: FloatArray, share: FloatArray, columns: int, rows: int, step: int) -> BoolArray:
+    """Which dots a curve sets, (rows, columns), from the top. at: (n,) columns. share: (n,) of the height, NaN breaks.
+
+    A column without samples is filled, unless a break is in it, and neighbours meet.
+    """
+    inside, known = (at >= 0) & (at < columns), np.isfinite(share)
+    row = np.clip(np.round(share[inside & known] * (rows - 1)), 0, rows - 1).astype(np.int64)
+    top, bottom = np.full(columns, rows), np.full(columns, -1)
+    np.minimum.at(top, at[inside & known].astype(np.int64), row)
+    np.maximum.at(bottom, at[inside & known].astype(np.int64), row)
+    breaks = np.unique(at[inside & ~known])
+    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
+        if after - before > 1 and not ((breaks > before) & (breaks < after)).any():
+            between = np.arange(before + 1, after)
+            top[between] = bottom[between] = np.round(np.interp(between, (before, after), (bottom[before], top[after])))
+    for before, after in itertools.pairwise(np.flatnonzero(bottom >= 0)):
+        if after == before + 1:
+            top[after] = min(top[after], bottom[before] + 1)
+            bottom[after] = max(bottom[after], top[before] - 1)
+    every = np.arange(rows)[:, None]
+    dots: BoolArray = (every >= top) & (every <= bottom) & (np.arange(columns) % step == 0)
+    return dots
 
 
 def _levels(levels: Sequence[Level], width: int) -> Table:

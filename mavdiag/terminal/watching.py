@@ -1,27 +1,32 @@
 """The loops behind `mavdiag watch` and the demo (edge): what a link or a journal brings, shown until the end."""
 
+import json
+import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
-from typing import Self
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
 
 from rich.console import Console
 from rich.live import Live
 
 from mavdiag.decision.diagnosis import Stage
-from mavdiag.decision.words import diagnosis_line
+from mavdiag.decision.words import diagnosis_line, stage_line
 from mavdiag.errors import InputError
 from mavdiag.link.messages import Severity
+from mavdiag.storage import open_regular
 from mavdiag.telemetry import Axis
 from mavdiag.terminal.ground_station import GroundStation
-from mavdiag.terminal.journal import Journal
-from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for, line_of, picture, rate_strips
+from mavdiag.terminal.view import Line, View, figure_levels, levels_of, line_for, picture, rate_strips
 
 PER_S = 10
 LOOK_S = 0.05
 JOURNAL_LOOK_S = 0.25
 EVENTS = 100  # that are kept; more do not fit on a screen
+JOURNAL_BYTES = 1 << 40  # there is no limit: it is read in pieces
+READ_BYTES = 1 << 20  # at a time
 SILENT = "nothing was received yet; is the vehicle or the detector sending to this address?"
 
 
@@ -50,7 +55,7 @@ class Screen(ExitStack):
         self._events[:] = [*self._events, *fresh][-EVENTS:]
         if self._live is None:
             for line in () if self._quiet else fresh:
-                self._console.print(line_of(line), soft_wrap=True, highlight=False)
+                self._console.print(line.shown, soft_wrap=True, highlight=False)
             return
         now, size = self._console.get_time(), self._console.size
         if not last and now < self._until:
@@ -71,23 +76,9 @@ def listen(station: GroundStation, address: str, axis: Axis, span_s: float, ende
         last = False
         while not last:
             last = ended()
-            screen.show([line_for(one, *whose) for one in station.listen(0.0 if last else LOOK_S)], last=last)
+            screen.show([line_for(news, *whose) for news in station.listen(0.0 if last else LOOK_S)], last=last)
     if not station.heard:
         raise InputError(f"{address}: nothing was received; is the vehicle or the detector sending to this address?")
-
-
-def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> None:
-    """Show what a journal tells until `ended`. vehicle: the only one of interest; None for all."""
-    with Screen(lambda events: _journal_view(journal, vehicle, events)) as screen:
-        last = False
-        while not last:
-            last = ended()
-            found = [(number, line) for number, line in journal.read() if vehicle in (None, number)]
-            several = vehicle is None and len(journal.vehicles) > 1
-            fresh = [replace(line, text=f"vehicle {n}: {line.text}") if several else line for n, line in found]
-            screen.show(fresh, last=last)
-            if not last:
-                time.sleep(JOURNAL_LOOK_S)
 
 
 def _link_view(station: GroundStation, address: str, axis: Axis, span_s: float, events: Sequence[Line]) -> View:
@@ -111,14 +102,107 @@ def _link_view(station: GroundStation, address: str, axis: Axis, span_s: float, 
     )
 
 
+@dataclass(slots=True)
+class VehicleStory:
+    """What a journal says of one vehicle: the latest state of the session, stage of the decision and its reason."""
+
+    state: str = ""
+    stage: str = ""
+    reason: str = ""
+
+    def take(self, content: dict[str, Any]) -> Line | None:
+        """A line of the journal as one to show; None if it is of no interest here."""
+        t_s = float(content.get("vehicle_s") or 0.0)
+        match content["kind"]:
+            case "state":
+                self.state = str(content["to"])
+                return Line(t_s, Severity.INFO, f"{content['from']} -> {content['to']}: {content['reason']}")
+            case "stage":
+                self.stage, self.reason = str(content["stage"]), str(content["reason"])
+                words = stage_line(self.stage, self.reason, content.get("rotor"), content.get("fault_kind"))
+                return Line(t_s, Severity.CRITICAL if self.stage == Stage.FAULT else Severity.NOTICE, words)
+            case "text":
+                return Line(t_s, Severity(int(content["severity"])), str(content["text"]))
+            case "note":
+                return Line(t_s, Severity.INFO, str(content["text"]))
+            case _:
+                return None
+
+
+class Journal:
+    """The journal of a detector, followed while it is written: its vehicles, as far as it was read, over rotations too.
+
+    It holds events and texts, no rates: a display of it has no strips.
+    vehicles: by system id. damaged: lines that could not be read. Raises InputError if there is no such file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._stack = path, ExitStack()
+        self._open()
+        self.vehicles: dict[int, VehicleStory] = {}
+        self.damaged = 0
+
+    def read(self) -> list[tuple[int, Line]]:
+        """What was written since the last call, by vehicle, in its order."""
+        found = self._rest()
+        if self._rotated():
+            found += self._rest()  # what came between the two looks
+            self.close()
+            self._open()
+            found += self._rest()
+        return found
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def _open(self) -> None:
+        self._file, self._begun = self._stack.enter_context(open_regular(self._path, JOURNAL_BYTES)), b""
+
+    def _rotated(self) -> bool:
+        """Whether another file has the journal's name now; between the two there is none."""
+        try:
+            return not os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+        except FileNotFoundError:
+            return False
+
+    def _rest(self) -> list[tuple[int, Line]]:
+        found: list[tuple[int, Line]] = []
+        while data := self._file.read(READ_BYTES):
+            *lines, self._begun = (self._begun + data).split(b"\n")
+            for line in lines:
+                try:
+                    content = json.loads(line)
+                    if content.get("vehicle") is None:
+                        continue
+                    number = int(content["vehicle"])
+                    told = self.vehicles.setdefault(number, VehicleStory()).take(content)
+                    found += [] if told is None else [(number, told)]
+                except (ValueError, TypeError, AttributeError, KeyError):
+                    self.damaged += bool(line.strip())
+        return found
+
+
+def follow(journal: Journal, vehicle: int | None, ended: Callable[[], bool]) -> None:
+    """Show what a journal tells until `ended`. vehicle: the only one of interest; None for all."""
+    with Screen(lambda events: _journal_view(journal, vehicle, events)) as screen:
+        last = False
+        while not last:
+            last = ended()
+            found = [(number, line) for number, line in journal.read() if vehicle in (None, number)]
+            several = vehicle is None and len(journal.vehicles) > 1
+            fresh = [replace(line, text=f"vehicle {n}: {line.text}") if several else line for n, line in found]
+            screen.show(fresh, last=last)
+            if not last:
+                time.sleep(JOURNAL_LOOK_S)
+
+
 def _journal_view(journal: Journal, vehicle: int | None, events: Sequence[Line]) -> View:
     chosen = {number: story for number, story in sorted(journal.vehicles.items()) if vehicle in (None, number)}
-    told = (
+    told = "; ".join(
         f"vehicle {number}: {', '.join(filter(None, (story.state, story.stage, story.reason)))}"
         for number, story in chosen.items()
     )
     damaged = f"{journal.damaged} lines could not be read" if journal.damaged else ""
     alert = any(story.stage == Stage.FAULT for story in chosen.values())
-    return View(
-        "journal", "; ".join(told) or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged
-    )
+    return View("journal", told or "no vehicle in the journal yet", alert, events=tuple(events), foot=damaged)

@@ -1,19 +1,48 @@
-"""`fit` as a whole: several flights, the model's own properties, and what it refuses."""
+"""Least squares against Octave, `fit` as a whole, the model's own properties and its record, and what is refused."""
 
+import dataclasses
+import json
+import math
 import subprocess
 import sys
-from dataclasses import FrozenInstanceError
+from typing import Any
 
 import control
 import numpy as np
 import pytest
-from identification_data import ROLL, WELL, record
-from numpy.testing import assert_allclose
+from identification_data import ROLL, WELL, octave, record
+from numpy.testing import assert_allclose, assert_array_equal
+from pydantic import TypeAdapter
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.data import Records
-from mavdiag.telemetry import FloatArray
+from mavdiag.identify import ArxModel, Method, ModelRecord, fit
+from mavdiag.identify.arx import Records
+from mavdiag.identify.lab.published import THESIS_PITCH, THESIS_ROLL, ReferenceModel
+from mavdiag.telemetry import Axis, FloatArray
+
+
+@pytest.mark.parametrize("index", range(24))
+def test_least_squares_is_octaves(index: int) -> None:
+    case, u, y = octave(index)
+    model = fit(u, y, (case["na"], case["nb"], case["nk"]), dt=0.001, method="ls")
+    assert_allclose(model.a, case["ls_A"], atol=1e-9)
+    assert_allclose(model.b, case["ls_B"], atol=1e-9)
+    # Its own nk = 0 is done by advancing u by one sample, so that case starts one row later.
+    tolerance = 2e-3 if case["nk"] == 0 else 1e-9
+    assert_allclose(model.a, case["octave_arx_A"], atol=tolerance)
+    assert_allclose(model.b[: len(case["octave_arx_B"])], case["octave_arx_B"], atol=tolerance)
+    if case["ls_loss"] < 1e-20:  # free of noise: residuals are rounding only
+        assert model.fpe < 1e-20
+    else:
+        assert_allclose(model.standard_errors, case["ls_se"], rtol=1e-8)
+        assert_allclose(model.fpe, case["fpe"], rtol=1e-9)
+        assert_allclose(model.aic, case["aic_matlab"], rtol=1e-9)
+    y_sim = model.simulate(u)
+    assert_allclose(abs(model.poles[0]), case["max_pole"], atol=1e-9)
+    assert_allclose(y_sim[:10], case["sim_first10"], atol=1e-9)
+    assert_allclose(y_sim[-5:], case["sim_last5"], atol=1e-9)
+    assert_allclose(model.nrmse_fit, case["fit_nrmse_pct"], atol=1e-8)
+    assert_allclose(model.r2t, case["RT2"], atol=1e-10)
 
 
 def test_flights_are_stacked_and_never_joined() -> None:
@@ -28,48 +57,31 @@ def test_flights_are_stacked_and_never_joined() -> None:
     expected, squares, _, _ = np.linalg.lstsq(np.array(rows), np.array(target), rcond=None)
     assert_allclose(found.theta, expected, atol=1e-12)
     assert_allclose(found.fpe, squares[0] / 496 * (1 + 4 / 496) / (1 - 4 / 496), rtol=1e-9)
-    joined = fit(np.r_[one.u, two.u], np.r_[one.y, two.y], dt=0.01, method="ls")
-    assert not np.allclose(joined.theta, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("method", ["ls", "sriv"])
-def test_the_order_of_flights_does_not_matter(method: str) -> None:
-    one, two = record(WELL, 600, 0.1, 1), record(WELL, 500, 0.1, 2)
+def test_neither_order_nor_units_of_flights_matter(method: str) -> None:
+    one, two = record(WELL, 1600, 0.1, 1), record(WELL, 1500, 0.1, 2)
     forward = fit([one.u, two.u], [one.y, two.y], dt=0.01, method=method)
     backward = fit([two.u, one.u], [two.y, one.y], dt=0.01, method=method)
     assert_allclose(forward.theta, backward.theta, atol=1e-9)
+    scaled = fit([1e-3 * one.u, 1e-3 * two.u], [50 * one.y, 50 * two.y], dt=0.01, method=method)
+    assert_allclose(scaled.a, forward.a, rtol=1e-8)
+    assert_allclose(scaled.b, forward.b * 5e4, rtol=1e-8)
+    assert scaled.nrmse_fit == pytest.approx(forward.nrmse_fit, rel=1e-9)
+    assert scaled.yic == pytest.approx(forward.yic, rel=1e-6)
 
 
-@pytest.mark.parametrize("method", ["ls", "sriv"])
-def test_gain_scales_with_the_units(method: str) -> None:
-    data = record(WELL, 2000, 0.1, 4)
-    base = fit(data.u, data.y, dt=0.01, method=method)
-    scaled = fit(data.u * 1e-3, data.y * 50.0, dt=0.01, method=method)
-    assert_allclose(scaled.a, base.a, rtol=1e-8)
-    assert_allclose(scaled.b, base.b * 5e4, rtol=1e-8)
-    assert scaled.nrmse_fit == pytest.approx(base.nrmse_fit, rel=1e-9)
-    assert scaled.yic == pytest.approx(base.yic, rel=1e-6)
-
-
-def test_default_method_is_sriv_and_lists_are_taken() -> None:
-    data = record(WELL, 200, 0.0, 4)
-    assert fit(data.u.tolist(), data.y.tolist(), dt=0.01).method is Method.SRIV
-
-
-def test_model_is_frozen_and_its_arrays_too() -> None:
-    model = fit(*(lambda d: (d.u, d.y))(record(WELL, 500, 0.1, 4)), dt=0.01)
-    with pytest.raises(FrozenInstanceError):
-        model.dt = 1.0  # type: ignore[misc]  # the assignment under test
-    for array in (model.a, model.b, model.standard_errors):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 2.0
-
-
-def test_a_model_does_not_alias_its_arguments() -> None:
+def test_a_model_is_frozen_and_does_not_alias_its_arguments() -> None:
     a = np.array([1.0, -0.5])
     model = ArxModel(a, np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
     a[1] = 3.0
     assert model.a[1] == -0.5
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        model.dt = 1.0  # type: ignore[misc]  # the assignment under test
+    for array in (model.a, model.b, model.standard_errors):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 2.0
 
 
 @pytest.mark.parametrize(
@@ -88,15 +100,15 @@ def test_an_impossible_model_is_refused(
 ) -> None:
     with pytest.raises(IdentificationError, match=match):
         ArxModel(np.array(a), np.array(b), dt, order, Method.PUBLISHED)
+    with pytest.raises(IdentificationError, match=match):
+        ModelRecord(a=tuple(a), b=tuple(b), dt_s=dt, order=order, method=Method.PUBLISHED)
 
 
 def test_poles_and_gain() -> None:
     assert_allclose(WELL.poles, [0.6 + 0.4j, 0.6 - 0.4j], atol=1e-12)
     assert WELL.dc_gain == pytest.approx(0.75 / 0.32)
-    assert WELL.stable
     unstable = ArxModel(np.array([1.0, -1.0]), np.array([1.0]), 0.01, (1, 1, 0), Method.PUBLISHED)
-    assert not unstable.stable
-    assert unstable.dc_gain == np.inf
+    assert (WELL.stable, unstable.stable, unstable.dc_gain) == (True, False, np.inf)
     delay = ArxModel(np.array([1.0, 0.0, 0.0]), np.array([1.0]), 0.01, (2, 1, 0), Method.PUBLISHED)
     assert_allclose(delay.poles, [0.0, 0.0])
 
@@ -116,22 +128,18 @@ def test_python_control_agrees(order: tuple[int, int, int]) -> None:
     assert_allclose(np.ravel(response.outputs), model.simulate(u), atol=1e-9)
 
 
-def test_prediction_uses_the_measured_past_only() -> None:
+def test_prediction_and_simulation_use_the_past_that_is_given() -> None:
     data = record(WELL, 50, 0.3, 6)
-    predicted = WELL.predict(data.u, data.y)
+    predicted, t = WELL.predict(data.u, data.y), 20
     assert predicted.shape == (48,)
-    t = 20
     by_hand = 0.5 * data.u[t - 1] + 0.25 * data.u[t - 2] + 1.2 * data.y[t - 1] - 0.52 * data.y[t - 2]
     assert predicted[t - 2] == pytest.approx(by_hand)
     assert_allclose(WELL.predict(data.u, data.clean), data.clean[2:], atol=1e-12)
     with pytest.raises(IdentificationError, match="one length"):
         WELL.predict(data.u[:2], data.y[:2])
-
-
-def test_simulation_continues_from_a_given_past() -> None:
-    data = record(ROLL, 400, 0.0, 7)
-    warm = ROLL.simulate(data.u[100:], past_u=data.u[:100], past_y=data.clean[:100])
-    assert_allclose(warm, data.clean[100:], atol=1e-10)
+    long = record(ROLL, 400, 0.0, 7)
+    warm = ROLL.simulate(long.u[100:], past_u=long.u[:100], past_y=long.clean[:100])
+    assert_allclose(warm, long.clean[100:], atol=1e-10)
 
 
 def good() -> tuple[FloatArray, FloatArray]:
@@ -139,17 +147,10 @@ def good() -> tuple[FloatArray, FloatArray]:
     return data.u, data.y
 
 
-def unstable_growth() -> tuple[FloatArray, FloatArray]:
-    u = np.random.default_rng(9).standard_normal(300)
-    growing = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
-    return u, growing.simulate(u)
-
-
 @pytest.mark.parametrize("method", ["ls", "sriv"])
 def test_bad_data_are_refused_with_one_line(method: str) -> None:
     u, y = good()
-    holed = y.copy()
-    holed[10] = np.nan
+    holed = np.where(np.arange(400) == 10, np.nan, y)
     sine = np.sin(0.3 * np.arange(400))
     cases: list[tuple[Records, Records, str]] = [
         (u[:2], y[:2], "too short"),
@@ -171,35 +172,61 @@ def test_bad_data_are_refused_with_one_line(method: str) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_an_unstable_result_is_refused() -> None:
-    u, y = unstable_growth()
+def test_results_that_are_no_models_are_refused() -> None:
+    u = np.random.default_rng(9).standard_normal(300)
+    growing = ArxModel(np.array([1.0, -1.02]), np.array([0.0, 1.0]), 0.01, (1, 1, 1), Method.PUBLISHED)
     with pytest.raises(IdentificationError, match="unstable"):
-        fit(u, y, (1, 1, 1), dt=0.01, method="ls")
-
-
-def test_more_parameters_than_the_data_tell_apart_are_refused() -> None:
+        fit(u, growing.simulate(u), (1, 1, 1), dt=0.01, method="ls")
     data = record(WELL, 400, 0.0, 8)
     with pytest.raises(IdentificationError, match="linearly dependent"):
         fit(data.u, data.y, (3, 3, 1), dt=0.01, method="ls")
 
 
-@pytest.mark.parametrize("order", [(0, 2, 1), (2, 0, 1), (2, 2, -1), (2, 2), (2.0, 2, 1), (True, 2, 1)])
-def test_bad_orders_are_refused(order: tuple[int, int, int]) -> None:
-    with pytest.raises(IdentificationError, match="whole numbers"):
-        fit(*good(), order, dt=0.01)
-
-
-def test_bad_method_and_sample_time_are_refused() -> None:
-    with pytest.raises(IdentificationError, match="use 'sriv' or 'ls'"):
-        fit(*good(), dt=0.01, method="arx")
-    with pytest.raises(IdentificationError, match="use 'sriv' or 'ls'"):
-        fit(*good(), dt=0.01, method=Method.RLS)
-    for dt in (0.0, -1.0, float("nan")):
-        with pytest.raises(IdentificationError, match="sample time"):
-            fit(*good(), dt=dt)
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        *(({"order": order}, "whole numbers") for order in [(0, 2, 1), (2, 2, -1), (2, 2), (2.0, 2, 1), (True, 2, 1)]),
+        *(({"method": method}, "use 'sriv' or 'ls'") for method in ("arx", Method.RLS)),
+        *(({"dt": dt}, "sample time") for dt in (0.0, -1.0, float("nan"))),
+    ],
+)
+def test_bad_arguments_are_refused(wrong: dict[str, Any], match: str) -> None:
+    with pytest.raises(IdentificationError, match=match):
+        fit(*good(), **{"dt": 0.01, **wrong})
 
 
 def test_importing_identify_imports_neither_scipy_nor_control() -> None:
     heavy = "{'scipy', 'control', 'matplotlib', 'numba'}"
     code = f"import sys, mavdiag.identify; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_record_of_a_model_gives_the_model_back_also_through_json() -> None:
+    model = fit(*good(), dt=0.01)
+    stored = json.dumps(dataclasses.asdict(ModelRecord.of(model)), allow_nan=False)
+    back = TypeAdapter(ModelRecord).validate_json(stored).model()
+    for name in ("a", "b", "standard_errors", "covariance"):
+        assert_array_equal(getattr(back, name), getattr(model, name))
+    assert (back.r2t, back.mse, back.samples, back.order) == (model.r2t, model.mse, 400, (2, 2, 1))
+    bare = ModelRecord.of(WELL)
+    assert (bare.r2t, bare.standard_errors, bare.covariance) == (None, (), ())
+    assert math.isnan(bare.model().r2t)
+
+
+@pytest.mark.parametrize(
+    ("reference", "axis", "theta", "poles", "gain", "scale"),
+    [
+        (THESIS_ROLL, Axis.ROLL, (-1.5326, 0.5333, 0.0743, 0.0616), (0.9985, 0.5341), 194.14, 1 / 75),
+        (THESIS_PITCH, Axis.PITCH, (-1.9363, 0.9368, 0.1014, 0.0573), (0.9908, 0.9455), 317.40, 1 / 298),
+    ],
+)
+def test_the_models_that_the_thesis_prints(
+    reference: ReferenceModel, axis: Axis, theta: tuple[float, ...], poles: tuple[float, ...], gain: float, scale: float
+) -> None:
+    model = reference.model
+    assert (reference.axis, model.method, reference.input_scale) == (axis, Method.PUBLISHED, scale)
+    assert_array_equal(model.theta, theta)
+    assert_allclose(model.poles, poles, atol=5e-5)
+    assert model.dc_gain == pytest.approx(gain, abs=0.005)
+    u = np.random.default_rng(1).standard_normal(100)
+    assert_allclose(reference.scaled.simulate(u), scale * model.simulate(u), rtol=1e-9)

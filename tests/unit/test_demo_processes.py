@@ -42,7 +42,7 @@ def test_b15_the_timeout_is_of_the_whole_wait_and_not_of_each_line(module: str) 
 
 
 def test_baselines_of_other_versions_stay_while_they_are_used(tmp_path: Path) -> None:
-    from mavdiag.demo.baselines import delete_unused
+    from mavdiag.demo.command import delete_unused
 
     now_s = 1.8e9
     for name, days in (("demo-fused-1-a.json", 1), ("demo-fused-2-b.json", 100), ("other.json", 100)):

@@ -15,36 +15,28 @@ from mavdiag.telemetry import FloatArray
 from mavdiag.testing import example_rows
 from sitl_plant.vehicle import allocation, qdrone2
 
-# Where each rotor is, seen from above: (x forward, y right), and how it turns. From each vehicle's own drawing.
-PLACES = {
-    "qdrone2": [(-1, 1, "cw"), (1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw")],
-    "crazyflie": [(1, 1, "ccw"), (-1, 1, "cw"), (-1, -1, "ccw"), (1, -1, "cw")],
-    "x": [(1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw")],
-    "plus": [(0, 1, "ccw"), (0, -1, "ccw"), (1, 0, "cw"), (-1, 0, "cw")],
-    "hexa-x": [(0, 1, "cw"), (0, -1, "ccw"), (1, -1, "cw"), (-1, 1, "ccw"), (1, 1, "ccw"), (-1, -1, "cw")],
-    "hexa-plus": [(1, 0, "cw"), (-1, 0, "ccw"), (-1, -1, "cw"), (1, 1, "ccw"), (1, -1, "ccw"), (-1, 1, "cw")],
-    "octo-x": [
-        *[(1, 1, "cw"), (-1, -1, "cw"), (1, 1, "ccw"), (-1, 1, "ccw")],
-        *[(1, -1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw")],
-    ],
-    "octo-plus": [
-        *[(1, 0, "cw"), (-1, 0, "cw"), (1, 1, "ccw"), (-1, 1, "ccw")],
-        *[(1, -1, "ccw"), (-1, -1, "ccw"), (0, -1, "cw"), (0, 1, "cw")],
-    ],
-    "x8": [
-        *[(1, 1, "ccw"), (1, -1, "cw"), (-1, -1, "ccw"), (-1, 1, "cw")],
-        *[(1, -1, "ccw"), (1, 1, "cw"), (-1, 1, "ccw"), (-1, -1, "cw")],
-    ],
-    "y6": [(1, 1, "ccw"), (1, -1, "cw"), (1, -1, "ccw"), (-1, 0, "cw"), (1, 1, "cw"), (-1, 0, "ccw")],
-    "y6b": [(1, 1, "cw"), (1, 1, "ccw"), (-1, 0, "cw"), (-1, 0, "ccw"), (1, -1, "cw"), (1, -1, "ccw")],
-    "deca-plus": [
-        *[(1, 0, "ccw"), (1, 1, "cw"), (1, 1, "ccw"), (-1, 1, "cw"), (-1, 1, "ccw")],
-        *[(-1, 0, "cw"), (-1, -1, "ccw"), (-1, -1, "cw"), (1, -1, "ccw"), (1, -1, "cw")],
-    ],
-    "deca-x": [
-        *[(1, 1, "ccw"), (1, 1, "cw"), (0, 1, "ccw"), (-1, 1, "cw"), (-1, 1, "ccw")],
-        *[(-1, -1, "cw"), (-1, -1, "ccw"), (0, -1, "cw"), (1, -1, "ccw"), (1, -1, "cw")],
-    ],
+#: Where each rotor is, seen from above: (x forward, y right),
+#: and how it turns, + counter-clockwise. From each vehicle's own drawing.
+PLACES: dict[str, tuple[str, list[tuple[int, int]]]] = {
+    "qdrone2": ("-++-", [(-1, 1), (1, 1), (-1, -1), (1, -1)]),
+    "crazyflie": ("+-+-", [(1, 1), (-1, 1), (-1, -1), (1, -1)]),
+    "x": ("++--", [(1, 1), (-1, -1), (1, -1), (-1, 1)]),
+    "plus": ("++--", [(0, 1), (0, -1), (1, 0), (-1, 0)]),
+    "hexa-x": ("-+-++-", [(0, 1), (0, -1), (1, -1), (-1, 1), (1, 1), (-1, -1)]),
+    "hexa-plus": ("-+-++-", [(1, 0), (-1, 0), (-1, -1), (1, 1), (1, -1), (-1, 1)]),
+    "octo-x": ("--++++--", [(1, 1), (-1, -1), (1, 1), (-1, 1), (1, -1), (-1, -1), (1, -1), (-1, 1)]),
+    "octo-plus": ("--++++--", [(1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1), (0, -1), (0, 1)]),
+    "x8": ("+-+-+-+-", [(1, 1), (1, -1), (-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 1), (-1, -1)]),
+    "y6": ("+-+--+", [(1, 1), (1, -1), (1, -1), (-1, 0), (1, 1), (-1, 0)]),
+    "y6b": ("-+-+-+", [(1, 1), (1, 1), (-1, 0), (-1, 0), (1, -1), (1, -1)]),
+    "deca-plus": (
+        "+-+-+-+-+-",
+        [(1, 0), (1, 1), (1, 1), (-1, 1), (-1, 1), (-1, 0), (-1, -1), (-1, -1), (1, -1), (1, -1)],
+    ),
+    "deca-x": (
+        "+-+-+-+-+-",
+        [(1, 1), (1, 1), (0, 1), (-1, 1), (-1, 1), (-1, -1), (-1, -1), (0, -1), (1, -1), (1, -1)],
+    ),
 }
 
 
@@ -52,9 +44,9 @@ PLACES = {
 def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
     layout = layout_named(name)
     mixing, n = layout.mixing, layout.rotors
-    for signs, (x, y, spin) in zip(mixing, PLACES[name], strict=True):
+    for signs, sense, (x, y) in zip(mixing, *PLACES[name], strict=True):
         # Thrust is up, -z in FRD: torque = (x, y, 0) x (0, 0, -1) = (-y, x, 0); the body turns against the rotor.
-        assert np.sign(np.round(signs, 6)).tolist() == [-y, x, 1.0 if spin == "ccw" else -1.0]
+        assert np.sign(np.round(signs, 6)).tolist() == [-y, x, 1.0 if sense == "+" else -1.0]
     np.testing.assert_allclose(mixing.T @ mixing, n * np.eye(3), atol=1e-7)  # independent, and scaled
     np.testing.assert_allclose(mixing.sum(axis=0), 0.0, atol=1e-8)  # trims do not change the thrust
     np.testing.assert_allclose(layout.unmixing @ mixing, np.eye(3), atol=1e-8)
@@ -63,12 +55,8 @@ def test_signs_follow_from_where_the_rotors_are(name: str) -> None:
     angles = np.unique(np.round(np.degrees(np.arctan2(-mixing[:, 0], mixing[:, 1])), 6) % 360)
     np.testing.assert_allclose(np.diff(angles), 360 / (n / 2 if layout.coaxial else n), atol=1e-5)
     assert layout.coaxial == (name in ("x8", "y6", "y6b"))
-    turns = mixing[np.argsort(np.arctan2(-mixing[:, 0], mixing[:, 1])), 2]
-    if layout.coaxial:
-        arms = [mixing[(np.abs(mixing[:, :2] - one[:2]) < 1e-6).all(axis=1), 2] for one in mixing]
-        assert all(sorted(arm) == pytest.approx([-1, 1]) for arm in arms)  # the two of an arm turn against each other
-    else:
-        assert (turns[1:] == -turns[:-1]).all()  # neighbours turn against each other
+    C = layout.unmixing / np.linalg.norm(layout.unmixing, axis=0)
+    assert (C.T @ C - 2 * np.eye(n)).max() < 0.95  # each rotor has a direction of its own
 
 
 def test_the_thesis_frame_is_the_plant_s() -> None:
@@ -82,14 +70,6 @@ def test_a_layout_must_command_all_three_axes_and_be_scaled() -> None:
         RotorLayout("x", tuple((2 * r, p, y) for r, p, y in layout_named("x").signs))
     with pytest.raises(UsageError, match="no layout 'hexa': use one of qdrone2, "):
         layout_named("hexa")
-
-
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_each_rotor_has_a_direction_of_its_own(name: str) -> None:
-    C = layout_named(name).unmixing / np.linalg.norm(layout_named(name).unmixing, axis=0)
-    likeness = C.T @ C - 2 * np.eye(C.shape[1])
-    assert likeness.max() < 0.95
-    assert (np.argmax(C.T @ C, axis=0) == np.arange(C.shape[1])).all()
 
 
 def made_flight(layout: RotorLayout, seed: int, *, driver: str = "torque", yaw: float = 0.2) -> Block:
@@ -111,11 +91,10 @@ def made_flight(layout: RotorLayout, seed: int, *, driver: str = "torque", yaw: 
 @pytest.mark.parametrize("driver", ["torque", "rate error", "acceleration"])
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_layout_is_found_from_a_flight(name: str, driver: str) -> None:
-    for seed in range(3):
+    for seed in range(2):
         found = detect_layout([made_flight(layout_named(name), seed, driver=driver)])
-        assert found.layout == layout_named(name), f"seed {seed}: {found}"
+        assert (found.layout, found.likeness[0][0]) == (layout_named(name), name), f"seed {seed}: {found}"
         assert driver in found.reason
-        assert found.likeness[0][0] == name
 
 
 @pytest.mark.parametrize("rows", [1, 4, 7, 333])
@@ -128,18 +107,17 @@ def test_l6_a_live_link_and_a_log_find_the_same(rows: int) -> None:
         assert detect_layout(pieces).layout is layout_named(name)
 
 
-def test_l6_outputs_that_never_move_are_no_motors() -> None:
+def test_l6_outputs_that_never_move_come_late_or_are_missing_are_left_out() -> None:
     """L6: PX4 logs carry 8 or 16 outputs, whatever the vehicle has."""
-    for idle in (0.0, math.nan, 0.45):
-        flight = made_flight(layout_named("x"), 5)
-        wide = np.hstack([flight.actuator, np.full((len(flight), 4), idle)])
+    flight = made_flight(layout_named("x"), 5)
+    idle = [np.hstack([flight.actuator, np.full((len(flight), 4), level)]) for level in (0.0, math.nan, 0.45)]
+    for wide in idle:
         assert detect_layout([replace(flight, actuator=wide)]).layout is layout_named("x")
-
-
-def test_l6_outputs_that_arrive_later_than_the_gyro_count_from_then() -> None:
-    flight = made_flight(layout_named("x"), 6)
     before = replace(flight.rows(0, 300), actuator=np.empty((300, 0)))
     assert detect_layout([before, flight.rows(300, len(flight))]).layout is layout_named("x")
+    outputs, torque = flight.actuator.copy(), flight.torque.copy()
+    outputs[200:400], torque[900:1100] = math.nan, math.nan
+    assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
 
 
 def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
@@ -152,13 +130,6 @@ def test_l6_a_yawing_flight_does_not_hide_roll_and_pitch() -> None:
         found = detect_layout([example_rows(3000, 0.01, actuator=outputs, torque=torque).block])
         assert found.layout is layout
         assert found.likeness[0][1] == pytest.approx(1.0, abs=1e-6)
-
-
-def test_missing_outputs_and_drivers_are_left_out() -> None:
-    flight = made_flight(layout_named("x"), 8)
-    outputs, torque = flight.actuator.copy(), flight.torque.copy()
-    outputs[200:400], torque[900:1100] = math.nan, math.nan
-    assert detect_layout([replace(flight, actuator=outputs, torque=torque)]).layout is layout_named("x")
 
 
 def test_what_stays_unclear_is_not_named() -> None:

@@ -12,8 +12,7 @@ from test_layout import made_flight
 from typer.testing import CliRunner
 
 from mavdiag.airframe.airframe import Airframe
-from mavdiag.airframe.detect import contradicts, detect_layout
-from mavdiag.airframe.excitation import Fit
+from mavdiag.airframe.detect import Fit, contradicts, detect_layout
 from mavdiag.airframe.layout import LAYOUTS, RotorLayout, layout_named
 from mavdiag.airframe.load import load_airframe, with_layout
 from mavdiag.as_json import verdict_json

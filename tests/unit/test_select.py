@@ -6,7 +6,7 @@ from identification_data import WELL, record
 
 from mavdiag.errors import IdentificationError
 from mavdiag.identify import ArxModel, Method
-from mavdiag.identify.data import Records
+from mavdiag.identify.arx import Records
 from mavdiag.identify.lab.sweep import best_row, order_sweep, window_sweep
 from mavdiag.rows.savgol import SavgolFilter
 from mavdiag.telemetry import FloatArray

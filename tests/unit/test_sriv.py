@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from identification_data import ROLL, WELL, record
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 from shared_data import shared
 
 from mavdiag.identify import ArxModel, Method, fit
-from mavdiag.identify.sriv import reflect_poles
+from mavdiag.identify.arx import Segment, polynomials
+from mavdiag.identify.sriv import reflect_poles, sriv
 from mavdiag.identify.validate import examine_residual, nrmse_percent
 from mavdiag.rows.savgol import SavgolFilter
 
@@ -18,7 +20,7 @@ from mavdiag.rows.savgol import SavgolFilter
     ("noise", "sriv_fit", "ls_fit"),
     [(0.05, 99.8, 60.0), (0.20, 99.4, 12.0)],
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_thesis_roll_model_under_output_noise(noise: float, sriv_fit: float, ls_fit: float, seed: int) -> None:
     data = record(ROLL, 20_000, noise, seed)
     refined, plain = (fit(data.u, data.y, dt=0.001, method=method) for method in ("sriv", "ls"))
@@ -43,12 +45,12 @@ def test_octaves_noisy_records_give_the_true_model(column: str) -> None:
 @pytest.mark.parametrize(("model", "n", "noise"), [(WELL, 1500, 0.2), (WELL, 1500, 0.5), (ROLL, 5000, 0.2)])
 def test_standard_errors_are_right(model: ArxModel, n: int, noise: float) -> None:
     normalised = []
-    for seed in range(60):
+    for seed in range(40):
         data = record(model, n, noise, seed)
         found = fit(data.u, data.y, dt=model.dt)
         normalised.append((found.theta - model.theta) / found.standard_errors)
     rms = np.sqrt(np.mean(np.square(normalised), axis=0))
-    # 60 trials: the rms of a parameter has a standard deviation of 0.09
+    # 40 trials: the rms of a parameter has a standard deviation of 0.11
     assert np.all((rms > 0.7) & (rms < 1.3)), rms
 
 
@@ -101,7 +103,7 @@ def test_its_output_error_is_white_and_independent_of_the_input() -> None:
     assert not biased.independent
 
 
-@pytest.mark.parametrize("order", [(1, 1, 1), (2, 2, 1), (2, 2, 2), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
+@pytest.mark.parametrize("order", [(1, 1, 1), (2, 5, 0), (3, 2, 1), (2, 1, 4)])
 def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None:
     na, nb, nk = order
     rng = np.random.default_rng(11)
@@ -114,7 +116,7 @@ def test_every_order_recovers_its_own_model(order: tuple[int, int, int]) -> None
     assert nrmse_percent(data.clean, found.simulate(data.u)) > 99.0
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_hardly_exciting_data_still_end_in_a_stable_model(seed: int) -> None:
     # A step every 100 samples says almost nothing about the fast pole at 0.53.
     rng = np.random.default_rng(seed)
@@ -131,3 +133,37 @@ def test_reflected_poles_are_inside_and_the_others_stay() -> None:
     assert np.all(np.abs(np.roots(reflect_poles(np.array([1.0, -2.0, 1.0])))) < 1.0)
     stable = np.array([1.0, -0.5, 0.0])
     assert reflect_poles(stable) is stable
+
+
+def flown(seed: int, n: int) -> Segment:
+    """A segment that begins in motion."""
+    rng = np.random.default_rng(seed)
+    u = np.cumsum(rng.normal(0.0, 0.1, n + 50))
+    u -= lfilter([0.01], [1.0, -0.99], u)
+    y = lfilter([0.0, 0.01, -0.006], [1.0, -1.9, 0.905], u)
+    y += 0.05 * lfilter([0.2], [1.0, -0.8], rng.normal(size=n + 50))
+    return Segment(u[50:], np.asarray(y[50:]))
+
+
+def test_without_a_basis_the_columns_are_reduced_by_reflections(monkeypatch: pytest.MonkeyPatch) -> None:
+    segments = tuple(flown(seed, n) for seed, n in enumerate((900, 900, 700, 321, 900)))
+    by_cholesky = sriv(segments, (2, 2, 1))
+    monkeypatch.setattr("mavdiag.identify.sriv._by_cholesky", lambda *_: None)
+    by_reflections = sriv(segments, (2, 2, 1))
+    assert_allclose(by_cholesky.theta, by_reflections.theta, rtol=1e-8)
+    assert_allclose(by_cholesky.covariance, by_reflections.covariance, rtol=1e-6)
+
+
+def test_a_fit_that_begins_near_ends_where_the_other_one_does_and_a_bad_start_does_no_harm() -> None:
+    segments = tuple(flown(seed, 700) for seed in range(8))
+    whole, bad = sriv(segments, (2, 2, 1)), np.array([0.99, 0.5, -3.0, 4.0])
+    for left_out in range(8):
+        rest = tuple(one for i, one in enumerate(segments) if i != left_out)
+        far, near, lost = (sriv(rest, (2, 2, 1), start is None, start) for start in (None, whole.theta, bad))
+        assert near.converged
+        assert near.iterations <= far.iterations
+        errors = np.sqrt(np.diag(far.covariance))
+        assert np.abs((near.theta - far.theta) / errors).max() < 0.01
+        assert np.abs((lost.theta - far.theta) / errors).max() < 0.01
+        assert np.all(np.abs(np.roots(polynomials(lost.theta, (2, 2, 1))[0])) < 1.0)
+        assert np.isnan(near.covariance).all()

@@ -60,15 +60,14 @@ def test_a_kind_of_vehicle_passes_or_is_named_with_its_number(kind: int) -> None
     assert not said or said.endswith(f"(MAV_TYPE {kind}): mavdiag judges multirotors only")
 
 
-@pytest.mark.parametrize("kind", [0, 2, 3, 13, 14, 15, 29, 35, 43])
-def test_a_multirotor_passes(kind: int, tmp_path: Path) -> None:
-    assert md.read_log(tlog(tmp_path / "a.tlog", stream(kind))).mav_type == kind
-
-
-@pytest.mark.parametrize("kind", [1, 4, 5, 10, 11, 12, 19, 20, 21, 22, 25])
-def test_any_other_vehicle_of_a_telemetry_log_is_refused(kind: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [0, 2, 13, 43, 1, 4, 11, 22])
+def test_a_multirotor_of_a_telemetry_log_is_read_and_any_other_vehicle_refused(kind: int, tmp_path: Path) -> None:
+    path = tlog(tmp_path / "a.tlog", stream(kind))
+    if kind in MULTIROTORS:
+        assert md.read_log(path).mav_type == kind
+        return
     with pytest.raises(InputError, match=rf"a\.tlog: .*\(MAV_TYPE {kind}\): mavdiag judges multirotors only"):
-        md.read_log(tlog(tmp_path / "a.tlog", stream(kind)))
+        md.read_log(path)
 
 
 @pytest.mark.parametrize("command", [["look"], ["identify", "-o", "out.json"], ["inspect"]])
@@ -105,38 +104,28 @@ def test_one_wrong_heartbeat_among_many_is_outvoted(tmp_path: Path) -> None:
     [
         (["ArduCopter V4.5.6 (bbf0b066)"], {"FRAME_CLASS": 1.0}, 2),
         (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 4.0}, 14),
-        (["ArduCopter V4.3.6 (0c5e999c)"], {"FRAME_CLASS": 5.0}, 13),
         (["ArduCopter V4.3.6 (0c5e999c)"], {}, None),
         (["APM:Copter V3.3-dev (ae3192b8)", "PX4: 6013 NuttX: 1e53", "Frame: QUAD"], {"FRAME": 1.0}, 2),
         (["APM:Copter V3.4.6 (1)", "Frame: Y6"], {"FRAME": 10.0}, 13),
-        ([], {"FRAME_CLASS": 2.0}, None),
         (["Rover is a word"], {}, None),
+        (["ArduRover V4.2.3 (3fc3011a)"], {"FRAME_CLASS": 2.0}, "a boat (MAV_TYPE 11)"),
+        (["APM:Rover V3.1.0 (1)"], {}, "a rover (MAV_TYPE 10)"),
+        (["ArduPlane V4.5.1 (1)"], {"Q_ENABLE": 1.0}, "a plane (MAV_TYPE 1)"),
+        (["ArduSub V4.1.0 (1)"], {"FRAME_CONFIG": 1.0}, "a submarine (MAV_TYPE 12)"),
+        (["AntennaTracker V1.1.0 (1)"], {}, "an antenna tracker (MAV_TYPE 5)"),
+        (["ArduCopter V4.4.0 (1)"], {"FRAME_CLASS": 6.0}, "a helicopter (MAV_TYPE 4)"),
     ],
 )
 def test_a_dataflash_log_tells_it_by_firmware_and_frame(
-    texts: list[str], parameters: dict[str, float], kind: int | None, tmp_path: Path
+    texts: list[str], parameters: dict[str, float], kind: int | str | None, tmp_path: Path
 ) -> None:
-    assert md.read_log(binary(tmp_path, texts, parameters)).mav_type == kind
-
-
-@pytest.mark.parametrize(
-    ("text", "parameters", "name"),
-    [
-        ("ArduRover V4.2.3 (3fc3011a)", {"FRAME_CLASS": 2.0}, "a boat (MAV_TYPE 11)"),
-        ("APM:Rover V3.1.0 (1)", {}, "a rover (MAV_TYPE 10)"),
-        ("APMrover2 V2.51 (1)", {}, "a rover (MAV_TYPE 10)"),
-        ("ArduPlane V4.5.1 (1)", {"Q_ENABLE": 1.0}, "a plane (MAV_TYPE 1)"),
-        ("ArduSub V4.1.0 (1)", {"FRAME_CONFIG": 1.0}, "a submarine (MAV_TYPE 12)"),
-        ("AntennaTracker V1.1.0 (1)", {}, "an antenna tracker (MAV_TYPE 5)"),
-        ("ArduCopter V4.4.0 (1)", {"FRAME_CLASS": 6.0}, "a helicopter (MAV_TYPE 4)"),
-    ],
-)
-def test_a_dataflash_log_of_another_vehicle_is_refused(
-    text: str, parameters: dict[str, float], name: str, tmp_path: Path
-) -> None:
+    path = binary(tmp_path, texts, parameters)
+    if not isinstance(kind, str):
+        assert md.read_log(path).mav_type == kind
+        return
     with pytest.raises(InputError) as caught:
-        md.read_log(binary(tmp_path, [text], parameters))
-    assert str(caught.value).endswith(f"{name}: mavdiag judges multirotors only")
+        md.read_log(path)
+    assert str(caught.value).endswith(f"{kind}: mavdiag judges multirotors only")
 
 
 def binary(folder: Path, texts: list[str], parameters: dict[str, float]) -> Path:
@@ -148,10 +137,13 @@ def binary(folder: Path, texts: list[str], parameters: dict[str, float]) -> Path
     return path
 
 
-@pytest.mark.parametrize(("types", "name"), [([2, 2], ""), ([10, 10], "a rover"), ([22], "a VTOL"), ([2, 2, 1], "")])
-def test_a_ulog_tells_it_by_the_vehicle_s_state(types: list[int], name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("types", "name"), [([2, 2], ""), ([10, 10], "a rover"), ([22], "a VTOL"), ([2, 2, 1], ""), ([], "a submarine")]
+)
+def test_a_ulog_tells_it_by_the_vehicle_s_state_or_a_parameter(types: list[int], name: str, tmp_path: Path) -> None:
     records = [STATUS.record(10 + k, 2, kind) for k, kind in enumerate(types)]
-    path = tmp_path / "log.ulg"
+    key, path = b"int32_t MAV_TYPE", tmp_path / "log.ulg"
+    records += [] if types else [ulog_message("P", bytes([len(key)]) + key + (12).to_bytes(4, "little"))]
     path.write_bytes(ulog([SENSORS, STATUS], [*records, SENSORS.record(9, 0, 0, 0)]))
     if not name:
         assert md.read_log(path).mav_type == 2
@@ -160,31 +152,15 @@ def test_a_ulog_tells_it_by_the_vehicle_s_state(types: list[int], name: str, tmp
         md.read_log(path)
 
 
-def test_a_ulog_tells_it_by_its_parameter_too(tmp_path: Path) -> None:
-    parameter = ulog_message("P", bytes([len("int32_t MAV_TYPE")]) + b"int32_t MAV_TYPE" + (12).to_bytes(4, "little"))
-    path = tmp_path / "log.ulg"
-    path.write_bytes(ulog([SENSORS], [parameter, SENSORS.record(9, 0, 0, 0)]))
-    with pytest.raises(InputError, match="a submarine"):
-        md.read_log(path)
-
-
 @pytest.mark.parametrize("careful", [False, True])
 def test_on_a_link_only_a_multirotor_enters(careful: bool) -> None:
     decoder = LinkDecoder(careful=careful)
+    wrong = Encoder(7, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3)  # made up or damaged: it keeps nobody out
+    decoder.feed([(wrong, 0)], 0)
     for t_us, frame in sorted([*stream(11, sysid=1, n=600), *stream(2, sysid=7, n=600)], key=lambda one: one[0]):
         decoder.feed([(frame, 1_000 * t_us)], 1_000 * t_us)
     assert list(decoder.vehicles) == [7]
     assert decoder.waiting == {1: BOAT}
-
-
-def test_a_vehicle_that_turns_out_to_be_a_multirotor_enters() -> None:
-    """A made-up or damaged heartbeat keeps no vehicle out."""
-    decoder = LinkDecoder(careful=True)
-    decoder.feed([(Encoder(1, 1).encode(MessageId.HEARTBEAT, 11, 3, 128, 0, 4, 3), 0)], 0)
-    for t_us, frame in stream(2, n=600):
-        decoder.feed([(frame, 1_000 * t_us + 1_000_000)], 1_000 * t_us + 1_000_000)
-    assert list(decoder.vehicles) == [1]
-    assert decoder.waiting == {}
 
 
 def test_a_scan_of_a_folder_goes_on_behind_a_boat(tmp_path: Path) -> None:

@@ -19,8 +19,6 @@ from mavdiag.telemetry import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Figure", "ModelFigures", "PoleFigures", "deviations", "model_figures"]
-
 STEP = 0.01  # of a standard deviation: small enough to be linear, large enough for the root finders (our choice)
 GRID_LINES = 2000  # frequencies in which the bandwidth is bracketed
 DROP = 10 ** (-3 / 20)  # bandwidth: where the gain is 3 dB below the gain at rest
@@ -28,11 +26,7 @@ DROP = 10 ** (-3 / 20)  # bandwidth: where the gain is 3 dB below the gain at re
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure.
-
-    value: None where it does not exist.
-    standard_error: in the unit of the value; None where it is not known.
-    """
+    """One figure; None where it does not exist. standard_error: in its unit; None where it is not known."""
 
     value: float | None
     standard_error: float | None
@@ -84,13 +78,22 @@ def model_figures(model: ArxModel) -> ModelFigures:
     """
     upper = model.poles[model.poles.imag >= 0.0]
 
-    def all_values(one: ArxModel) -> FloatArray:
-        return np.concatenate((_pole_values(one, upper).ravel(), _loop_values(one)))
+    def values(one: ArxModel) -> FloatArray:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # a pole at z = 0 has no frequency; control tells which of its ways it takes
+            return np.concatenate((_pole_values(one, upper).ravel(), _loop_values(one)))
 
-    found = [_figure(*pair) for pair in zip(all_values(model), deviations(model, all_values), strict=True)]
+    found = [_figure(*pair) for pair in zip(values(model), deviations(model, values), strict=True)]
     poles = tuple(PoleFigures(*found[4 * i : 4 * i + 4]) for i in range(len(upper)))
+    rests_on = "nothing: the model carries no standard errors"
+    if np.isfinite(model.covariance).all():
+        rests_on = "the covariance of the parameters"
+    elif np.isfinite(model.standard_errors).all():
+        rests_on = "the standard errors of the parameters; their correlations are not known, so these are rough"
     dc_gain, bandwidth, gain, phase, modulus = found[4 * len(upper) :]
-    return ModelFigures(poles, dc_gain, bandwidth, gain, phase, modulus, _errors_from(model))
+    return ModelFigures(poles, dc_gain, bandwidth, gain, phase, modulus, rests_on)
 
 
 def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> FloatArray:
@@ -104,46 +107,27 @@ def deviations(model: ArxModel, values: Callable[[ArxModel], FloatArray]) -> Flo
         return np.full_like(values(model), np.nan)
     variances, directions = np.linalg.eigh(covariance)
     squares = np.zeros_like(values(model))
-    for move in (directions * np.sqrt(np.maximum(variances, 0.0))).T:
-        ahead, behind = (values(_moved(model, sign * STEP * move)) for sign in (1.0, -1.0))
+    for move in STEP * (directions * np.sqrt(np.maximum(variances, 0.0))).T:
+        ahead, behind = (
+            values(ArxModel(*polynomials(theta, model.order), model.dt, model.order, model.method))
+            for theta in (model.theta + move, model.theta - move)
+        )
         squares += ((ahead - behind) / (2.0 * STEP)) ** 2
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _moved(model: ArxModel, move: FloatArray) -> ArxModel:
-    a, b = polynomials(model.theta + move, model.order)
-    return ArxModel(a, b, model.dt, model.order, model.method)
-
-
-def _errors_from(model: ArxModel) -> str:
-    if np.isfinite(model.covariance).all():
-        return "the covariance of the parameters"
-    if np.isfinite(model.standard_errors).all():
-        return "the standard errors of the parameters; their correlations are not known, so these are rough"
-    return "nothing: the model carries no standard errors"
-
-
-def _figure(value: float, standard_error: float) -> Figure:
-    known = np.isfinite(value)
-    return Figure(
-        float(value) if known else None, float(standard_error) if known and np.isfinite(standard_error) else None
-    )
+def _figure(value: float, error: float) -> Figure:
+    exists, known = np.isfinite(value), np.isfinite(error)
+    return Figure(float(value) if exists else None, float(error) if exists and known else None)
 
 
 def _pole_values(model: ArxModel, reference: "NDArray[np.complex128]") -> FloatArray:
     """Real and imaginary part, natural frequency [Hz] and damping of the poles next to the reference, (p, 4)."""
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a pole at z = 0 has no frequency: nan
-        natural, damping, poles = _damp(model)
-    nearest = [int(np.argmin(np.abs(poles - one))) for one in reference]
-    columns = (poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping)
-    return np.column_stack([column[nearest] for column in columns])
-
-
-def _damp(model: ArxModel) -> "tuple[FloatArray, FloatArray, NDArray[np.complex128]]":
     import control
 
-    return control.damp(model.to_control(), doprint=False)
+    natural, damping, poles = control.damp(model.to_control(), doprint=False)
+    nearest = [int(np.argmin(np.abs(poles - one))) for one in reference]
+    return np.column_stack((poles.real, np.abs(poles.imag), natural / (2.0 * np.pi), damping))[nearest]
 
 
 def _loop_values(model: ArxModel) -> FloatArray:
@@ -151,19 +135,17 @@ def _loop_values(model: ArxModel) -> FloatArray:
     import control
 
     size = model.lag + 1
-    B, A = np.pad(model.b, (0, size - len(model.b))), np.pad(model.a, (0, size - len(model.a)))
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it says which of its two ways it takes
-        loop = control.TransferFunction(B, A - B, model.dt)
-        gain, phase, modulus = control.stability_margins(loop)[:3]
-        at_nyquist = float(np.real(loop(-1.0)))
-        if not np.isfinite(gain) and at_nyquist < 0.0:  # it does not look for a crossing there
-            gain = -1.0 / at_nyquist
-        return np.array([model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
+    B, A = (np.pad(values, (0, size - len(values))) for values in (model.b, model.a))
+    loop = control.TransferFunction(B, A - B, model.dt)
+    gain, phase, modulus = control.stability_margins(loop)[:3]
+    at_nyquist = float(np.real(loop(-1.0)))
+    if not np.isfinite(gain) and at_nyquist < 0.0:  # control does not look for a crossing there
+        gain = -1.0 / at_nyquist
+    return np.array([model.dc_gain, _bandwidth_hz(model), 20.0 * np.log10(gain), phase, modulus])
 
 
 def _bandwidth_hz(model: ArxModel) -> float:
-    """By the bracket on a grid; `control.bandwidth` evaluates discrete models at s = j omega."""
+    """By a bracket on a grid; `control.bandwidth` evaluates discrete models at s = j omega."""
     from scipy.optimize import brentq
 
     def above(frequency_hz: FloatArray) -> FloatArray:

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import Records, to_segments
+from mavdiag.identify.arx import Records, to_segments
 from mavdiag.identify.model import ArxModel
 from mavdiag.telemetry import FloatArray
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FrequencyResponse", "ResponseGap", "compare", "estimate_response", "model_response"]
+MIN_COHERENCE = 0.6  # the usual floor of flight-test practice (Tischler and Remple, Aircraft and Rotorcraft Sys. Id.)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,11 +34,7 @@ class FrequencyResponse:
 
 @dataclass(frozen=True, slots=True)
 class ResponseGap:
-    """How far a model is from a measured response where the coherence is high enough.
-
-    gain_db, phase_deg: root mean square of the gain error [dB] and of the phase error [degrees]. lines: frequencies
-    compared. lowest_hz, highest_hz: the span they cover.
-    """
+    """Root mean square gap of gain [dB] and phase [degrees] of a model; lines: frequencies compared, and their span."""
 
     gain_db: float
     phase_deg: float
@@ -59,38 +55,31 @@ def estimate_response(u: Records, y: Records, *, dt: float, segment: int = 1024)
     records = [one for one in to_segments(u, y, (1, 1, 0)) if len(one) >= 2 * segment]
     if segment < 8 or not records:
         raise IdentificationError(f"no record holds two windows of {segment} samples; use a shorter window")
-    frequency = np.fft.rfftfreq(segment, dt).astype(np.float64)
-    uu, yy = np.zeros(len(frequency)), np.zeros(len(frequency))
-    uy = np.zeros(len(frequency), dtype=np.complex128)
-    windows = 0
-    for one in records:
-        count = 2 * len(one) // segment - 1
-        windows += count
-        for total, first, second in ((uu, one.u, one.u), (yy, one.y, one.y), (uy, one.u, one.y)):
-            density = csd(first, second, fs=1 / dt, nperseg=segment)[1]
-            total += count * (density if np.iscomplexobj(total) else np.real(density))
-    if np.any(uu <= 0.0) or np.any(yy <= 0.0):
+    counts = [2 * len(one) // segment - 1 for one in records]
+    windowed = [
+        [csd(*pair, 1 / dt, nperseg=segment)[1] for pair in ((s.u, s.u), (s.y, s.y), (s.u, s.y))] for s in records
+    ]
+    uu, yy, uy = np.einsum("r,rsf->sf", counts, np.array(windowed, dtype=np.complex128))
+    if np.any(uu.real <= 0.0) or np.any(yy.real <= 0.0):
         raise IdentificationError("u or y has no power at some frequency; check that the signals are alive")
-    coherence = np.clip(np.abs(uy) ** 2 / (uu * yy), 1e-12, 1.0)
-    averages = 9.0 / 11.0 * windows  # half-overlapping Hann windows are not independent (Welch 1967)
-    return FrequencyResponse(
-        frequency, uy / uu, coherence, np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)), averages
-    )
+    coherence = np.clip(np.abs(uy) ** 2 / (uu * yy).real, 1e-12, 1.0)
+    averages = 9.0 / 11.0 * sum(counts)  # half-overlapping Hann windows are not independent (Welch 1967)
+    error = np.sqrt((1.0 - coherence) / (2.0 * coherence * averages))
+    frequency = np.fft.rfftfreq(segment, dt).astype(np.float64)
+    return FrequencyResponse(frequency, uy / uu.real, coherence, error, averages)
 
 
 def model_response(model: ArxModel, frequency_hz: FloatArray) -> "NDArray[np.complex128]":
     """B/A at z = exp(2 pi i f dt): (f,) -> (f,) complex."""
-    delay = np.exp(-2j * np.pi * frequency_hz * model.dt)  # z^-1
-    B, A = (np.polynomial.polynomial.polyval(delay, coefficients) for coefficients in (model.b, model.a))
-    response: NDArray[np.complex128] = B / A
-    return response
+    from scipy.signal import freqz
+
+    return np.asarray(freqz(model.b, model.a, frequency_hz, fs=1 / model.dt)[1], dtype=np.complex128)
 
 
-def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float = 0.6) -> ResponseGap:
-    """Root mean square gap between model and measurement over the lines above 0 Hz with enough coherence.
+def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float = MIN_COHERENCE) -> ResponseGap:
+    """The gap between model and measurement over the lines above 0 Hz with enough coherence.
 
-    0.6 is the usual floor of flight-test practice (Tischler and Remple, Aircraft and Rotorcraft System Identification).
-    Raises IdentificationError if no line reaches it.
+    Raises IdentificationError if no line has.
     """
     use = (measured.coherence >= min_coherence) & (measured.frequency_hz > 0.0)
     if not use.any():
@@ -100,7 +89,7 @@ def compare(measured: FrequencyResponse, model: ArxModel, min_coherence: float =
     return ResponseGap(
         gain_db=float(np.sqrt(np.mean((20.0 * np.log10(np.abs(ratio))) ** 2))),
         phase_deg=float(np.sqrt(np.mean(np.degrees(np.angle(ratio)) ** 2))),
-        lines=int(use.sum()),
+        lines=len(frequency),
         lowest_hz=float(frequency[0]),
         highest_hz=float(frequency[-1]),
     )

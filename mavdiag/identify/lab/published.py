@@ -13,19 +13,12 @@ import numpy as np
 from mavdiag.identify.model import ArxModel, Method
 from mavdiag.telemetry import Axis
 
-__all__ = ["THESIS_PITCH", "THESIS_ROLL", "ReferenceModel"]
-
 ASSUMED_DT_S = 0.001  # the logs were taken at 1 kHz (T 5.3); the models do not say
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceModel:
-    """A published model with the scale that its input needs.
-
-    model: as printed, input and output in the thesis's unstated units.
-    input_scale: factor on an input in rad/s that gives an output in rad/s; estimated.
-    source: equation of the thesis.
-    """
+    """A published model, as printed, with the factor on an input in rad/s that gives an output in rad/s (estimated)."""
 
     axis: Axis
     model: ArxModel
@@ -38,13 +31,13 @@ class ReferenceModel:
         return replace(self.model, b=self.model.b * self.input_scale)
 
 
-def _printed(axis: Axis, b: tuple[float, float], a: tuple[float, float], scale: float, source: str) -> ReferenceModel:
-    model = ArxModel(np.array([1.0, *a]), np.array([0.0, *b]), ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
-    return ReferenceModel(axis, model, scale, source)
+def _printed(*coefficients: list[float]) -> ArxModel:
+    a, b = map(np.array, coefficients)
+    return ArxModel(a, b, ASSUMED_DT_S, (2, 2, 1), Method.PUBLISHED)
 
 
 #: Poles 0.9985 and 0.534, gain 194.
-THESIS_ROLL = _printed(Axis.ROLL, (0.0743, 0.0616), (-1.5326, 0.5333), 1 / 75, "T Eq 5.1")
+THESIS_ROLL = ReferenceModel(Axis.ROLL, _printed([1.0, -1.5326, 0.5333], [0.0, 0.0743, 0.0616]), 1 / 75, "T Eq 5.1")
 
 #: Poles 0.9908 and 0.9455, gain 317.
-THESIS_PITCH = _printed(Axis.PITCH, (0.1014, 0.0573), (-1.9363, 0.9368), 1 / 298, "T Eq 5.2")
+THESIS_PITCH = ReferenceModel(Axis.PITCH, _printed([1.0, -1.9363, 0.9368], [0.0, 0.1014, 0.0573]), 1 / 298, "T Eq 5.2")

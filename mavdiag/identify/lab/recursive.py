@@ -5,16 +5,14 @@ and it shares its bias under output noise: it is for watching parameters move, n
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.arx import polynomials
-from mavdiag.identify.model import ArxModel, Method, Order, check_order, read_only
+from mavdiag.identify.arx import Segment, polynomials, reach, regressors
+from mavdiag.identify.model import ArxModel, Method, Order, check_order
 from mavdiag.telemetry import FloatArray
-
-__all__ = ["RecursiveSpec", "RecursiveState", "new_segment", "snapshot", "start", "step"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,39 +41,30 @@ class RecursiveSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecursiveState:
-    """What moves. theta: (d,) with d = na + nb. P: (d, d) covariance factor. past_u, past_y: newest first.
+    """What moves. theta: (d,) with d = na + nb. P: (d, d) covariance factor. past: last samples of this segment.
 
     loss: exponentially weighted mean of the squared prediction error. weight: sum of the weights behind it.
-    seen: samples so far in this segment.
     """
 
     theta: FloatArray
     P: FloatArray
-    past_u: FloatArray
-    past_y: FloatArray
-    loss: float
-    weight: float
-    seen: int
+    past: Segment
+    loss: float = 0.0
+    weight: float = 0.0
+
+
+_NOTHING = Segment(np.empty(0), np.empty(0))
 
 
 def start(spec: RecursiveSpec) -> RecursiveState:
     """State before the first sample: nothing known."""
-    na, nb, nk = spec.order
-    d = na + nb
-    return RecursiveState(
-        theta=read_only(np.zeros(d)),
-        P=read_only(np.eye(d) * spec.initial_spread),
-        past_u=read_only(np.zeros(nb + nk)),
-        past_y=read_only(np.zeros(na)),
-        loss=0.0,
-        weight=0.0,
-        seen=0,
-    )
+    d = spec.order[0] + spec.order[1]
+    return RecursiveState(np.zeros(d), np.eye(d) * spec.initial_spread, _NOTHING)
 
 
 def new_segment(state: RecursiveState) -> RecursiveState:
     """The same knowledge, to go on after a break: the samples before it are not neighbours of those after it."""
-    return RecursiveState(state.theta, state.P, state.past_u, state.past_y, state.loss, state.weight, 0)
+    return replace(state, past=_NOTHING)
 
 
 def step(spec: RecursiveSpec, state: RecursiveState, u: FloatArray, y: FloatArray) -> RecursiveState:
@@ -88,38 +77,24 @@ def step(spec: RecursiveSpec, state: RecursiveState, u: FloatArray, y: FloatArra
         raise IdentificationError(f"u and y must be two rows of one length, not {u.shape} and {y.shape}")
     if not (np.isfinite(u).all() and np.isfinite(y).all()):
         raise IdentificationError("NaN or infinite samples; leave them out and begin a new segment")
-    na, nb, nk = spec.order
-    lag = max(na, nb + nk - 1)
-    theta, P = state.theta.copy(), state.P.copy()
-    past_u, past_y = state.past_u.copy(), state.past_y.copy()
-    loss, weight = state.loss, state.weight
-    for i in range(len(u)):
-        past_u[1:] = past_u[:-1].copy()
-        past_u[0] = u[i]
-        if state.seen + i >= lag:
-            # phi = [ -y(t-1) .. -y(t-na)  u(t-nk) .. u(t-nk-nb+1) ]
-            phi = np.concatenate((-past_y, past_u[nk:]))
-            theta, P, error = _update(spec, theta, P, phi, float(y[i]))
+    seen, lag = Segment(np.append(state.past.u, u), np.append(state.past.y, y)), reach(spec.order)
+    theta, P, loss, weight = state.theta, state.P, state.loss, state.weight
+    if len(seen) > lag:
+        Phi, target = regressors(seen, spec.order)
+        for phi, measured in zip(np.ascontiguousarray(Phi.T), target.tolist(), strict=True):
+            # one measurement (Ljung, System Identification 2e, Eq 11.12)
+            gain = P @ phi
+            gain /= spec.forgetting + phi @ gain
+            theta = theta + gain * (measured - float(phi @ theta))
+            P = P - np.outer(gain, phi @ P)
+            P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
+            if spec.forgetting < 1.0 and float(np.max(np.diag(P))) < spec.max_spread:
+                P = P / spec.forgetting
+            error = measured - float(phi @ theta)
             weight = spec.forgetting * weight + 1.0
             loss += (error * error - loss) / weight
-        past_y[1:] = past_y[:-1].copy()
-        past_y[0] = y[i]
-    seen = state.seen + len(u)
-    return RecursiveState(read_only(theta), read_only(P), read_only(past_u), read_only(past_y), loss, weight, seen)
-
-
-def _update(
-    spec: RecursiveSpec, theta: FloatArray, P: FloatArray, phi: FloatArray, y: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """One measurement (Ljung, System Identification 2e, Eq 11.12): new theta, new P, a-posteriori error."""
-    gain = P @ phi
-    gain /= spec.forgetting + phi @ gain
-    theta = theta + gain * (y - float(phi @ theta))
-    P = P - np.outer(gain, phi @ P)
-    P = 0.5 * (P + P.T)  # stays symmetric over millions of steps
-    if spec.forgetting < 1.0 and float(np.max(np.diag(P))) < spec.max_spread:
-        P = P / spec.forgetting
-    return theta, P, y - float(phi @ theta)
+    kept = slice(max(0, len(seen) - lag), None)
+    return RecursiveState(theta, P, Segment(seen.u[kept], seen.y[kept]), loss, weight)
 
 
 def snapshot(spec: RecursiveSpec, state: RecursiveState, dt: float) -> ArxModel:

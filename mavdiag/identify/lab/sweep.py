@@ -7,12 +7,10 @@ from itertools import product
 from typing import TypeAlias
 
 from mavdiag.errors import IdentificationError
-from mavdiag.identify.data import Records
+from mavdiag.identify.arx import Records
 from mavdiag.identify.estimate import fit
 from mavdiag.identify.model import ArxModel, Method, Order
 from mavdiag.identify.validate import validate
-
-__all__ = ["Prepare", "SweepRow", "best_row", "order_sweep", "window_sweep"]
 
 Flights: TypeAlias = tuple[Records, Records]  # u and y
 Prepare: TypeAlias = Callable[[int], Flights]  # window in samples -> u and y filtered with it
@@ -42,7 +40,7 @@ class SweepRow:
 
 
 def _row(
-    train: Flights, validation: Flights | None, order: Order, dt: float, method: Method | str, window: int
+    train: Flights, validation: Flights | None, order: Order, dt: float, method: Method | str, window: int = 0
 ) -> SweepRow:
     try:
         model = fit(*train, order, dt=dt, method=method)
@@ -67,8 +65,7 @@ def order_sweep(
     An order that cannot be identified, or is unstable, as the thesis found with three poles, is a row with its reason.
     Raises IdentificationError only if the validation flights themselves cannot be used.
     """
-    orders = product(tuple(na), tuple(nb), tuple(nk))
-    return tuple(_row(train, validation, order, dt, method, 0) for order in orders)
+    return tuple(_row(train, validation, order, dt, method) for order in product(na, nb, nk))
 
 
 def window_sweep(
@@ -85,15 +82,9 @@ def window_sweep(
     Both R_T^2 are taken against data filtered with the row's own window, as in the thesis: a wide window also makes
     the target easier. Raises IdentificationError only if the validation flights cannot be used.
     """
+    held_out = prepare_validation
     return tuple(
-        _row(
-            prepare(window),
-            None if prepare_validation is None else prepare_validation(window),
-            order,
-            dt,
-            method,
-            window,
-        )
+        _row(prepare(window), None if held_out is None else held_out(window), order, dt, method, window)
         for window in windows
     )
 
@@ -104,8 +95,8 @@ def best_row(rows: Iterable[SweepRow], tolerance: float = 0.01) -> SweepRow:
     Young's practice: fit decides first, then how well the parameters are known, which punishes extra ones. The
     tolerance is our choice. Raises IdentificationError if no row has a model.
     """
-    usable = [(row, row.model) for row in rows if row.model is not None]
+    usable = [(row, row.model.yic) for row in rows if row.model is not None]
     if not usable:
         raise IdentificationError("no candidate could be identified; record longer or more excited flight")
     limit = max(row.score for row, _ in usable) - tolerance
-    return min((pair for pair in usable if pair[0].score >= limit), key=lambda pair: pair[1].yic)[0]
+    return min((pair for pair in usable if pair[0].score >= limit), key=lambda pair: pair[1])[0]
