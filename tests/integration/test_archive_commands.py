@@ -100,7 +100,7 @@ def test_what_cannot_be_is_one_line_before_anything_is_judged(
     scan: Any, archive: Path, baseline: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, str], words: str
 ) -> None:
     monkeypatch.chdir(baseline.parent)
-    monkeypatch.setattr("mavdiag.archive.cluster.PATIENCE_S", 0.5)
+    monkeypatch.setattr("mavdiag.archive.pool.PATIENCE_S", 0.5)
     code, out, err = scan(archive / "a.tlog", *options)
     assert (code, out) == (2, "")
     assert words in err.splitlines()[-1]

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from page_reading import check
 
-from mavdiag.archive.cluster import dask_executor
-from mavdiag.archive.pool import TaskExecutor
+from mavdiag.archive.pool import TaskExecutor, dask_executor
 from mavdiag.baseline import Baseline
 from mavdiag.errors import UsageError
 from mavdiag.judging import JudgedFlight, judge_in_full

@@ -174,7 +174,7 @@ def test_two_flights_in_a_log_do_not_lower_its_rate() -> None:
         look = inspection_of(two_flights(pause_s), Airframe())
         rates = {one.signal: one.rate_hz for one in look.signals}
         assert rates["body_rate"] == pytest.approx(25.0, rel=0.01)
-        assert look.works == inspection_of(two_flights(5.0), Airframe()).works
+        assert look.monitors == inspection_of(two_flights(5.0), Airframe()).monitors
     assert {one.signal: one.rate_hz for one in alone.signals}["body_rate"] == pytest.approx(100.0, rel=0.01)
 
 

@@ -10,15 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_archive import MONITORS, START_US, archive_baseline, asked, content, made
 
-from mavdiag.archive.cache import Cache, cache_folder, open_cache
 from mavdiag.archive.job import (
     Answer,
+    Cache,
     Options,
     Question,
     Record,
+    cache_folder,
     digest_of,
     judge_file,
     mark_of,
+    open_cache,
     record_from,
     record_text,
 )
@@ -27,7 +29,8 @@ from mavdiag.as_json import verdict_json
 from mavdiag.decision.alarm import Change
 from mavdiag.errors import InputError, LinkError, UsageError
 from mavdiag.judging import LogVerdict, Verdict, judge
-from mavdiag.logs import read_log, sha256_of
+from mavdiag.logs import read_log
+from mavdiag.logs.log import sha256_of
 
 DIGEST = "ab" * 32
 

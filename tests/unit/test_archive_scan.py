@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from made_archive import asked, content, made
 
 from mavdiag.archive import scan as module
-from mavdiag.archive.cache import open_cache
-from mavdiag.archive.job import Question, Record, digest_of, judge_file, mark_of
+from mavdiag.archive.job import Question, Record, digest_of, judge_file, mark_of, open_cache
 from mavdiag.archive.paths import Named, logs_named
 from mavdiag.archive.pool import TaskExecutor, in_this_process
 from mavdiag.archive.scan import scan

@@ -7,7 +7,7 @@ import pytest
 from flying_telemetry import START_NS, flying, without
 from made_baselines import logged, whole
 
-from mavdiag.archive.windows import windows_of
+from mavdiag.archive.figures import windows_of
 from mavdiag.decision.alarm import Stage
 from mavdiag.judging import JudgedFlight, LogVerdict, Verdict, judge_in_full
 from mavdiag.units import NS_PER_S

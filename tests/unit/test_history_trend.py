@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavdiag.history.changes import changes_of
-from mavdiag.history.trend import MEMORY, Sessions, Trend, sessions_of, trend_of
+from mavdiag.history.trend import MEMORY, Sessions, Trend, changes_of, sessions_of, trend_of
 from mavdiag.telemetry import FloatArray
 
 shares = st.lists(st.floats(0.0, 3.0) | st.just(math.nan), min_size=1, max_size=40)
